@@ -1,4 +1,4 @@
-//! SVG pictures: the parts that all figures share.
+//! Helpers to draw the project's SVG figures.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -8,7 +8,7 @@ use plotters::prelude::*;
 #[error("the figure cannot be drawn: {0}")]
 pub struct FigureError(pub(crate) String);
 
-/// Colours of curves, which colour-blind people can also tell apart (Okabe & Ito 2008).
+/// Colours of curves; the first six and black are safe for colour-blind readers (Okabe & Ito 2008).
 pub(crate) const COLOURS: [RGBColor; 10] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -22,7 +22,7 @@ pub(crate) const COLOURS: [RGBColor; 10] = [
     RGBColor(160, 160, 0),
 ];
 
-/// A part of a picture.
+/// A drawing area: a whole picture or a part of it.
 pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(crate) type Drawn = Result<(), FigureError>;
 
@@ -32,7 +32,7 @@ impl From<DrawingAreaErrorKind<std::io::Error>> for FigureError {
     }
 }
 
-/// Makes a white picture of `size` in pixels, lets `draw` draw on it and returns its SVG text.
+/// Makes a white picture of `size` in pixels, calls `draw` on it, and returns its SVG text.
 pub(crate) fn svg(
     size: (u32, u32),
     draw: impl FnOnce(&Area<'_>) -> Drawn,
@@ -47,7 +47,7 @@ pub(crate) fn svg(
     Ok(svg)
 }
 
-/// Writes text whose upper left corner is at a point.
+/// Writes text with its upper left corner at `at`, in pixels.
 pub(crate) fn put(area: &Area<'_>, text: impl Into<String>, at: (i32, i32), size: i32) -> Drawn {
     Ok(area.draw(&Text::new(text.into(), at, ("sans-serif", size)))?)
 }

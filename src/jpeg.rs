@@ -1,19 +1,19 @@
-//! JPEG files: encodes pictures, and finds files that lack their end.
+//! JPEG files: encodes pictures, and detects files that are cut short.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageResult};
 
 use crate::trial::Image;
 
-/// Quality of all pictures that are written, from 1 to 100: to be looked at, never compared.
+/// Quality of all JPEG files written, from 1 to 100. The files are for viewing, not for comparing.
 const QUALITY: u8 = 80;
 
-/// A picture as a JPEG file.
+/// Encodes a picture as a JPEG file.
 pub(crate) fn encode(image: &Image) -> ImageResult<Vec<u8>> {
     encode_rgb(image.rgb(), (Image::COLS as u32, Image::ROWS as u32))
 }
 
-/// Three bytes a pixel, row by row, as a JPEG file.
+/// Encodes RGB pixels (three bytes each, row by row) as a JPEG file.
 pub(crate) fn encode_rgb(rgb: &[u8], (width, height): (u32, u32)) -> ImageResult<Vec<u8>> {
     let mut bytes = Vec::new();
     let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
@@ -21,15 +21,15 @@ pub(crate) fn encode_rgb(rgb: &[u8], (width, height): (u32, u32)) -> ImageResult
     Ok(bytes)
 }
 
-/// Whether these are the bytes of a JPEG file that lacks its end: a decoder would fill the missing
-/// part with grey. False for bytes that are no JPEG file.
+/// Whether the bytes are a JPEG file without its end, whose missing part a decoder would fill with
+/// grey. False for bytes that are not a JPEG file.
 pub(crate) fn is_cut_short(bytes: &[u8]) -> bool {
     const START: [u8; 2] = [0xFF, 0xD8];
     let Some(mut rest) = bytes.strip_prefix(&START) else { return false };
-    // Goes from marker to marker: the end of a thumbnail inside a segment is not the picture's end.
+    // Goes from marker to marker, to skip the end marker of an embedded thumbnail.
     loop {
         let next = rest.windows(2).position(|two| {
-            // 0xFF followed by 0 is pixel data, by D0 to D7 a restart, by 0xFF padding.
+            // Only markers count: 0xFF 0 is pixel data, 0xFF D0 to D7 a restart, 0xFF 0xFF padding.
             two[0] == 0xFF && !matches!(two[1], 0 | 0xFF | 0xD0..=0xD7)
         });
         let Some(at) = next else { return true };
@@ -52,7 +52,7 @@ mod tests {
     #[test]
     fn only_the_end_of_the_picture_itself_counts() {
         let start = [0xFF, 0xD8];
-        // A segment of application data that holds a thumbnail with an end of its own.
+        // A segment of application data that holds a thumbnail, and so an end marker.
         let segment = [0xFF, 0xE1, 0, 6, 0xFF, 0xD8, 0xFF, 0xD9];
         let pixels = [0xFF, 0xDA, 0, 2, 1, 2, 0xFF, 0, 3];
         let cut = [&start[..], &segment, &pixels].concat();

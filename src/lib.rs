@@ -4,7 +4,7 @@
 //! use surfaced::dataset::synth::{self, Parameters};
 //! use surfaced::recognise::{MethodName, MethodSpec, ready_model};
 //!
-//! // Recordings; `dataset::open(folder, &Scene::lmt108())` opens your own.
+//! // Synthetic recordings; `dataset::open(folder, &Scene::lmt108())` opens your own.
 //! let small = Parameters { surfaces: 3, trials: 3, users: 1, drag_seconds: 0.5, ..Parameters::default() };
 //! let data = synth::library(&small);
 //! let (library, queries): (Vec<_>, Vec<_>) =
@@ -21,44 +21,44 @@
 //!
 //! # Map
 //!
-//! Data flow; no folder imports against the arrow:
+//! Data flow (no folder imports against an arrow):
 //!
 //! ```text
 //! device (serial · lines · microphone · camera · replay) ─► ring ─► scan (clock, tap/drag) ─► recognise (sampling ─► kernel ─► score ─► rank)
 //!                                                                  └► record ─► library ◄─ dataset (lmt108 · synth)
-//! duration (HSIC, T*) stands on library + kernel, evaluate (protocols, chart, stress, plan) on recognise and
-//! duration; station joins scan, recognise, duration and record, and reads its own configuration; history
-//! (past scans) and outputs (HTTP, MQTT) stand on station, serve (the page, the interface for programs) on
-//! these; fleet (many stations on one page) and cli stand on top of all.
+//! duration (HSIC, T*) stands on library + kernel; evaluate (protocols, chart, stress, plan) on
+//! recognise and duration; station joins scan, recognise, duration and record, and reads the
+//! configuration; history (past scans) and outputs (HTTP, MQTT) stand on station; serve (web page
+//! and API) stands on history and outputs; fleet (many stations on one page) and cli are on top.
 //! ```
 //!
 //! | to | use |
 //! |---|---|
 //! | open recordings of any form | [`dataset::open`], [`library`] |
-//! | write and edit them | [`record::write_trial`], [`record::edit`] |
+//! | write and edit recordings | [`record::write_trial`], [`record::edit`] |
 //! | name a trial | [`recognise`] |
 //! | measure the accuracy | [`evaluate::Evaluation`] |
-//! | find out how long a scan must last | [`duration`] |
+//! | compute how long a scan must last | [`duration`] |
 //! | keep and read past scans | [`history`] |
 //! | run a station with your own devices | [`device::Device`], [`station::Station`], [`station::Listener`] |
 //! | compare two samples, or test independence | [`kernel`] |
 //!
-//! [`scene`] describes the sources, [`trial`] holds one recorded interaction, [`seed`] makes every random
-//! draw repeatable, and [`spectrum`] has the amplitude spectra that methods and the page share. Decoders,
-//! kernels and statistics are pure: no I/O, no clock, no global state. The defaults of a station
-//! (detection, devices, history, enrolment) are in `configs/stylus.toml`, which is embedded; those of a
-//! method are in its options.
+//! [`scene`] describes the sources, [`trial`] holds one recorded interaction, [`seed`] makes every
+//! random draw repeatable, and [`spectrum`] computes amplitude spectra for methods and the web
+//! page. Decoders, kernels and statistics are pure: no I/O, no clock, no global state. The defaults
+//! of a station (detection, devices, history, enrolment) are in `configs/stylus.toml`, which is
+//! embedded; the defaults of a method are in its options.
 //!
 //! # Stability
-//! Before version 1.0, a minor version may change this interface; `CHANGELOG.md` then says so. The items
-//! in the table are meant to stay. [`ring`], [`scan`], [`serve`] and [`outputs`] are public for programs
-//! that build their own station, and change with it. Everything else is private, or hidden from these
-//! pages: the command line, the drivers, and the parts that only the project's tests and tools use. In
-//! the recording format, and in JSON below `/api/v1`, fields are only ever added.
+//! Before version 1.0, a minor version may change this interface, and `CHANGELOG.md` says so. The items
+//! in the table are meant to stay. [`ring`], [`scan`], [`serve`] and [`outputs`] are public for
+//! programs that build their own station, and may change with it. Everything else is private or hidden
+//! from these pages: the command line, the drivers, and the parts that only the project's tests and
+//! tools use. In the recording format, and in JSON below `/api/v1`, fields are only ever added.
 
 #![warn(missing_docs)]
 
-// Lets tests/common/simulate.rs, which unit tests include too, name this crate `surfaced`.
+// Lets helpers in tests/common, which unit tests include too, name this crate `surfaced`.
 #[cfg(test)]
 extern crate self as surfaced;
 

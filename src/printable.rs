@@ -1,11 +1,11 @@
-//! Makes text safe to show: labels, serial numbers and messages come from outside, and may hold
-//! characters that a terminal would obey or that change how the text reads.
+//! Makes text safe to show. Labels, serial numbers and messages come from outside, and may hold
+//! characters that control a terminal or change how other characters read.
 
 use std::fmt::{self, Write};
 
-/// Shows text with its invisible, active characters written as `\u{…}`: control characters except
-/// new lines and tabs, direction marks (Unicode Standard Annex 9), and characters of no width
-/// except joiners. A carriage return is written as `\r`.
+/// Shows text, with each invisible character that has an effect written as `\u{…}`: control
+/// characters except new lines and tabs, direction marks (Unicode Standard Annex 9), and characters
+/// of no width except joiners. A carriage return is written as `\r`.
 pub(crate) struct Printable<'a>(pub &'a str);
 
 impl fmt::Display for Printable<'_> {
@@ -19,8 +19,8 @@ impl fmt::Display for Printable<'_> {
     }
 }
 
-/// Whether a character is invisible but changes how others read. Joiners do not count: some
-/// scripts need them.
+/// Whether an invisible character changes how other characters are shown. Joiners do not count,
+/// since some scripts need them.
 fn acts_unseen(c: char) -> bool {
     matches!(c,
         '\u{61c}' | '\u{200b}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}'
@@ -28,7 +28,12 @@ fn acts_unseen(c: char) -> bool {
         | '\u{e0000}'..='\u{e007f}')
 }
 
-/// Quotes a word for a shell, where it needs quotes.
+/// The JSON text of a struct of text and numbers. JSON can express any such struct.
+pub(crate) fn json_text(value: &impl serde::Serialize) -> String {
+    serde_json::to_string(value).expect("plain data")
+}
+
+/// Quotes a word for a shell, if the shell needs quotes to read it as one word.
 pub(crate) fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "_./-+,:@%=".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
@@ -37,8 +42,13 @@ pub(crate) fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 
-/// Lays out a table: the head, then a line for each row. Columns are as wide as their widest cell;
-/// one whose head begins with `>` is aligned right.
+/// A number with its noun in singular or plural: `1 trial`, `2 trials`.
+pub(crate) fn counted(number: usize, thing: &str) -> String {
+    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
+}
+
+/// Lays out a table: its head, then a line for each row. A column is as wide as its widest cell,
+/// and is aligned right if its head begins with `>`.
 pub(crate) fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     let names: Vec<String> = head.iter().map(|name| name.trim_start_matches('>').into()).collect();
     let lines = || std::iter::once(&names).chain(rows);

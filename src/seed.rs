@@ -1,15 +1,15 @@
-//! Repeatable randomness: each generator is made from a seed and a key that names its purpose.
+//! Repeatable randomness: each generator is made from a seed and from a key that names its purpose.
 //!
-//! The key, not the order of calls, decides what is drawn. So results depend neither on the number
-//! of threads nor on the order in which a library happens to be read.
+//! Seed and key alone decide which numbers are drawn. Results thus depend neither on the number of
+//! threads nor on the order in which a library is read.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-/// 64-bit FNV-1a hash of some parts, each with its length: ("ab", "c") and ("a", "bc") differ.
+/// 64-bit FNV-1a hash of `parts` and their lengths, so that ("ab", "c") and ("a", "bc") differ.
 ///
-/// Stable across machines and versions, unlike the standard library's hasher.
+/// Unlike the standard library's hash, it is the same on all machines and in all versions.
 pub(crate) fn stable_hash(parts: &[&[u8]]) -> u64 {
     const OFFSET: u64 = 0xcbf2_9ce4_8422_2325;
     const PRIME: u64 = 0x0000_0100_0000_01b3;
@@ -22,24 +22,24 @@ pub(crate) fn stable_hash(parts: &[&[u8]]) -> u64 {
     hash
 }
 
-/// A generator for one purpose: the same `seed` and `key` give the same numbers everywhere.
+/// A random generator for one purpose. Equal `seed` and `key` give equal numbers on every machine.
 pub fn rng(seed: u64, key: &[&[u8]]) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed ^ stable_hash(key))
 }
 
-/// A uniformly distributed number in [0, 1), of 53 random bits.
+/// A uniformly distributed number in [0, 1), with 53 random bits.
 pub(crate) fn uniform(rng: &mut impl Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// A standard normal number, computed from two independent uniform ones (Box and Muller 1958).
+/// A standard normal number, from two independent uniform numbers (Box and Muller 1958).
 pub fn normal(rng: &mut impl Rng) -> f64 {
     // 1 − u lies in (0, 1], so the logarithm is finite.
     let u = 1.0 - uniform(rng);
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * uniform(rng)).cos()
 }
 
-/// A nearly normal number, computed fast: the sum of four uniform ones, scaled to mean 0 and
+/// A nearly normal number, computed fast: the sum of four uniform numbers, scaled to mean 0 and
 /// variance 1 (Irwin and Hall). Its magnitude is at most 3.47, its kurtosis 2.7.
 pub(crate) fn nearly_normal(rng: &mut impl Rng) -> f32 {
     const SCALE: f32 = 1.732_050_8 / 65_536.0;

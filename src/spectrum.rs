@@ -1,4 +1,4 @@
-//! Amplitude spectra, as the authors' program computes them.
+//! Amplitude spectra, computed as in the program of the paper's authors.
 
 use std::cell::RefCell;
 
@@ -6,17 +6,17 @@ use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 
 thread_local! {
-    /// Transform plans are costly to make and cheap to keep, so each thread keeps its own.
+    /// Plans of Fourier transforms, kept for each thread, since they are slow to make.
     static PLANNER: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
-    /// Input, output and scratch buffers of the transform, kept too: megabytes for a whole drag.
+    /// Input, output and scratch buffers of the transform, kept for reuse: megabytes for a drag.
     static BUFFERS: RefCell<Buffers> = RefCell::default();
 }
 
 type Buffers = (Vec<f64>, Vec<Complex<f64>>, Vec<Complex<f64>>);
 
-/// Numbers of the spectral bins of `frames` samples at `rate_hz` that lie in a band, ends included.
+/// Range of the spectral bins within a band (ends included), for `frames` samples at `rate_hz`.
 ///
-/// The transform's length is the next power of two, so bin k is at k·rate/length Hz.
+/// The transform's length is `frames`, rounded up to a power of two; bin k is at k·rate/length Hz.
 pub fn band_bins(frames: usize, rate_hz: f64, band_hz: (f64, f64)) -> std::ops::Range<usize> {
     let points = frames.next_power_of_two();
     let per_hz = points as f64 / rate_hz;
@@ -28,18 +28,18 @@ pub fn band_bins(frames: usize, rate_hz: f64, band_hz: (f64, f64)) -> std::ops::
 /// One-sided amplitude spectrum of one channel within a band.
 ///
 /// # Normalization
-/// 2|X(f)|/L, with L the number of samples; zero-padded to the next power of two; no window, no
-/// removal of the mean.
+/// 2|X(f)|/L, where L is the number of samples. The samples are zero-padded to the next power of
+/// two. No window is applied, and the mean is not removed.
 ///
 /// # Output order
-/// Ascending frequency; bin k of `band_bins` at index k − first.
+/// Ascending frequency, from the first bin of `band_bins` on.
 pub fn amplitude_spectrum(
     samples: impl ExactSizeIterator<Item = f64>,
     rate_hz: f64,
     band_hz: (f64, f64),
 ) -> Vec<f64> {
     let frames = samples.len();
-    // The smallest transform has two points, so a single sample is padded.
+    // A transform needs at least two points, so a single sample is padded.
     let points = frames.next_power_of_two().max(2);
     let plan = PLANNER.with_borrow_mut(|planner| planner.plan_fft_forward(points));
     let bins = band_bins(frames, rate_hz, band_hz);
@@ -50,7 +50,7 @@ pub fn amplitude_spectrum(
         input.resize(points, 0.0);
         output.resize(points / 2 + 1, Complex::default());
         scratch.resize(plan.get_scratch_len().max(scratch.len()), Complex::default());
-        // The transform's only error is a wrong length, and these lengths come from the plan.
+        // This cannot fail: all buffers have the lengths that the plan demands.
         plan.process_with_scratch(input, output, scratch).expect("buffers of the plan's lengths");
         output[bins.start.min(output.len())..bins.end.min(output.len())]
             .iter()

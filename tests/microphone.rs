@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use common::sound::{SINK, Server};
 use common::{id, shared};
 use realfft::RealFftPlanner;
-use surfaced::device::microphone::{Alsa, Microphone, RATE_HZ};
+use surfaced::device::microphone::{Alsa, Microphone, Pick, RATE_HZ};
 use surfaced::device::{Device, DeviceLink, DeviceReportKind, DeviceState};
 use surfaced::ring::{Piece, Sink, Stop, Waker, series};
 
@@ -62,7 +62,8 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
     let sound = read(&path);
     let sound_s = sound.len() as f64 / f64::from(RATE_HZ);
 
-    let mut microphone = Microphone::new(id("mi2"), Box::new(Alsa::new("default").unwrap()));
+    let alsa = Box::new(Alsa::new("default").unwrap());
+    let mut microphone = Microphone::new(id("mi2"), Pick::Mean, alsa);
     let (waker, woken) = Waker::new();
     let (sink, mut tap) = series(1, RATE_HZ as usize, waker);
     let (sender, reports) = crossbeam_channel::unbounded();

@@ -1,11 +1,11 @@
-//! Speed of the method `embedding`: `cargo bench --bench embedding`.
+//! Measures the speed of the method `embedding`: `cargo bench --bench embedding`.
 //!
 //! Trains on a synthetic library of 1080 trials × 8 sources, and names one trial of each of 60
-//! surfaces: from the raw samples of the whole scan to the answer, as `surfaced eval` counts it, and
-//! the ranking alone. Medians and 99th percentiles are printed, nothing is judged; on a machine that
-//! is shared with others, the processor time of a ranking says more (Linux only).
+//! surfaces. Times two things: the way from the raw samples of the whole scan to the answer, as
+//! `surfaced eval` counts it, and the ranking alone. Prints medians and 99th percentiles, without a
+//! verdict. On a shared machine, the processor time of a ranking says more (Linux only).
 //!
-//! `SURFACED_BENCH_SURFACES=N` takes a library of N surfaces instead of 108.
+//! `SURFACED_BENCH_SURFACES=N` uses N surfaces instead of 108.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -19,7 +19,7 @@ use surfaced::trial::{EXPERT, Trial};
 const SURFACES: usize = 108;
 const TRIALS: u32 = 10;
 const QUERIES: usize = 60;
-/// Times that each query is named.
+/// Number of times that each query is named.
 const RUNS: usize = 5;
 
 fn main() {
@@ -88,10 +88,10 @@ fn print(what: &str, times: &mut [f64]) {
     println!("{what:<22} median {:7.3} ms, p99 {:7.3} ms", at(0.5), at(0.99));
 }
 
-/// Processor time of this process so far, in seconds, to 10 ms.
+/// Processor time that this process has used so far, in seconds, to 10 ms.
 fn processor_s() -> Option<f64> {
     let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // The name in brackets may hold anything; utime and stime are the 12th and 13th after it.
+    // The name in brackets may hold any text; fields 12 and 13 after it are utime and stime.
     let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
     let mut ticks = || fields.next()?.parse::<f64>().ok();
     Some((ticks()? + ticks()?) / 100.0)

@@ -1,13 +1,13 @@
-//! Speed of the method `reference`: `cargo bench --bench reference [-- kernel sums query halving cache]`.
+//! Speed of method `reference`: `cargo bench --bench reference [-- kernel sums query halving cache]`.
 //!
-//! Prints, on synthetic sample sets: time of a kernel evaluation for 1 to 4 channels; time of a score
-//! by each way of summing, beside f64; one whole query against 1080 trials × 8 sources × R = 10, exact
-//! and with halving; how often halving gives the same label over 500 queries; and the time to load a
-//! library of 1080 trials prepared earlier. Times are the least of several runs, and their median; on a
-//! machine that is shared with others, the processor time says more (Linux only).
+//! Prints these times on synthetic sample sets: a kernel evaluation for 1 to 4 channels; a score by
+//! each way of summing, and in f64; a whole query against 1080 trials × 8 sources × R = 10, exact
+//! and with halving (which drops poor candidates early); loading a library of 1080 prepared trials.
+//! Also prints how often halving gives the same label over 500 queries. Each time is the least and
+//! the median of several runs; on a shared machine, the processor time says more (Linux only).
 //!
-//! `SURFACED_BENCH_CACHE=FOLDER` keeps the prepared library there; `SURFACED_BENCH_QUERIES=N` compares
-//! labels over N queries instead of 500.
+//! `SURFACED_BENCH_CACHE=FOLDER` keeps the prepared library in FOLDER; `SURFACED_BENCH_QUERIES=N`
+//! compares labels in N queries instead of 500.
 
 use std::collections::BTreeSet;
 use std::hint::black_box;
@@ -27,7 +27,7 @@ use surfaced::trial::{EXPERT, Trial};
 
 const SURFACES: usize = 108;
 const TRIALS: u32 = 10;
-/// Most queries that labels are compared over.
+/// Number of queries over which labels are compared, at most.
 const QUERIES: usize = 500;
 
 fn main() {
@@ -57,10 +57,10 @@ fn timed(runs: usize, mut work: impl FnMut()) -> (f64, f64) {
     (times[0], times[runs / 2])
 }
 
-/// Processor time of this process so far, in seconds, to 10 ms.
+/// Processor time that this process has used so far, in seconds, to 10 ms.
 fn processor_s() -> Option<f64> {
     let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // The name in brackets may hold anything; utime and stime are the 12th and 13th after it.
+    // The name in brackets may hold any text; fields 12 and 13 after it are utime and stime.
     let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
     let mut ticks = || fields.next()?.parse::<f64>().ok();
     Some((ticks()? + ticks()?) / 100.0)
@@ -73,7 +73,7 @@ fn kernel() {
         "ch", "with others", "with far outliers", "with itself"
     );
     for channels in 1..=4 {
-        // Spread out as a normal distribution is; or with one sample far away.
+        // Values spread like a normal distribution; with a large `far`, one value lies far away.
         let fill = |key: usize, far: f64| {
             let mut points = Points::<f32>::default();
             points.fill(channels, 1.0, |c| {
@@ -105,7 +105,7 @@ fn kernel() {
     }
 }
 
-/// A score of 400 samples a side, as [`QuerySet`] chooses to sum it and in f64.
+/// Times a score of 400 by 400 samples, summed as [`QuerySet`] chooses, and in f64.
 fn sums() {
     println!("\nµs a score, 400 × 400 samples, one core: least (median) of 400 runs");
     println!("{:<34} {:<18} {:<18}", "", "fast", "f64");
@@ -137,7 +137,7 @@ fn sums() {
     }
 }
 
-/// A generated trial that claims to lie in files, so that it may be cached.
+/// A generated trial with a stamp, as if it lay in files, so that the cache accepts it.
 #[derive(Debug)]
 struct Stamped(Entry);
 
@@ -235,7 +235,7 @@ fn library(query: bool, halving: bool, cache: bool) {
         let (mut same, mut right, mut all) = (0, [0, 0], 0);
         let said = std::env::var("SURFACED_BENCH_QUERIES").ok().and_then(|n| n.parse().ok());
         let queries = said.unwrap_or(QUERIES).min(QUERIES);
-        // Spread over surfaces and users, whatever their number.
+        // Takes queries from all surfaces and users, however few are compared.
         for i in 0..queries {
             let entry = &of_users[i * of_users.len() / queries];
             let trial = entry.load().unwrap_or_else(|error| panic!("{error}"));

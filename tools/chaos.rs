@@ -1,23 +1,22 @@
-//! Attacks `surfaced` at random: an emulated stylus, a microphone, readers of the page and orders at
-//! work, while the line stalls, loses, lies and is unplugged, the sound server stalls, dies and comes
-//! back, the disk fills and empties, another process edits the library, readers stall, and signals
-//! strike. Between two stations, processes edit a library at the same time, record into it and review
-//! scans; some are killed in the middle of an edit.
+//! Attacks `surfaced` at random. An emulated stylus, a microphone, readers of the page and commands
+//! are at work. Meanwhile the line stalls, loses samples, sends garbage and is unplugged, the sound
+//! server stalls and dies, the disk fills, another process edits the library, readers stall, and
+//! signals end the station. After each station, processes edit a library at the same time, record
+//! into it and review scans; some are killed in the middle of an edit.
 //!
 //! `cargo build --release --features live && cargo run --release --example chaos -- target/release/surfaced [MINUTES] [SEED]`
 //!
-//! The microphone is the monitor of a PulseAudio server of its own (Debian: pulseaudio
-//! pulseaudio-utils libasound2-plugins). Without that, or with a program without `live`, there is no
-//! microphone, which is said; with `SURFACED_REQUIRE_SOUND=1` that is an error.
+//! The microphone is the monitor of a separate PulseAudio server (Debian: pulseaudio
+//! pulseaudio-utils libasound2-plugins). Without the server, or if the program was built without
+//! `live`, a message says so; `SURFACED_REQUIRE_SOUND=1` makes that an error.
 //!
-//! 20 minutes unless said otherwise. A station lives for some ten seconds, then is ended or killed,
-//! and what it left is checked: every sample is received or counted as lost, except those of which nobody
-//! can know (the tail before an unplugging or a restart, what garbage hit); every scan is answered or
-//! reported; every kept trial is whole; memory is bounded; an end takes under five seconds; every
-//! trial of the edited library is there once and whole, and undoing all steps gives back the
-//! beginning. The last
-//! line on stdout is JSON; fails if there was a violation. Each is named on stderr with the seed of
-//! its station, which alone repeats it: `chaos PROGRAM 0 SEED`.
+//! Runs for 20 minutes by default. Each station lives for some ten seconds and is then ended or
+//! killed. Then its remains are checked. Every sample must be received or counted as lost, except
+//! where nobody can know (the last ones before an unplugging or a restart, those hit by garbage).
+//! Every scan must be answered or reported, every kept trial be whole, memory be bounded, and an
+//! end take under five seconds. Every trial of the edited library must be there once and whole, and
+//! undoing all steps must restore the first state. The last line on stdout is JSON. Fails if there
+//! was a violation; stderr names each with its seed, and `chaos PROGRAM 0 SEED` repeats it.
 
 #[path = "chaos/daemon.rs"]
 mod daemon;
@@ -58,12 +57,12 @@ use sound::Sound;
 
 type Failure = Box<dyn std::error::Error>;
 
-/// The account of all stations together.
+/// Counts over all stations together.
 #[derive(Default)]
 pub struct Sums {
     faults: BTreeMap<&'static str, u64>,
     violations: Vec<String>,
-    /// The attacks on the last station, and how many samples its stylus had taken by then.
+    /// The attacks on the last station, each with the number of samples that its stylus had taken.
     story: Vec<(&'static str, u64)>,
     stylus: Samples,
     sound: Samples,
@@ -72,7 +71,7 @@ pub struct Sums {
     peak_mb: u64,
 }
 
-/// The account of the samples of a device.
+/// Counts of the samples of a device.
 #[derive(Default)]
 pub struct Samples {
     sent: u64,
@@ -81,9 +80,9 @@ pub struct Samples {
     unknowable: u64,
 }
 
-/// A source, for the server of the tests.
+/// The name of a source as a `SourceId`, for the test server.
 fn id(name: &str) -> surfaced::scene::SourceId {
-    // Names that are written down there.
+    // The tests give only valid names.
     surfaced::scene::SourceId::new(name).expect("the name of a source")
 }
 
@@ -144,7 +143,7 @@ impl Samples {
         )
     }
 
-    /// Adds those of one life; false if some are neither received nor lost nor unknowable.
+    /// Adds the counts of one life. False if samples are neither received, lost nor unknowable.
     fn add(&mut self, life: &Self) -> bool {
         let Self { sent, received, lost, unknowable } = life;
         self.sent += sent;

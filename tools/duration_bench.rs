@@ -1,23 +1,22 @@
-//! Times the rule `pooled` and the online form on one core, and the paper's Fig. 7 workload on all.
+//! Times the rule `pooled` and its online form on one core, and the work of Fig. 7 on all cores.
 //!
 //!     cargo run --release --example duration_bench
 //!
-//! At the optimisation level of that profile, 3: below it the compiler makes no vectors of what is
-//! written lane by lane, and `pooled` takes several times as long.
+//! Needs optimisation level 3, as in the release profile: below it, the compiler does not vectorise
+//! the code for lanes, and `pooled` takes several times as long.
 
 #[path = "../tests/common/simulate.rs"]
 mod simulate;
 
 use rustix::time::{ClockId, clock_gettime};
 use surfaced::duration::{
-    Algorithm1Settings, CORRELATION, OnlineDuration, OnlineSettings, Rule, Search, Trials, VALUES,
-    at_needed_rate,
+    Algorithm1Settings, CORRELATION, OnlineDuration, Rule, Search, Trials, VALUES, at_needed_rate,
 };
 use surfaced::kernel::Threshold;
 use surfaced::seed;
 use surfaced::trial::Series;
 
-/// The processor time of this thread so far, in seconds: others may be using the machine.
+/// Processor time of this thread so far, in seconds; other programs on the machine do not count.
 fn cpu_s() -> f64 {
     seconds(ClockId::ThreadCPUTime)
 }
@@ -33,7 +32,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     online()
 }
 
-/// One source of one surface: 10 trials of 4.8 s at 10 kHz.
+/// Times rule `pooled` on one source of one surface: 10 trials of 4.8 s at 10 kHz.
 fn pooled() -> Result<(), Box<dyn std::error::Error>> {
     println!("rule pooled, 10 × 48,000 frames, one core");
     for channels in 1..=3 {
@@ -77,14 +76,14 @@ fn algorithm1() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The online form fed with 20 s of a stream in blocks of 10 ms.
+/// Times the online form on 20 s of a stream, fed in blocks of 10 ms.
 fn online() -> Result<(), Box<dyn std::error::Error>> {
     const SECONDS: usize = 20;
     println!("online form, 10 kHz, one estimate a second");
     for (channels, tau) in [(1, 20.0), (1, 200.0), (3, 200.0)] {
         let mut rng = seed::rng(2, &[b"bench"]);
         let stream = simulate::ar1(SECONDS * 10_000 * channels, tau * channels as f64, &mut rng);
-        let mut online = OnlineDuration::new(1e4, channels, OnlineSettings::default());
+        let mut online = OnlineDuration::new(1e4, channels);
         let (mut spent, mut slowest, mut last) = (0.0, 0.0f64, None);
         for block in stream.chunks(100 * channels) {
             let start = cpu_s();
@@ -97,7 +96,7 @@ fn online() -> Result<(), Box<dyn std::error::Error>> {
             "  {channels} channel(s), τ = {tau}: {:.2} % of a core, slowest block {:.1} ms, T* {:?}",
             100.0 * spent / SECONDS as f64,
             slowest * 1e3,
-            last.and_then(|estimate| estimate.t_star_samples)
+            last.and_then(|estimate| estimate.t_star_samples())
         );
     }
     Ok(())

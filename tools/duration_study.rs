@@ -1,6 +1,6 @@
-//! The studies behind `surfaced duration`: T* where the truth is known, odd trials against even ones
-//! on recordings, and whether the accuracy that is promised for a scan time holds. Seeds are fixed.
-//! `tools/charts/duration-study DATA` keeps what it prints. DATA is a library or LMT108.
+//! The studies behind `surfaced duration`: T* (the time between independent samples) where the true
+//! T* is known; T* of odd against even trials of recordings; and whether the promised accuracy of a
+//! scan time holds. Seeds are fixed. `tools/charts/duration-study DATA` keeps the output.
 //!
 //!     cargo run --release --example duration_study                         processes
 //!     cargo run --release --example duration_study -- DATA …               odd and even trials
@@ -29,10 +29,10 @@ use surfaced::trial::Series;
 type Failure = Box<dyn std::error::Error>;
 type Make = fn(usize, f64, &mut ChaCha8Rng) -> Vec<f32>;
 const REPETITIONS: u64 = 50;
-/// Trials and frames of the recording that the truth is computed from.
+/// Numbers of trials and of frames of the simulated recording that gives the true T*.
 const TRUTH: (usize, usize) = (20, 500_000);
 
-/// A process, and what is expected of its T*.
+/// A simulated process, and the T* that is expected of it.
 struct Case {
     name: &'static str,
     make: Make,
@@ -43,18 +43,18 @@ struct Case {
     wanted: Wanted,
 }
 
-/// The requirement, with T* in units of the truth unless it says otherwise.
+/// The required T*, in units of the true T* unless a comment says otherwise.
 #[derive(Clone, Copy)]
 enum Wanted {
-    /// Median T*/τ between two numbers, the truth being ln 10.
+    /// Median T*/τ between two numbers; the true value is ln 10.
     InTau(f64, f64),
-    /// Median between 0.75 and 1.5 of the truth.
+    /// Median T* between 0.75 and 1.5 of the true T*.
     NearTruth,
-    /// That, or "too little data".
+    /// Median T* between 0.75 and 1.5 of the true T*; single runs may say "too little data".
     NearTruthOrLittleData,
-    /// 1 in at least 95 %.
+    /// T* is 1 sample in at least 95 % of runs.
     One,
-    /// "Never" in at least 95 %.
+    /// The answer is "never" in at least 95 % of runs.
     Never,
 }
 
@@ -81,7 +81,7 @@ fn three_channels(frames: usize, _: f64, rng: &mut ChaCha8Rng) -> Vec<f32> {
     (0..frames).flat_map(|i| [channels[0][i], channels[1][i], channels[2][i]]).collect()
 }
 
-/// An OU process whose standard deviation is this many steps of a 12-bit converter.
+/// An Ornstein–Uhlenbeck process with a standard deviation of `steps` steps of a 12-bit converter.
 fn quantised(frames: usize, tau: f64, rng: &mut ChaCha8Rng, steps: f32) -> Vec<f32> {
     let to_code = |x: f32| (x * steps).round().clamp(-2048.0, 2047.0);
     ou(frames, tau, rng).into_iter().map(to_code).collect()
@@ -158,7 +158,7 @@ impl Case {
         at_needed_rate(&series, frames, CORRELATION, values).expect("samples that change")
     }
 
-    /// T*/τ of very many samples; ln 10 where the autocorrelation is exp(−t/τ).
+    /// The true T*/τ, from very many samples; ln 10 if the autocorrelation is exp(−t/τ).
     fn truth(&self) -> Option<f64> {
         match self.wanted {
             Wanted::InTau(..) | Wanted::NearTruthOrLittleData => Some(10f64.ln()),
@@ -202,7 +202,7 @@ fn pooled_on_processes() {
             }
             _ => "–".into(),
         };
-        // Exact for processes whose autocorrelation alone is exp(−t/τ).
+        // This value is exact only for processes whose autocorrelation is exp(−t/τ).
         let inflation = at(&sorted(|e| e.inflation), 0.5);
         let off = match (case.wanted, inflation) {
             (Wanted::InTau(..) | Wanted::NearTruthOrLittleData, Some(inflation)) => {
@@ -243,7 +243,7 @@ fn reason(answer: PooledAnswer) -> &'static str {
     }
 }
 
-/// How often there is no T*, and why.
+/// The share of runs without a T*, for each reason.
 fn reasons(found: &[PooledEstimate]) -> String {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for estimate in found {
@@ -282,7 +282,7 @@ fn holds(
     }
 }
 
-/// The paper's two rules on OU processes.
+/// Studies the paper's two rules on Ornstein–Uhlenbeck processes.
 fn algorithm1_on_processes() -> Result<(), Failure> {
     println!("\nThe published rules, R = 200, κ by moments, {REPETITIONS} runs, in units of τ:\n");
     println!("| process | Q × L | rule | T* median (5–95 %) | below truth | no T* |");
@@ -291,7 +291,7 @@ fn algorithm1_on_processes() -> Result<(), Failure> {
         let searches = (0..REPETITIONS).into_par_iter().map(|run| {
             let mut rng = seed::rng(run, &[b"study", b"ar1", &q.to_le_bytes()[..]]);
             let make = || simulate::ar1(22_000, tau, &mut rng);
-            // The samples of `ar1` are finite, and more than five trials of them change.
+            // This cannot fail: samples of `ar1` are finite, and more than five trials vary.
             let series = simulate::trials(q, 1e4, make).expect("finite samples");
             let trials = Trials::new(series).expect("enough trials");
             let threshold = Threshold::Gamma;

@@ -1,10 +1,10 @@
-//! Odd trials against even ones, by all three rules: the part of `duration_study` on recordings.
+//! The part of `duration_study` on recordings: T* of odd trials against even ones, by three rules.
 //!
-//! On LMT108's dragging sounds `pooled` agrees on 14 of 20 surfaces. It is no jump between two
-//! crossings, but what five trials of 4.8 s can show: at T* the dependence has a standard error of
-//! 0.016 (median), and it falls by 0.11 while the lag grows by a factor of e. So ln T* has a standard
-//! error of 0.15. The line below each table says in how many cases a process agrees with itself that
-//! has the same T* and never changes; one half of G2StoneTileVersion2 has too little data for a T*.
+//! On LMT108's dragging sounds, `pooled` agrees on 14 of 20 surfaces. The cause is the little that
+//! five trials of 4.8 s can show, not a jump between two crossings: at T*, the dependence has a
+//! standard error of 0.016 (median), and it falls by 0.11 while the lag grows by a factor of e. So
+//! ln T* has a standard error of 0.15. A line below each table gives the share of agreement for a
+//! steady process of the same T*. One half of G2StoneTileVersion2 has too little data for a T*.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -22,7 +22,7 @@ use surfaced::seed;
 
 use super::{Failure, simulate};
 
-/// T* of odd trials against that of even ones, by the three rules.
+/// Prints T* of odd trials and of even ones, by the three rules.
 pub fn halves(folder: &Path) -> Result<(), Failure> {
     let library = surfaced::dataset::open(folder, &Scene::lmt108())?;
     println!("\n{}: T* [ms] of odd trials · of even trials\n", library.name);
@@ -44,10 +44,10 @@ pub fn halves(folder: &Path) -> Result<(), Failure> {
         ("quantile", algorithm1(Rule::Quantile)),
         ("mean-ci", algorithm1(Rule::MeanCi)),
     ];
-    // For each source and surface the cells of the three rules; and the counts for each source.
+    // For each source and surface: the cells of the three rules. For each source and rule: counts.
     let mut cells: BTreeMap<(String, String), Vec<String>> = BTreeMap::new();
     let mut counts: BTreeMap<(String, &str), [usize; 3]> = BTreeMap::new();
-    // For each source, in which share of cases an ideal process agrees, surface by surface.
+    // For each source: the share of cases in which an ideal process agrees, surface by surface.
     let mut ideal: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     let shape = LibraryShape::of(&library.entries.iter().collect::<Vec<_>>())?;
     for (name, estimator) in estimators {
@@ -95,13 +95,13 @@ pub fn halves(folder: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Cases that are simulated for a surface.
+/// Number of cases that are simulated for a surface.
 const CASES: u64 = 100;
 
-/// The share of cases in which halves of an Ornstein–Uhlenbeck process with this T* agree, by
-/// `trials` trials of `trial_s` seconds each.
+/// The share of cases in which two halves of an Ornstein–Uhlenbeck process with this T* agree. Each
+/// half has `trials` trials of `trial_s` seconds.
 fn ideal_share(t_star_s: f64, trials: usize, trial_s: f64) -> f64 {
-    /// Samples within T*.
+    /// Number of samples within T*.
     const RESOLUTION: f64 = 100.0;
     let rate_hz = RESOLUTION / t_star_s;
     let (frames, tau) = ((trial_s * rate_hz) as usize, RESOLUTION / -CORRELATION.ln());
@@ -120,7 +120,7 @@ fn ideal_share(t_star_s: f64, trials: usize, trial_s: f64) -> f64 {
     (0..CASES).into_par_iter().filter(agrees).count() as f64 / CASES as f64
 }
 
-/// Within a factor of 1.5 or one lag, or without a T* for the same reason.
+/// Whether two T* agree within a factor of 1.5 or one lag, or are missing for the same reason.
 fn agree(a: &SourceDuration, b: &SourceDuration) -> bool {
     match (a.t_star_samples, b.t_star_samples) {
         (Some(x), Some(y)) => is_near(x, y),
@@ -129,12 +129,12 @@ fn agree(a: &SourceDuration, b: &SourceDuration) -> bool {
     }
 }
 
-/// Within a factor of 1.5 or one lag.
+/// Whether two numbers of samples agree within a factor of 1.5 or by one.
 fn is_near(x: usize, y: usize) -> bool {
     x.abs_diff(y) <= 1 || 2 * x.max(y) <= 3 * x.min(y)
 }
 
-/// The words that a reason begins with.
+/// The first words of the reason for a missing T*, up to the colon.
 fn kind(row: &SourceDuration) -> &str {
     row.reason.as_deref().and_then(|reason| reason.split(':').next()).unwrap_or_default()
 }

@@ -1,5 +1,5 @@
-//! Whether the accuracy that `surfaced duration` states for a scan time holds: the part of
-//! `duration_study` on promises.
+//! The part of `duration_study` on promises: does the accuracy hold that `surfaced duration`
+//! promises for a scan time?
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -13,7 +13,7 @@ use surfaced::seed;
 
 use super::Failure;
 
-/// Splits of one person's trials into halves.
+/// Number of splits of one person's trials into halves.
 const SPLITS: u64 = 50;
 const GOALS: [(&str, Goal); 4] = [
     ("1 point less than whole scans", Goal::Loss(0.01)),
@@ -22,13 +22,13 @@ const GOALS: [(&str, Goal); 4] = [
     ("99 %", Goal::Accuracy(0.99)),
 ];
 
-/// A promise from one part of some trials, and its measurement on another.
+/// An accuracy promised from some trials, and the accuracy measured on other trials.
 struct Checked {
     promised: AccuracyAt,
-    /// The share of the trials that chose the time, by that time: it flatters.
+    /// Accuracy at that scan time on the trials that chose the time; it is too high.
     same_trials: f64,
     measured: (usize, usize),
-    /// By their whole length.
+    /// Counts of right answers and of queries, for scans of full length.
     whole: (usize, usize),
 }
 
@@ -43,12 +43,12 @@ impl Checked {
     }
 }
 
-/// Promises of `embedding` for one person, half of the trials against the other half; where a
-/// library has several people, each of them against the others.
+/// Checks the promises of `embedding`: for one person, half of the trials against the other half;
+/// for several people, each person against the other people.
 pub fn promises(folder: &Path) -> Result<(), Failure> {
     let library = surfaced::dataset::open(folder, &Scene::lmt108())?;
     let method = MethodSpec::from(MethodName::Embedding).build(&library.scene);
-    // One fold of all trials: each is prepared once.
+    // One fold of all trials, so that each trial is prepared only once.
     let all = surfaced::evaluate::Fold {
         name: "all".into(),
         library: (0..library.entries.len()).collect(),
@@ -64,8 +64,8 @@ pub fn promises(folder: &Path) -> Result<(), Failure> {
     }
 }
 
-/// The promise of the trials `from` for a goal, and what the trials `to` come to; none where there
-/// is no promise.
+/// The promises of the trials `from` for each goal, and the accuracy measured on the trials `to`;
+/// `None` for a goal without a promise.
 fn check(
     run: &Run<'_, '_>,
     (from, to): (&[usize], &[usize]),
@@ -78,9 +78,9 @@ fn check(
         let mut right = 0;
         for &i in to {
             let query = run.query(&model, i, seconds)?;
-            // A scan too short to be named is not named right.
+            // A scan that is too short to be named counts as named wrong.
             let surface = model.rank(&query.prepared).ok().map(|r| r.surface().to_string());
-            right += usize::from(surface.as_deref() == Some(&*run.on().trials.key(i).surface));
+            right += usize::from(surface.as_deref() == Some(&*run.on.trials.key(i).surface));
         }
         Ok((right, to.len()))
     };

@@ -1,16 +1,16 @@
-//! The share of a core that lines of 3 channels at 10 kHz by TCP take, and whether all arrive.
+//! Measures the share of a core that reading lines takes (3 channels, 10 kHz, TCP), and their loss.
 //!
 //! `cargo run --release --example lines_load [SECONDS]`
 //!
-//! Each line is sent by itself, as a program does that flushes after every line. What is measured is the
-//! processor time of the device's own thread: from the socket to the rings.
+//! Each line is sent by itself, as by a program that flushes after every line. The measured time is
+//! the processor time of the device's own thread: from the socket to the rings.
 
 use std::io::Write;
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use rustix::time::{ClockId, clock_gettime};
-use surfaced::device::lines::{Column, Count, Lines, LinesStream};
+use surfaced::device::lines::{Column, Count, Lines, LinesConfig, LinesStream};
 use surfaced::device::{Device, DeviceLink};
 use surfaced::ring::{Piece, Sink, Stop, Waker, series};
 use surfaced::scene::SourceId;
@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
             std::thread::sleep(Duration::from_micros(200));
         }
-        // The device has read all by then.
+        // Gives the device time to read the last lines.
         std::thread::sleep(Duration::from_millis(300));
         Ok(sent)
     });
@@ -43,7 +43,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let columns = ["ax", "ay", "az"].map(|name| Column::Name(name.into())).to_vec();
     let stream = LinesStream { id: SourceId::new("ac")?, columns, scale: Some(1.0) };
     let count = Some(Count::Rows(Column::Name("n".into())));
-    let mut device = Lines::new(address, vec![stream], count, Some(RATE_HZ as f64));
+    let (rate_hz, streams) = (Some(RATE_HZ as f64), vec![stream]);
+    let mut device = Lines::new(LinesConfig { address, rate_hz, count, streams });
     let (sink, mut tap) = series(3, RATE_HZ as usize, Waker::new().0);
     let (reports, warnings) = crossbeam_channel::unbounded();
     let stop = Stop::default();

@@ -1,20 +1,21 @@
-//! How many of the stylus's values one core takes from the bytes on the wire to the rings.
+//! Measures how many values of the stylus one core takes from the bytes on the wire to the rings.
 //!
 //! `cargo run --release --example serial_load`
 //!
-//! Bytes are fed as reads would give them (4 KiB, the most that a tty gives at once); the rings
-//! are emptied by the same thread, so that the figure is what one core does for both.
+//! Feeds bytes as reads would give them (4 KiB, the most that a tty gives at once). The same thread
+//! empties the rings, so the result is what one core does for both.
 
 use std::time::Instant;
 
-use surfaced::device::serial::{Intake, IntakeEvent, default_streams};
+use surfaced::device::serial::{Intake, IntakeEvent};
 use surfaced::ring::{Piece, Waker, series};
+use surfaced::station::config::StationConfig;
 use surfaced_wire::{
     Channel, Hello, MAX_ENCODED, Message, SAMPLES_PER_FRAME, STYLUS_CHANNELS, Samples, encode,
 };
 
 const NAMES: [&str; STYLUS_CHANNELS] = ["acc_x", "acc_y", "acc_z", "fsr_1", "fsr_2", "ir", "metal"];
-/// The values that the stylus sends in a second.
+/// Number of values that the stylus sends in a second.
 const VALUES_A_SECOND: f64 = 70_000.0;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -28,7 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let n = encode(&Message::Hello(hello), &mut out)?;
     let hello = out[..n].to_vec();
-    // A minute of noise, the wire's worst case for its stuffing.
+    // A minute of noise, the worst case for the byte stuffing of the wire format.
     let (mut line, mut seed) = (Vec::new(), 1u32);
     for frame in 0..60 * 10_000 / SAMPLES_PER_FRAME as u64 {
         let mut values = Vec::with_capacity(2 * SAMPLES_PER_FRAME * STYLUS_CHANNELS);
@@ -42,7 +43,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         line.extend_from_slice(&out[..n]);
     }
 
-    let wanted = default_streams();
+    let wanted = StationConfig::embedded().stylus.ok_or("a stylus")?.streams;
     let (mut sinks, mut taps): (Vec<_>, Vec<_>) =
         wanted.iter().map(|w| series(w.channels.len(), 10_000, Waker::new().0)).unzip();
     let (mut values, mut lost, mut minutes) = (0u64, 0u64, 0.0);

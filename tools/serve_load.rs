@@ -1,10 +1,10 @@
-//! Whether readers of the stream of events cost the station anything: a stylus at 10 kHz on a
-//! pseudo-terminal, first alone, then with 50 readers of which five never read, then alone again.
+//! Measures whether readers of the event stream cost the station anything. A stylus at 10 kHz on a
+//! pseudo-terminal runs alone, then with 50 readers, five of which never read, then alone again.
 //!
 //! `cargo run --release --example serve_load -- target/release/surfaced 300`
 //!
-//! The second argument is how long the readers read, in seconds; each part without them lasts half
-//! of that. Fails if a sample was lost.
+//! The second argument is the time with readers, in seconds; each part without readers lasts half
+//! as long. Fails if a sample was lost.
 
 #[path = "../tests/common/mod.rs"]
 mod common;
@@ -28,7 +28,7 @@ use surfaced::trial::{EXPERT, Trial};
 const READERS: usize = 50;
 const STALLED: usize = 5;
 const DRAG_S: f64 = 1.0;
-/// Ticks a second of the processor times in /proc.
+/// Clock ticks per second, the unit of processor times in /proc.
 const TICKS: f64 = 100.0;
 
 type Failed = Box<dyn Error>;
@@ -99,7 +99,7 @@ fn main() -> Result<(), Failed> {
     if lost { Err("samples were lost".into()) } else { Ok(()) }
 }
 
-/// Writes a library and a station's configuration, and gives scans for the stylus.
+/// Writes a library and a station's configuration, and returns scans for the stylus to play.
 fn prepare(dir: &Path) -> Result<Vec<Trial>, Failed> {
     let parameters = Parameters {
         surfaces: 6,
@@ -128,7 +128,7 @@ fn prepare(dir: &Path) -> Result<Vec<Trial>, Failed> {
     Ok(scans)
 }
 
-/// Drags over one surface after the other, until `done`; gives how late it was at most, in seconds.
+/// Drags over one surface after the other, until `done`; returns the greatest delay, in seconds.
 fn sample(link: &Path, scans: &[Trial], done: &AtomicBool) -> Result<f64, String> {
     let mut noise = Noise(1);
     let tape: Vec<Sample> =
@@ -146,7 +146,7 @@ fn sample(link: &Path, scans: &[Trial], done: &AtomicBool) -> Result<f64, String
     Ok(late)
 }
 
-/// `surfaced run` at work.
+/// A running process of `surfaced run`.
 struct Station {
     child: Child,
     address: String,
@@ -192,7 +192,7 @@ impl Station {
         self.lines.clone()
     }
 
-    /// Processor time so far, in seconds.
+    /// Processor time that the station has used so far, in seconds.
     fn cpu_s(&self) -> f64 {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id()));
         let stat = stat.unwrap_or_default();
@@ -214,7 +214,7 @@ fn get(address: &str, path: &str) -> Result<String, Failed> {
     Ok(text)
 }
 
-/// Readers of the stream of events.
+/// Programs that read the event stream.
 struct Readers {
     bytes: Arc<AtomicU64>,
     traces: Arc<AtomicU64>,

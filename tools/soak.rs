@@ -1,9 +1,9 @@
-//! Lets `surfaced run` name scans for long, from a stylus on a pty that samples at four times its
-//! rate, and prints what became of its memory and of the samples.
+//! Lets `surfaced run` name scans for a long time, from a stylus on a pseudo-terminal that samples
+//! at four times its usual rate. Prints how memory grew and how many samples were lost.
 //!
 //! `cargo build --release && cargo run --release --example soak -- target/release/surfaced [MINUTES]`
 //!
-//! 30 minutes unless said otherwise. The last line is JSON; fails if a sample was lost, or if memory
+//! Runs for 30 minutes by default. The last line is JSON; fails if a sample was lost, or if memory
 //! grew by more than a tenth after the first fifth of the time.
 
 #[path = "../tests/common/scripted.rs"]
@@ -45,7 +45,7 @@ fn main() -> Result<(), Failure> {
     std::fs::write(at("station.toml"), STATION)?;
     let data =
         synth::library(&Parameters { surfaces: 4, trials: 4, users: 0, ..Parameters::default() });
-    // One loop of the tape: a scan of each surface, of trials that are not in the library.
+    // One loop of the tape: one scan of each surface, from trials that are not in the library.
     let mut tape = Vec::new();
     for entry in &data.entries {
         let mut trial = entry.load()?;
@@ -101,7 +101,7 @@ fn main() -> Result<(), Failure> {
     }
     let (early_kb, late_kb) = (early_kb.unwrap_or(0), resident_kb(run.id())?);
     let sent = fake.next.unwrap_or(0);
-    // Samples that are still on the line arrive.
+    // Waits for samples that are still on the line.
     std::thread::sleep(Duration::from_secs(1));
     Command::new("kill").args(["-s", "TERM", &run.id().to_string()]).status()?;
     while run.try_wait()?.is_none() {
@@ -110,7 +110,7 @@ fn main() -> Result<(), Failure> {
     for thread in [counting, reading] {
         thread.join().map_err(|_| "a reader panicked")?;
     }
-    // "received: ac 10 (0 lost), …", and nothing after it unless something was lost.
+    // The last line is "received: ac 10 (0 lost), …", unless something was lost.
     let account = said.lock().map(|said| said.clone()).unwrap_or_default();
     let found = account.split("ir ").nth(1).and_then(|rest| rest.split(' ').next());
     let received: u64 = found.ok_or("the daemon gave no account")?.parse()?;

@@ -1,11 +1,11 @@
-//! Makes the input of the firmware for `tools/qemu-stylus`: a scan of a trial, and a library of the others.
+//! Makes the firmware's input for `tools/qemu-stylus`: scans, and a library to name them.
 //!
 //! `cargo run --example stylus_recording -- OUT [--scans N] [--seconds S] [--surfaces N] [--trials N]`
 //!
-//! The surfaces are synthetic. In OUT, `library/` holds the first trials of each surface; `scan.i16`
-//! holds N scans (default 1), each of a trial that is in no library, then rest up to S seconds;
-//! `truth.json` names the surfaces in their order; `enroll-K.i16` holds the scans of the library's
-//! trials of surface K, for a library that is enrolled instead.
+//! The surfaces are synthetic. In OUT, `library/` holds the first trials of each surface.
+//! `scan.i16` holds N scans (default 1) of trials that are not in the library, and then rest up to
+//! S seconds. `truth.json` names the surfaces of these scans, in order. `enroll-K.i16` holds scans
+//! of the library's trials of surface K, to enrol a library instead of reading it.
 
 #[path = "../tests/common/scripted.rs"]
 mod scripted;
@@ -45,14 +45,14 @@ fn main() -> Result<(), Failure> {
     let noise = &mut Noise(1);
     let (mut samples, mut truth) = (Vec::new(), Vec::new());
     for index in 0..number("--scans", 1.0) as usize {
-        // Not in the order of the names.
+        // Takes the surfaces in another order than that of their names.
         let surface = (index + surfaces / 2) % surfaces;
         let name = data.surfaces()[surface].to_string();
         let entry = find(&data, &name, trials + 1).ok_or("no such trial")?;
         samples.extend(scan(&entry.load()?, f64::INFINITY, noise));
         truth.push(name);
     }
-    // The last sample, until the end.
+    // Repeats the last sample until the end.
     let rest = samples.last().copied().unwrap_or_default();
     samples.resize(samples.len().max((number("--seconds", 0.0) * RATE_HZ) as usize), rest);
     write(&out.join("scan.i16"), &samples)?;

@@ -1,10 +1,10 @@
-//! The synthetic scene beside the paper: accuracy of the method `reference` on 108 generated
-//! surfaces, expert against users, source by source, with all eight, and without the shift.
+//! Compares the synthetic scene with the paper: accuracy of the method `reference` on 108 generated
+//! surfaces, expert against users, for each source, for all eight, and without the mean shift.
 //!
 //!     cargo run --release --example synth_pattern
 //!     cargo run --release --example synth_pattern -- --users 3 --sources ca1,ir ir-level=-0.7,0.8,0.3,0.05
 //!
-//! Words of the form `quantity=centre,surface,user,trial` try other constants.
+//! Arguments of the form `quantity=centre,surface,user,trial` try other constants of the scene.
 
 use std::collections::BTreeSet;
 use std::error::Error;
@@ -15,7 +15,7 @@ use surfaced::evaluate::{self, Evaluation, Protocol};
 use surfaced::recognise::{Reference, ReferenceOptions, STAGES};
 use surfaced::scene::{Scene, SourceId};
 
-/// Table II, the setting that the paper then uses for each source.
+/// The setting in Table II that the paper then uses for each source.
 const SINGLES: [(&str, &str); 8] = [
     ("ca1", "ca1, HSV, no shift"),
     ("ca2", "ca2, HSV, no shift"),
@@ -92,25 +92,10 @@ fn method(scene: &Scene) -> Reference {
 fn change(d: &mut Difficulty, word: &str) -> Result<(), Box<dyn Error>> {
     let (name, values) = word.split_once('=').ok_or(format!("{word}: expected name=values"))?;
     let values: Vec<f64> = values.split(',').map(str::parse).collect::<Result<_, _>>()?;
-    macro_rules! quantities {
-        ($($field:ident)*) => {
-            match name.replace('-', "_").as_str() {
-                $(stringify!($field) => Some(&mut d.$field),)*
-                _ => None,
-            }
-        };
-    }
-    let effect: Option<&mut Effect> = quantities!(
-        force speed microphone_gain room_level room_slope sound_level sound_slope sound_bump
-        sound_centre tap_level tap_mode tap_frequency tap_decay tap_click acceleration_level
-        acceleration_axis acceleration_slope acceleration_bump acceleration_centre friction_level
-        friction_share friction_common friction_swing friction_correlation reflectance_level
-        reflectance_width reflectance_skew reflectance_correlation metal_contact hue saturation
-        value contrast accent wavelength grain gloss light warmth flash
-    );
+    let effect = d.effects.get_mut(&*name.replace('-', " "));
     match (effect, values.as_slice(), name) {
         (Some(effect), &[centre, surface, user, trial], _) => {
-            *effect = Effect::new(centre, surface, user, trial);
+            *effect = Effect { centre, surface, user, trial };
         }
         (None, &[x], "force-drift") => d.force_drift = x,
         (None, &[x], "metal-fraction") => d.metal_fraction = x,

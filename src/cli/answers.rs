@@ -2,44 +2,41 @@
 
 use std::sync::Arc;
 
-use super::common::share;
-use super::{Done, Failure, show};
+use super::{Done, Failure, share, show};
 use crate::recognise::{Model, Rejection, RejectionError, ScanTime, Settling};
 use crate::station::Recogniser;
 
 /// Options for early answers and for unknown surfaces.
 #[derive(Clone, Debug, clap::Args)]
 pub struct AnswerArgs {
-    /// Accuracy that answers may lose by settling before their scans end
+    /// Accuracy that may be lost by giving answers before their scans end
     #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
     pub settle_loss: f64,
-    /// Share of scans of known surfaces that may be called unknown; with 0, none is (default: 0.01,
-    /// or as low as the library's trials can show)
+    /// Share of scans of known surfaces that may be called unknown; 0 calls none unknown (default:
+    /// 0.01, or the lowest share that the library's trials support)
     #[arg(long, value_name = "SHARE", value_parser = share_or_none)]
-    false_rejections: Option<f64>,
+    pub false_rejections: Option<f64>,
 }
 
-/// The accuracy that the scan time is found for.
+/// The accuracy that a scan should reach; the scan time follows from it.
 #[derive(Clone, Debug, clap::Args)]
 pub struct AccuracyArgs {
-    /// Share of scans that must be named right by the scan time (default: that of whole scans, less
-    /// 0.01)
+    /// Share of scans that must be named right by the scan time (default: the share for whole
+    /// scans, minus 0.01)
     #[arg(long, value_name = "SHARE", value_parser = share, conflicts_with = "plan")]
     accuracy: Option<f64>,
 }
 
 impl AccuracyArgs {
-    /// How long scans must last with the model of a library, where the method can tell.
-    ///
-    /// # Errors
-    /// If the library cannot reach the accuracy that was asked for.
+    /// How long scans must last with the model of a library; `None` if the method cannot tell.
     pub fn scan_time(&self, model: &Arc<dyn Model>) -> Result<Option<ScanTime>, Failure> {
         let found = model.clone().scan_time(self.accuracy);
         match &found {
             Some(answer) if self.accuracy.is_some() => honoured(answer)?,
             None if self.accuracy.is_some() => {
-                let problem = "--accuracy goes with --method embedding, which follows scans";
-                return Err(Failure::Usage(problem.into()));
+                return Err(Failure::usage(
+                    "--accuracy goes with --method embedding, which follows scans",
+                ));
             }
             _ => {}
         }
@@ -47,7 +44,7 @@ impl AccuracyArgs {
     }
 }
 
-/// Refuses an accuracy that no scan time reaches.
+/// Fails if no scan time reaches the accuracy that was asked for.
 pub fn honoured(answer: &ScanTime) -> Done {
     match answer.scan_s() {
         Some(_) => Ok(()),
@@ -60,16 +57,9 @@ fn share_or_none(text: &str) -> Result<f64, String> {
 }
 
 impl AnswerArgs {
-    /// The share of false rejections that was given; 0 for none.
-    pub fn false_rejections(&self) -> Option<f64> {
-        self.false_rejections
-    }
-
-    /// Sets a recogniser up, and says what its answers rest on.
-    ///
-    /// # Errors
-    /// If a share of false rejections was given and unknown surfaces cannot be detected.
-    pub fn apply(&self, by: &mut Recogniser) -> Result<Applied, RejectionError> {
+    /// Applies these options to a recogniser. Returns whether it also guesses while a scan is in
+    /// progress, and lines of text that say what its answers are based on.
+    pub fn apply(&self, by: &mut Recogniser) -> Result<(bool, Vec<String>), RejectionError> {
         let mut remarks = Vec::new();
         if self.false_rejections != Some(0.0) {
             match by.reject_unknown(self.false_rejections) {
@@ -81,16 +71,8 @@ impl AnswerArgs {
         let settling = by.calibrate(self.settle_loss);
         remarks.extend(on_settling(&settling));
         by.add_remarks(&remarks);
-        Ok(Applied { follows: !settling.is_empty(), remarks })
+        Ok((!settling.is_empty(), remarks))
     }
-}
-
-/// The abilities of a recogniser that was set up.
-pub struct Applied {
-    /// Whether the recogniser follows scans in progress.
-    pub follows: bool,
-    /// The basis of its answers, a line each.
-    pub remarks: Vec<String>,
 }
 
 fn on_unknown(rejections: &[Rejection]) -> Option<String> {

@@ -1,5 +1,5 @@
-//! Recordings that cannot be used: a command goes on without them, and ends with code 3; with
-//! `--strict` it stops.
+//! Recordings that cannot be used. A command skips them and ends with code 3; with `--strict`, it
+//! stops.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,35 +7,34 @@ use std::sync::{Mutex, PoisonError};
 
 use super::{Done, Failure, show};
 use crate::dataset;
-use crate::library::audit::{self, Unreadable};
-use crate::library::{Library, LibraryError};
+use crate::library::{Library, LibraryError, Unreadable, unreadable};
 use crate::scene::Scene;
 
-/// Whether the first recording that cannot be used ends the command.
+/// Whether a command stops if a recording cannot be used.
 static STRICT: AtomicBool = AtomicBool::new(false);
-/// Why recordings were skipped, a line each.
+/// The reasons why recordings were skipped, a line each.
 static SKIPPED: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
-/// Sets whether a recording that cannot be used ends the command.
+/// Sets whether a command stops if a recording cannot be used.
 pub(super) fn be_strict(strict: bool) {
     STRICT.store(strict, Ordering::Release);
 }
 
-/// Opens recordings of any form, as far as they can be used.
+/// Opens the usable recordings at a path, in any supported form.
 ///
 /// # Errors
-/// If nothing can be used; with `--strict`, if anything cannot be.
+/// If no recording is usable; with `--strict`, if any recording is unusable.
 pub(super) fn open(path: &Path, defaults: &Scene) -> Result<Library, Failure> {
     let opened = dataset::open_usable(path, defaults)?;
     skip(path, opened.bad)?;
     Ok(opened.library)
 }
 
-/// Does some work with the library at `path`; if that fails because recordings cannot be read, does
-/// it again without these.
+/// Runs `work` on the library at `path`. If it fails because recordings cannot be read, runs it
+/// again without these recordings.
 ///
 /// # Errors
-/// Those of the work; with `--strict`, all recordings that cannot be read.
+/// Those of the work; with `--strict`, the recordings that cannot be read.
 pub(super) fn work<T>(
     path: &Path,
     library: Library,
@@ -50,23 +49,27 @@ pub(super) fn work<T>(
     }
 }
 
-/// The library at `path` without the recordings that cannot be read, found by reading all, and the
-/// number of those.
+/// Reads all recordings of a library, and leaves out those that cannot be read. Returns the rest and
+/// the number of recordings left out.
 ///
 /// # Errors
-/// With `--strict`, if there are any.
+/// With `--strict`, if any recording cannot be read.
 pub(super) fn readable(path: &Path, library: Library) -> Result<(Library, usize), Failure> {
-    let unreadable = audit::unreadable(&library.entries);
-    let entries = audit::without(library.entries, &unreadable);
+    let unreadable = unreadable(&library.entries);
+    let mut entries = library.entries;
+    for Unreadable { entry, source, .. } in &unreadable {
+        entries[*entry].sources.retain(|id| id != source);
+    }
+    entries.retain(|entry| !entry.sources.is_empty());
     let count = unreadable.len();
-    skip(path, unreadable.into_iter().map(|Unreadable { error, .. }| error).collect())?;
+    skip(path, unreadable.into_iter().map(|one| one.error).collect())?;
     Ok((Library { entries, ..library }, count))
 }
 
-/// Warns in one line of recordings that are not used.
+/// Warns, in one line, that recordings are not used.
 ///
 /// # Errors
-/// With `--strict`, if there are any; the error names all.
+/// With `--strict`, if `bad` is not empty; the error names every recording.
 pub(super) fn skip(path: &Path, bad: Vec<LibraryError>) -> Done {
     let lines: Vec<String> = bad.iter().map(ToString::to_string).collect();
     if STRICT.load(Ordering::Acquire)
@@ -77,7 +80,7 @@ pub(super) fn skip(path: &Path, bad: Vec<LibraryError>) -> Done {
         )));
     }
     let mut skipped = SKIPPED.lock().unwrap_or_else(PoisonError::into_inner);
-    // A library may be opened more than once.
+    // A library may be opened more than once, so only reasons that are not known yet are added.
     let fresh: Vec<String> = lines.into_iter().filter(|why| !skipped.contains(why)).collect();
     if let Some(first) = fresh.first() {
         let all = match fresh.len() {
@@ -93,13 +96,13 @@ pub(super) fn skip(path: &Path, bad: Vec<LibraryError>) -> Done {
     Ok(())
 }
 
-/// The reasons of all recordings that were skipped, a line each.
+/// The reasons why recordings were skipped, a line each.
 pub(super) fn skipped() -> Vec<String> {
     let skipped = SKIPPED.lock().unwrap_or_else(PoisonError::into_inner);
     skipped.iter().map(|why| format!("not used: {why}")).collect()
 }
 
-/// The result of a command that has done its work: damaged if recordings were skipped.
+/// The result of a finished command. It is a failure (damaged) if recordings were skipped.
 pub(super) fn verdict() -> Done {
     match skipped().len() {
         0 => Ok(()),

@@ -1,5 +1,6 @@
-//! `surfaced chart`: every method, accuracy against latency and against scan time.
+//! `surfaced chart`: charts the accuracy of every method against latency and against scan time.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -7,15 +8,15 @@ use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, is_earlier, json, write};
 use super::method::{at_least_one, options_of};
 use super::show::quoted;
-use super::{Done, Failure, bad_files, show, shown};
-use crate::evaluate::chart::{Chart, Charting, Comparer, brief, charted, drag_s, figure, measure};
+use super::{Done, Failure, bad_files, show};
+use crate::evaluate::chart::{Chart, Charting, brief, charted, drag_s, figure, measure};
 use crate::library::Library;
 use crate::scene::SourceId;
 
 /// Chart accuracy against latency and scan time, for every method
 ///
-/// Each point is measured in this run, beside two negative controls: what the band below 80 Hz
-/// and loudness alone give away. JSON is written beside the picture.
+/// Each point is measured in this run, together with two negative controls: the accuracy from the
+/// band below 80 Hz alone, and from loudness alone. JSON is written beside the picture.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced chart LMT_108_SurfaceMaterials_Database --sources \
                         mi2 --out chart.svg\n\nTime: some minutes for LMT108's 200 dragging sounds, on two cores; what is measured is written at once, so it may be interrupted")]
@@ -27,19 +28,16 @@ pub struct Args {
     /// Use this many surfaces at most, evenly spread over their names
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     surfaces: Option<usize>,
-    /// Measure one setting of each method, on whole drags with all sources
+    /// Measure only one setting of each method, on whole drags with all sources
     #[arg(long)]
     brief: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     args.figure.check()?;
     if is_earlier(&args.lib) {
-        return Err(Failure::Usage(format!(
-            "{}: expected recordings; earlier charts are drawn by `tools/peers/run --draw`",
-            shown(&args.lib)
-        )));
+        let problem = "expected recordings; earlier charts are drawn by `tools/peers/run --draw`";
+        return Err(Failure::usage_at(&args.lib, problem));
     }
     let library = super::open(&args.lib)?;
     let chart = bad_files::work(&args.lib, library, |library| measured(args, library))?;
@@ -55,7 +53,7 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-/// Writes the picture and its numbers, and returns the files' paths.
+/// Writes the picture and its numbers, and returns the paths of the files.
 fn keep(args: &Args, chart: &Chart) -> Result<Vec<PathBuf>, Failure> {
     let (out, beside) = (args.figure.out.clone(), args.figure.beside());
     write(&out, &figure(chart)?)?;
@@ -72,7 +70,7 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
     let sources = choice.held();
     choice.scene = choice.scene.only(&sources)?;
     let drag_s = drag_s(&choice.entries, &choice.scene)?;
-    let surfaces: std::collections::BTreeSet<&str> = choice.surfaces().collect();
+    let surfaces: BTreeSet<&str> = choice.surfaces().collect();
     let mut chart = Chart {
         data: library.name.clone(),
         synthetic: library.synthetic,
@@ -88,13 +86,13 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
     Ok(chart)
 }
 
-/// Measures one setting after the other, and writes all results so far after each: they remain if a
+/// Measures one setting after the other, and writes the results after each one. They remain if a
 /// later setting fails or the run is interrupted.
 fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
     let drag_s = chart.drag_s;
     let all = if args.brief { brief(&choice.scene) } else { charted(&choice.scene, drag_s) };
     let on = Charting { entries: &choice.entries, protocol: choice.protocol, folds: &choice.folds };
-    let start = Instant::now();
+    let (start, mut warned) = (Instant::now(), BTreeSet::new());
     for (done, one) in all.iter().enumerate() {
         let so_far_s = start.elapsed().as_secs_f64();
         let left = match done {
@@ -104,13 +102,15 @@ fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
                 format!("   ({so_far_s:.0} s so far, roughly {left_s:.0} s to go)")
             }
         };
-        let name = match &one.what {
-            Comparer::Method(method) => options_of(method),
-            Comparer::Control(_, name) | Comparer::Loudness(name) => name.clone(),
-        };
+        let options = one.method.as_ref().map(options_of).unwrap_or_default();
+        let name = one.control.clone().unwrap_or(options);
         say!("{}/{}  {name}{left}", done + 1, all.len());
         let (measured, left_out) = measure(on, one, &name)?;
-        let _ = show::left_out(&left_out);
+        for line in show::left_out(&left_out) {
+            if warned.insert(line.clone()) {
+                say!("warning: {line}");
+            }
+        }
         for point in measured {
             say!(
                 "       {}: {} ({} to {}), {:.2} ms",
@@ -135,7 +135,7 @@ mod tests {
     use crate::cli::method::MethodArgs;
     use crate::evaluate::chart::settings;
 
-    /// A method's options without a command around them.
+    /// Parses the options of a method alone, without a command.
     #[derive(clap::Parser)]
     struct ParsedMethod {
         #[command(flatten)]
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn every_setting_is_called_by_the_options_that_ask_for_it() {
-        for (method, _) in settings() {
+        for (method, ..) in settings() {
             let words = options_of(&method);
             let words = std::iter::once("surfaced").chain(words.split(' '));
             let parsed = ParsedMethod::try_parse_from(words).unwrap();

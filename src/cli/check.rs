@@ -3,17 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use super::method::{Comparing, ComparingArgs};
-use super::{Done, Failure, show};
+use super::{Done, Failure, say, show};
 use crate::dataset;
 use crate::evaluate::{Audited, CheckReport, Finding, check};
-use crate::printable::table;
 use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
 
 /// Audit a library: cross-validated accuracy, confusions, likely mislabels, damage, advice
 ///
-/// Each trial is left out and named by the others. One bad file does not stop it. The exit code is 3
-/// where something needs fixing.
+/// Each trial in turn is left out, and named by a library of the others. Bad files are skipped. The exit
+/// code is 3 if something needs fixing.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced check my-library\n  \
                         surfaced check my-library --json > check.json\n\nTime: up to ten \
@@ -42,19 +41,15 @@ pub fn run(args: &Args) -> Done {
     }
 }
 
-/// Audits a library. `shows` progress on a terminal.
-///
-/// # Errors
-/// If nothing of it can be read.
+/// Audits a library. With `shows`, progress is shown on a terminal.
 pub fn audit(library: &Path, how: &Comparing, shows: bool) -> Result<CheckReport, Failure> {
     let _lock = LibraryLock::for_reading(library);
     let opened = dataset::open_usable(library, &Scene::lmt108())?;
     let scene = how.narrow(opened.library.scene.clone())?;
     let method = how.method.build(&scene);
-    let steps = show::Steps::new();
     let progress = |step, done, of| {
         if shows {
-            steps.show(step, done, of);
+            say::progress(step, done, of);
         }
     };
     let cache = how.cache_in(library);
@@ -84,11 +79,11 @@ fn print(report: &CheckReport) {
             _ => show::interval(surface.share),
         };
         let taken = surface.taken_for.iter().map(|(other, count)| format!("{other} {count}"));
-        let taken = taken.collect::<Vec<_>>().join(", ");
-        vec![surface.surface.clone(), surface.trials.to_string(), right, interval, taken]
+        let trials = surface.trials.to_string();
+        vec![surface.surface.clone(), trials, right, interval, show::listed(taken)]
     });
     let head = ["surface", ">trials", ">right", "95 %", "taken for"];
-    result!("{}", table(&head, &rows.collect::<Vec<_>>()).trim_end());
+    show::table(&head, rows);
     if !report.findings.is_empty() {
         result!("\nneeds fixing:");
     }

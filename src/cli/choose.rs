@@ -2,10 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use clap::ValueEnum;
-use clap::builder::PossibleValue;
-
 use super::Failure;
+use super::show::listed;
 use crate::evaluate::{self, EvaluateError, Fold, Protocol};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
@@ -13,30 +11,25 @@ use crate::trial::TrialKey;
 
 /// The trials, sources and folds of a measurement.
 pub(super) struct Choice {
-    /// The sources to compare.
     pub scene: Scene,
-    /// Trials that hold some of these sources.
+    /// Trials that hold at least one of the scene's sources.
     pub entries: Vec<Entry>,
     pub protocol: Protocol,
     pub folds: Vec<Fold>,
 }
 
-/// The trials that hold any source of `scene`, with these sources only.
-///
-/// # Errors
-/// If no trial holds any.
+/// The trials that hold any source of `scene`, limited to these sources.
 pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Failure> {
     let entries: Vec<Entry> = (library.entries.iter())
         .map(|entry| entry.clone().within(scene))
         .filter(|entry| !entry.sources.is_empty())
         .collect();
     if entries.is_empty() {
-        let list = |ids: BTreeSet<&SourceId>| {
-            ids.into_iter().map(SourceId::as_str).collect::<Vec<_>>().join(", ")
-        };
-        let wanted = list(scene.sources().map(|spec| &spec.id).collect());
-        let held = list(library.entries.iter().flat_map(|entry| &entry.sources).collect());
-        let held = if held.is_empty() { "none that is known".into() } else { held };
+        let wanted: BTreeSet<&SourceId> = scene.sources().map(|spec| &spec.id).collect();
+        let held: BTreeSet<&SourceId> =
+            library.entries.iter().flat_map(|entry| &entry.sources).collect();
+        let held = if held.is_empty() { "none that is known".into() } else { listed(held) };
+        let wanted = listed(wanted);
         return Err(Failure::Failed(format!(
             "{}: no trial holds {wanted}; sources that the data hold: {held}",
             library.name
@@ -45,10 +38,7 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Fai
     Ok(entries)
 }
 
-/// The named protocol, or else the one that fits the trials, which is then printed; and its folds.
-///
-/// # Errors
-/// If the protocol finds no folds.
+/// The folds of the protocol `named` by the user, or of the first that fits (which is printed).
 pub(super) fn split(
     keys: &[TrialKey],
     named: Option<Protocol>,
@@ -61,10 +51,7 @@ pub(super) fn split(
     Ok((protocol, folds))
 }
 
-/// Narrows recordings to a scene, and splits them into folds by a protocol, see [`split`].
-///
-/// # Errors
-/// If no trial holds any of the scene's sources, or the protocol finds no folds.
+/// Limits recordings to the sources of a scene, and splits them into folds; see [`split`].
 pub(super) fn choose(
     library: &Library,
     scene: Scene,
@@ -77,8 +64,8 @@ pub(super) fn choose(
 }
 
 impl Choice {
-    /// Keeps up to `most` of the surfaces that the folds use, evenly spread over their names, and
-    /// drops the trials of all others.
+    /// Keeps at most `most` of the surfaces in the folds, evenly spread over their sorted names,
+    /// and drops the trials of all other surfaces.
     pub fn keep_surfaces(&mut self, most: usize) -> Result<(), Failure> {
         let all: BTreeSet<&str> = self.surfaces().collect();
         let kept: BTreeSet<String> = (all.iter().enumerate())
@@ -91,44 +78,16 @@ impl Choice {
         Ok(())
     }
 
-    /// The surface of each trial in some fold's library.
+    /// The surface of each trial that is in the library of at least one fold.
     pub fn surfaces(&self) -> impl Iterator<Item = &str> {
-        let of_fold = |fold: &Fold| fold.library.clone();
-        let used: BTreeSet<usize> = self.folds.iter().flat_map(of_fold).collect();
-        used.into_iter().map(|i| self.entries[i].key.surface.as_str())
+        let used: BTreeSet<&usize> = self.folds.iter().flat_map(|fold| &fold.library).collect();
+        used.into_iter().map(|&i| self.entries[i].key.surface.as_str())
     }
 
-    /// The sources that trials of the folds hold, sorted.
+    /// The sources that are held by trials of the folds, sorted.
     pub fn held(&self) -> Vec<SourceId> {
-        let of_fold =
-            |fold: &Fold| fold.library.iter().chain(&fold.queries).copied().collect::<Vec<_>>();
-        let used: BTreeSet<usize> = self.folds.iter().flat_map(of_fold).collect();
-        let held: BTreeSet<&SourceId> =
-            used.into_iter().flat_map(|i| &self.entries[i].sources).collect();
+        let of_folds = self.folds.iter().flat_map(|fold| fold.library.iter().chain(&fold.queries));
+        let held: BTreeSet<&SourceId> = of_folds.flat_map(|&i| &self.entries[i].sources).collect();
         held.into_iter().cloned().collect()
-    }
-}
-
-impl ValueEnum for Protocol {
-    fn value_variants<'a>() -> &'a [Self] {
-        &Self::ALL
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        let help = match self {
-            Protocol::ExpertVsUsers => {
-                "The expert's trials are the library; each other user is a fold of queries (1 vs 10)"
-            }
-            Protocol::LeaveOneTrialOut => {
-                "Fold k: trial k of every surface against the same person's other trials (1 vs 1)"
-            }
-            Protocol::AllVsOneUser => {
-                "Each user is a fold; the library is everybody else (10 vs 1)"
-            }
-            Protocol::RandomHalves => {
-                "50 folds: a random half of a person's trials of each surface against the other half"
-            }
-        };
-        Some(PossibleValue::new(self.name()).help(help))
     }
 }

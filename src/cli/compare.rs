@@ -1,13 +1,15 @@
-//! `surfaced compare`: two trials, source by source, or two sets of samples. `surfaced dependence`:
-//! whether paired samples depend on each other, by HSIC.
+//! `surfaced compare`: compares two trials, source by source, or two sets of samples. `surfaced
+//! dependence`: tests whether paired samples depend on each other, by HSIC.
 
 use std::path::{Path, PathBuf};
 
+use ndarray::Array2;
+
 use super::method::at_least_one;
-use super::{Done, Failure, SourceArgs, samples, show};
+use super::{Done, Failure, SourceArgs, share, show};
+use crate::dataset::csv::CsvTable;
 use crate::kernel::{Threshold, test_independence};
-use crate::library::{Library, recording};
-use crate::printable::table;
+use crate::library::{Library, LibraryError, recording};
 use crate::recognise::{Comparison, TestOptions, compare, score_samples};
 use crate::scene::Scene;
 use crate::seed;
@@ -20,29 +22,29 @@ use crate::trial::Trial;
                         LMT_108_SurfaceMaterials_Database:G4CherryTree:1 --sources mi2\n  \
                         surfaced compare --samples z.csv y.csv --json\n\nTime: a second")]
 pub struct Args {
-    /// The query: the folder of a trial, its only file, or DATA:SURFACE:NUMBER and, if need be, :USER; with
-    /// --samples, a CSV file
+    /// The query: a trial's folder, a trial's only file, or DATA:SURFACE:NUMBER (with :USER if
+    /// necessary); with --samples, a CSV file
     a: PathBuf,
     /// The library trial, in the same form
     b: PathBuf,
-    /// A and B are CSV files of samples: a row a sample, a column a channel, no header
+    /// A and B are CSV files of samples: one row per sample, one column per channel, no header
     #[arg(long)]
     samples: bool,
-    /// Shift A's mean to B's first, channel by channel
+    /// First shift the mean of A to the mean of B, channel by channel
     #[arg(long, requires = "samples")]
     align_mean: bool,
-    /// Fix the kernel's length scale instead of the median heuristic
+    /// Length scale of the kernel (default: by the median heuristic)
     #[arg(long, requires = "samples", value_name = "X", value_parser = sigma)]
     sigma: Option<f64>,
     #[command(flatten)]
     sources: SourceArgs,
-    /// Permutations within pairs, for κ and the p-value
+    /// Number of permutations within pairs, for κ and the p-value
     #[arg(long, default_value_t = 1000, value_name = "COUNT", value_parser = at_least_one)]
     permutations: usize,
     /// Significance level of κ
-    #[arg(long, default_value_t = 0.05, value_name = "ALPHA", value_parser = level)]
+    #[arg(long, default_value_t = 0.05, value_name = "ALPHA", value_parser = share)]
     alpha: f64,
-    /// Seed of everything that is drawn at random
+    /// Seed of all random draws
     #[arg(long, default_value_t = 1, value_name = "SEED")]
     seed: u64,
     /// Print one JSON document on stdout
@@ -57,20 +59,26 @@ fn sigma(text: &str) -> Result<f64, String> {
     }
 }
 
-fn level(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if 0.0 < x && x < 1.0 => Ok(x),
-        _ => Err("expected a number between 0 and 1".into()),
-    }
-}
-
 pub fn run(args: &Args) -> Done {
     if args.samples { compare_samples(args) } else { compare_trials(args) }
 }
 
+/// Reads a CSV file of samples, with shape (rows, columns).
+fn samples(path: &Path) -> Result<Array2<f64>, LibraryError> {
+    CsvTable::read(path)?.values().map_err(|problem| LibraryError::file(path, problem))
+}
+
 fn compare_samples(args: &Args) -> Done {
-    let (z, y) = (samples::read(&args.a)?, samples::read(&args.b)?);
-    samples::same_columns((&args.a, &z), (&args.b, &y))?;
+    let (z, y) = (samples(&args.a)?, samples(&args.b)?);
+    if z.ncols() != y.ncols() {
+        return Err(Failure::Failed(format!(
+            "{} has {}, but {} has {}; samples of one source have the same channels",
+            args.a.display(),
+            show::counted(z.ncols(), "column"),
+            args.b.display(),
+            y.ncols()
+        )));
+    }
     let result = score_samples(z.view(), y.view(), args.align_mean, args.sigma);
     if args.json {
         show::json(&result);
@@ -109,12 +117,12 @@ fn compare_trials(args: &Args) -> Done {
     if args.json {
         show::json(&report);
     } else {
-        show(&report, args.alpha);
+        print(&report, args.alpha);
     }
     Ok(())
 }
 
-fn show(report: &CompareReport, alpha: f64) {
+fn print(report: &CompareReport, alpha: f64) {
     let mark = if report.synthetic { "  (synthetic)" } else { "" };
     result!("A  {}\nB  {}{mark}\n", report.a, report.b);
     let sources = report.comparison.sources.iter().map(|s| {
@@ -129,12 +137,13 @@ fn show(report: &CompareReport, alpha: f64) {
         ]
     });
     let head = ["source", ">score n·MMD²", ">MMD²", ">σ", ">κ", ">p", ""];
-    result!("{}", table(&head, &sources.collect::<Vec<_>>()));
+    show::table(&head, sources);
+    result!();
     result!("discrepancy score (product over sources)  {:.6e}", report.comparison.ds);
     show::next("surfaced eval my-library measures how well a library's surfaces are named");
 }
 
-/// The trial that an argument names, with the scene of its library, and whether it is synthetic.
+/// The trial that an argument names, the scene of its library, and whether the trial is synthetic.
 fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
     if argument.is_dir() {
         super::hold(argument);
@@ -169,7 +178,6 @@ fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
     Ok((entry.load()?, library.scene.clone(), library.synthetic))
 }
 
-/// The only trial of a library.
 fn alone(one: &Library) -> Result<(Trial, Scene, bool), Failure> {
     let entry = &one.entries[0];
     Ok((entry.load()?, one.scene.clone(), one.synthetic))
@@ -180,17 +188,17 @@ fn alone(one: &Library) -> Result<(Trial, Scene, bool), Failure> {
 #[command(after_help = "Examples:\n  surfaced dependence x.csv y.csv\n  \
                         surfaced dependence x.csv y.csv --gamma --json\n\nTime: a second for a thousand rows")]
 pub struct DependenceArgs {
-    /// CSV file: a row a sample, a column a channel, no header
+    /// CSV file: one row per sample, one column per channel, no header
     x: PathBuf,
-    /// CSV file with the sample that goes with each of X, row by row
+    /// CSV file of the same form; each row is paired with the same row of X
     y: PathBuf,
     /// Significance level of κ
     #[arg(long, default_value_t = 0.05, value_name = "ALPHA")]
     alpha: f64,
-    /// Permutations of one side, for κ and the p-value
+    /// Number of permutations of one file's rows, for κ and the p-value
     #[arg(long, default_value_t = 1000, value_name = "COUNT")]
     permutations: usize,
-    /// κ and the p-value from the exact permutation moments instead of permutations
+    /// Compute κ and the p-value from exact permutation moments, not by permutations
     #[arg(long, conflicts_with = "permutations")]
     gamma: bool,
     /// Seed of the permutations
@@ -202,7 +210,7 @@ pub struct DependenceArgs {
 }
 
 pub fn dependence(args: &DependenceArgs) -> Done {
-    let (x, y) = (samples::read(&args.x)?, samples::read(&args.y)?);
+    let (x, y) = (samples(&args.x)?, samples(&args.y)?);
     let threshold =
         if args.gamma { Threshold::Gamma } else { Threshold::Permutations(args.permutations) };
     let mut rng = seed::rng(args.seed, &[b"dependence"]);

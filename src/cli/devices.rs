@@ -1,18 +1,19 @@
-//! `surfaced devices`: lists devices with permanent names, and the problems of each; shows what comes
-//! from one that prints lines of numbers, and writes the configuration that fits it.
+//! `surfaced devices`: lists devices with permanent names and their problems. With `--watch`: shows
+//! what a sensor of lines sends, and writes a configuration that fits it.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::{Done, Failure, show, shown};
+use super::{Done, Failure, show};
 use crate::device::lines::{ColumnSurvey, LinesAddress, SURVEY_S, survey_of};
 use crate::device::list::{self, ListedDevice};
 use crate::station::config::fitting;
 
 /// List serial ports, microphones and cameras with stable ids, and the problems of each
 ///
-/// With --watch, show what comes from a sensor that prints lines of numbers: rate, columns, ranges.
+/// With --watch, show what a sensor of lines of numbers sends: rate, columns, ranges.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced devices\n  surfaced devices --json\n  \
                   surfaced devices --watch /dev/ttyACM0\n  \
@@ -22,7 +23,7 @@ pub struct Args {
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
-    /// Show what comes from here: a serial port (PORT@BAUD), tcp://HOST:PORT, udp://HOST:PORT (to
+    /// Show what a sensor sends: a serial port (PORT@BAUD), tcp://HOST:PORT, udp://HOST:PORT (to
     /// listen there), or - for standard input
     #[arg(long, value_name = "PORT", allow_hyphen_values = true)]
     watch: Option<LinesAddress>,
@@ -31,47 +32,34 @@ pub struct Args {
     write: Option<PathBuf>,
 }
 
-/// The time until the first line, at most: a board that is reset by opening its port needs some.
+/// The longest wait for the first line. Some boards restart when their port is opened.
 pub const SURVEY_PATIENCE: Duration = Duration::from_secs(10);
 
-/// What comes from a sensor.
+/// The lines that a sensor has sent, summed up.
 #[derive(serde::Serialize)]
 struct Watched {
     port: String,
-    /// Lines a second; none where that cannot be measured.
+    /// Lines per second; `None` if that cannot be measured.
     rate_hz: Option<f64>,
     columns: Vec<ColumnSurvey>,
-    /// The reason why no configuration fits it, and what to do.
+    /// The reason why no configuration fits the sensor, and what to do.
     problem: Option<String>,
-    /// The configuration that fits it.
     configuration: Option<String>,
 }
 
 #[derive(serde::Serialize)]
-struct Inventory {
-    serial_ports: DeviceClass,
-    microphones: DeviceClass,
-    cameras: DeviceClass,
-}
-
-/// The devices of one class.
-#[derive(serde::Serialize)]
 struct DeviceClass {
-    /// Whether this build has the drivers for them.
+    /// Whether this build has drivers for the class.
     built: bool,
     devices: Vec<ListedDevice>,
-    /// The reason why the list is empty although there may be devices, and what to do.
+    /// The reason why devices may be missing from the list, and what to do.
     problem: Option<String>,
 }
 
 impl DeviceClass {
     fn of<E: std::fmt::Display>(listed: Result<Vec<ListedDevice>, E>) -> Self {
-        match listed {
-            Ok(devices) => Self { built: true, devices, problem: None },
-            Err(error) => {
-                Self { built: true, devices: Vec::new(), problem: Some(error.to_string()) }
-            }
-        }
+        let problem = listed.as_ref().err().map(ToString::to_string);
+        Self { built: true, devices: listed.unwrap_or_default(), problem }
     }
 
     #[cfg(not(all(feature = "microphone", feature = "camera")))]
@@ -90,15 +78,15 @@ fn microphones() -> DeviceClass {
     DeviceClass::of(crate::device::microphone::microphones())
 }
 
-/// Keeps libraries from writing to stderr until it is dropped: those behind ALSA's plugins, such as
-/// JACK's, report a missing server there, which the list shows as that device's problem. For this
-/// command alone, in which no other thread writes to stderr.
+/// Silences stderr until it is dropped: libraries behind ALSA's plugins, such as JACK's, report a
+/// missing server there, but the list already shows this problem. Only for this command, in which
+/// no other thread writes to stderr.
 #[cfg(feature = "microphone")]
 struct HushedStderr(Option<std::os::fd::OwnedFd>);
 
 #[cfg(feature = "microphone")]
 impl HushedStderr {
-    /// If stderr cannot be kept for later, it stays as it is.
+    /// If stderr cannot be saved, it stays open.
     fn new() -> Self {
         let kept = rustix::io::fcntl_dupfd_cloexec(std::io::stderr(), 3).ok();
         let null = std::fs::OpenOptions::new().write(true).open("/dev/null").ok();
@@ -162,14 +150,12 @@ fn watch(address: &LinesAddress, args: &Args) -> Done {
     Ok(())
 }
 
-/// Writes a file that is not there yet.
 fn write_new(path: &Path, text: &str) -> Done {
     let failed = |error: std::io::Error| match error.kind() {
-        std::io::ErrorKind::AlreadyExists => Failure::Failed(format!(
-            "{}: it is there already and was left as it is; name another file",
-            shown(path)
-        )),
-        _ => Failure::Failed(format!("{}: {error}", shown(path))),
+        std::io::ErrorKind::AlreadyExists => {
+            Failure::at(path, "it is there already and was left as it is; name another file")
+        }
+        _ => Failure::at(path, error),
     };
     let mut file = std::fs::File::create_new(path).map_err(failed)?;
     file.write_all(text.as_bytes()).map_err(failed)
@@ -193,33 +179,31 @@ pub fn run(args: &Args) -> Done {
     if let Some(address) = &args.watch {
         return watch(address, args);
     }
-    let inventory = Inventory {
-        serial_ports: DeviceClass::of(list::serial_ports()),
-        microphones: microphones(),
-        cameras: cameras(),
-    };
-    let classes = [
-        ("serial ports", &inventory.serial_ports),
-        ("microphones", &inventory.microphones),
-        ("cameras", &inventory.cameras),
-    ];
+    let classes = BTreeMap::from([
+        ("serial_ports", DeviceClass::of(list::serial_ports())),
+        ("microphones", microphones()),
+        ("cameras", cameras()),
+    ]);
     match args.json {
-        true => show::json(&inventory),
+        true => show::json(&classes),
         false => {
-            classes.into_iter().for_each(|(name, class)| show_class(name, class));
+            classes.iter().rev().for_each(|(name, class)| show_class(name, class));
             show::next("surfaced enroll LABEL --library my-library");
         }
     }
-    let unlisted: Vec<_> = classes
-        .into_iter()
+    let unlisted: Vec<_> = (classes.iter().rev())
         .filter(|(_, class)| class.built)
-        .filter_map(|(name, class)| Some(format!("{name}: {}", class.problem.as_ref()?)))
+        .filter_map(|(name, class)| Some(format!("{}: {}", plain(name), class.problem.as_ref()?)))
         .collect();
     if unlisted.is_empty() { Ok(()) } else { Err(Failure::Failed(unlisted.join("; "))) }
 }
 
+fn plain(name: &str) -> String {
+    name.replace('_', " ")
+}
+
 fn show_class(name: &str, class: &DeviceClass) {
-    result!("{name}:");
+    result!("{}:", plain(name));
     match &class.problem {
         Some(problem) => result!("  {problem}"),
         None if class.devices.is_empty() => result!("  none"),

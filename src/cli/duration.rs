@@ -1,13 +1,12 @@
-//! `surfaced duration`: how long to drag, and T* of each surface and source of a library.
+//! `surfaced duration`: how long to drag, and T* for each surface and source of a library.
 
 use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::common::share;
 use super::figure::write;
 use super::method::at_least_one;
-use super::{Done, Failure, answers, bad_files, say, show};
+use super::{Done, Failure, answers, bad_files, say, share, show};
 use crate::duration::{
     AccuracyCurve, Algorithm1Settings, CORRELATION, DurationReport, Estimator, PooledSettings,
     Question, ReportError, Rule, figure, report,
@@ -21,8 +20,8 @@ use crate::scene::SourceId;
 
 /// Find how long to drag, and T*, the minimum time between independent samples
 ///
-/// How long to drag: the earliest time by which the library's own trials, each left out in turn, are named
-/// as well as is wanted. T*: how far apart in time two samples of a drag must lie to be
+/// How long to drag: the shortest time after which the library's own trials, each left out in turn,
+/// are named with the wanted accuracy. T*: how far apart in time two samples of a drag must lie to be
 /// independent.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced duration lib\n  \
@@ -37,7 +36,7 @@ pub struct Args {
     /// recorded while dragging, or with a published rule those of domain `time`)
     #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]
     source: Vec<SourceId>,
-    /// The share of scans that is to be named right (default: that of whole scans, less 0.01)
+    /// Share of scans that must be named right (default: the share for whole scans, minus 0.01)
     #[arg(long, value_name = "SHARE", value_parser = share)]
     accuracy: Option<f64>,
     /// Surfaces that T* is found for, with commas between them (default: all)
@@ -47,20 +46,20 @@ pub struct Args {
     /// surface)
     #[arg(long, value_name = "NAME")]
     user: Option<String>,
-    /// Let a published rule take the named sources as series in time, whatever their domain is
+    /// Let a published rule treat the named sources as time series, whatever their domain is
     /// (`pooled` always does)
     #[arg(long, requires = "source")]
     as_time: bool,
     /// How T* is found: by the size of the dependence over all pairs of all trials, or by the
-    /// paper's Algorithm 1, whose bound is the quantile of its HSIC values (as printed) or the upper
+    /// paper's Algorithm 1. Its bound is a quantile of its HSIC values (as printed), or the upper
     /// end of the interval of their mean (the authors' program)
     #[arg(long, value_enum, default_value_t = RuleName::Pooled)]
     rule: RuleName,
-    /// Dependence that is small enough, as the correlation of a Gaussian process (`pooled`; default
-    /// 0.1)
+    /// Largest dependence that counts as none, as the correlation of a Gaussian process (`pooled`;
+    /// default 0.1)
     #[arg(long, value_name = "CORRELATION")]
     dependence: Option<f64>,
-    /// Independent samples that a scan must yield
+    /// Number of independent samples that a scan must yield
     #[arg(long, default_value_t = 400, value_name = "N", value_parser = at_least_one)]
     samples: usize,
     /// Draw the dependence against the lag, and the accuracy against the scan time, as SVG
@@ -69,7 +68,7 @@ pub struct Args {
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
-    // Last, since all options after it would stand under its heading.
+    // This is the last field, since the help lists all later options under its heading.
     #[command(flatten)]
     algorithm1: Algorithm1Args,
 }
@@ -114,50 +113,48 @@ impl Args {
     }
 }
 
-/// The answer as JSON.
 #[derive(Serialize)]
 struct DurationDocument<'a> {
     #[serde(flatten)]
     report: &'a DurationReport,
-    /// How long to drag.
     answer: &'a ScanTime,
 }
 
-/// Settings of Algorithm 1, which its two rules share.
+/// Settings of Algorithm 1, shared by its two rules.
 #[derive(clap::Args)]
 #[command(next_help_heading = "Published rules (quantile, mean-ci)")]
 struct Algorithm1Args {
-    /// R, the draws of a start for each lag (default 500)
+    /// Number of starts drawn for each lag, R (default 500)
     #[arg(long, value_name = "R", value_parser = at_least_one)]
     draws: Option<usize>,
     /// Latest start t1,max, in samples (default 20000)
     #[arg(long, value_name = "SAMPLES", value_parser = at_least_one)]
     latest_start: Option<usize>,
-    /// Largest lag to look at, in samples (default 1000)
+    /// Largest lag to try, in samples (default 1000)
     #[arg(long, value_name = "SAMPLES", value_parser = at_least_one)]
     largest_lag: Option<usize>,
     /// Significance level of κ (default 0.05)
     #[arg(long, value_name = "ALPHA")]
     alpha: Option<f64>,
-    /// Permutations for each κ (default 100)
+    /// Number of permutations for each κ (default 100)
     #[arg(long, value_name = "COUNT", value_parser = at_least_one)]
     permutations: Option<usize>,
-    /// κ from the exact permutation moments instead of permutations: faster
+    /// Compute κ from exact permutation moments, which is faster than permutations
     #[arg(long, conflicts_with = "permutations")]
     gamma: bool,
-    /// Look at every lag upwards instead of a coarse grid that is refined
+    /// Try every lag in ascending order, not a coarse grid that is refined
     #[arg(long)]
     exhaustive: bool,
     /// Stop at the first lag, as Algorithm 1 is printed, even if dependence returns beyond it
     #[arg(long)]
     first: bool,
-    /// Seed of everything that is drawn at random (default 1)
+    /// Seed of all random draws (default 1)
     #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
 }
 
 impl Algorithm1Args {
-    /// The first of these flags that was given.
+    /// The first of these options that the user gave, by name.
     fn given(&self) -> Option<&'static str> {
         [
             (self.draws.is_some(), "--draws"),
@@ -194,21 +191,19 @@ impl Algorithm1Args {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     let question = args.question()?;
     let library = super::open(&args.lib)?;
     let (found, by_time) = bad_files::work(&args.lib, library, |library| {
-        let steps = show::Steps::new();
-        let found = report(library, &question, |done, of| steps.show("surfaces", done, of));
+        let found = report(library, &question, |done, of| say::progress("surfaces", done, of));
         let found = found.map_err(|error| args.failure(error))?;
-        match args.by_time(library, &steps) {
+        match args.by_time(library) {
             Err(RecogniseError::Library(error)) => Err(error.into()),
             by_time => Ok((found, by_time)),
         }
     })?;
     let goal = Goal::wanted(args.accuracy);
-    // Trials that cannot be compared may have a T* all the same.
+    // Trials that cannot be compared may still have a T*, so this error does not end the command.
     let (answer, points) = match &by_time {
         Ok(found) => (found.scan_time(goal), found.points()),
         Err(error) => (ScanTime::without_model(goal, error.to_string()), Vec::new()),
@@ -249,16 +244,12 @@ pub fn run(args: &Args) -> Done {
 }
 
 impl Args {
-    /// The number of left-out trials named right by each time, with the sources and the user of the
-    /// arguments.
-    fn by_time(
-        &self,
-        library: &Library,
-        steps: &show::Steps,
-    ) -> Result<LeftOutAccuracy, RecogniseError> {
+    /// The accuracy of left-out trials at each scan time, using the sources and the user given by
+    /// the arguments.
+    fn by_time(&self, library: &Library) -> Result<LeftOutAccuracy, RecogniseError> {
         let scene = match self.source.is_empty() {
             true => library.scene.clone(),
-            // `report` has checked that the library has them.
+            // `report` has checked that the library has these sources, so the default is not used.
             false => library.scene.clone().only(&self.source).unwrap_or(library.scene.clone()),
         };
         let is_wanted = |entry: &Entry| {
@@ -269,24 +260,17 @@ impl Args {
             library.entries.iter().map(|e| e.clone().within(&scene)).filter(is_wanted).collect();
         let method = MethodSpec::from(MethodName::Embedding).build(&scene);
         let all = (0..entries.len()).collect();
-        let step = |done, of| steps.show("preparing the library", done, of);
+        let step = |done, of| say::progress("preparing the library", done, of);
         let ready = ready_model(&*method, &entries, &all, Some(&self.lib), &step)?;
         Ok(ready.model.embedding().map(|model| model.left_out_accuracy()).unwrap_or_default())
     }
 
     fn failure(&self, error: ReportError) -> Failure {
-        let lib = super::shown(&self.lib);
         match error {
-            ReportError::Library(error) => Failure::Failed(error.to_string()),
-            ReportError::Duration(error) => Failure::Usage(error.to_string()),
-            ReportError::Scene(error) => Failure::Usage(error.to_string()),
-            ReportError::NoTimeSource => Failure::Failed(format!(
-                "{lib}: {error}; name one with --source and --as-time to take it as a series in time"
-            )),
-            ReportError::NotOfTime(_) => Failure::Failed(format!(
-                "{lib}: {error}; --as-time takes it as a series in time all the same"
-            )),
-            ReportError::Nothing(problem) => Failure::Failed(format!("{lib}: {problem}")),
+            ReportError::Library(error) => error.into(),
+            ReportError::Duration(error) => Failure::usage(error),
+            ReportError::Scene(error) => Failure::usage(error),
+            ReportError::Nothing(problem) => Failure::at(&self.lib, problem),
         }
     }
 }

@@ -1,19 +1,15 @@
-//! `surfaced enroll` and `surfaced record`: live scans become trials of a library.
+//! `surfaced enroll` and `surfaced record`: add live scans to a library as trials.
 
-use std::cell::Cell;
 use std::path::Path;
-use std::rc::Rc;
 
-use crossbeam_channel::Sender;
-
-use super::live::{Listen, StationArgs, StationWork, library_of, verdict, work};
+use super::live::{KeptCounter, StationArgs, StationWork, library_of, verdict, work};
 use super::method::at_least_one;
 use super::show::quoted;
 use super::{Done, Failure, show, shown};
 use crate::record::{check_writable, write_library_toml};
 use crate::scene::Scene;
 use crate::station::config::StationConfig;
-use crate::station::{Command, Enrolled, EnrolledOutcome, Keep, Listener, StationEvent, assemble};
+use crate::station::{Keep, assemble};
 use crate::trial::{EXPERT, UNLABELLED};
 
 /// Add trials of a surface to a library, scan by scan
@@ -39,7 +35,7 @@ pub struct EnrollArgs {
 
 /// Keep every live scan as a trial of a library, until `q` or Ctrl-C
 ///
-/// No scan is refused; one with gaps is marked as incomplete.
+/// No scan is refused; a scan with gaps is marked as incomplete.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced record --library new-scans\n  \
                         surfaced record --label felt --library my-library\n\nTime: until you quit")]
@@ -54,7 +50,6 @@ pub struct RecordArgs {
     station: StationArgs,
 }
 
-/// Parses a label or a user's name.
 fn name(text: &str) -> Result<String, String> {
     match text.trim() {
         "" => Err("expected a name".into()),
@@ -62,7 +57,6 @@ fn name(text: &str) -> Result<String, String> {
     }
 }
 
-/// Runs `surfaced enroll`.
 pub fn enroll(args: &EnrollArgs) -> Done {
     let config = args.station.config()?;
     let wanted = args.trials.map_or(config.trials, |trials| trials.try_into().unwrap_or(u32::MAX));
@@ -70,7 +64,7 @@ pub fn enroll(args: &EnrollArgs) -> Done {
     let keep = Keep { surface, user, trials: Some(wanted), good_only: true };
     let trials = show::counted(wanted as usize, "trial");
     let hint = format!("{}: {trials} to go; tap the surface, then drag over it", args.label);
-    let KeptCounts { kept, lost } = store(&config, &args.station, keep, hint)?;
+    let KeptCounter { kept, lost, .. } = store(&config, &args.station, keep, hint)?;
     if kept < wanted {
         let lost = if lost > 0 { format!("; {lost} could not be written") } else { String::new() };
         return Err(Failure::Failed(format!("{kept} of {wanted} trials were recorded{lost}")));
@@ -78,13 +72,12 @@ pub fn enroll(args: &EnrollArgs) -> Done {
     Ok(())
 }
 
-/// Runs `surfaced record`.
 pub fn record(args: &RecordArgs) -> Done {
     let config = args.station.config()?;
     let (surface, user) = (args.label.clone(), args.user.clone());
     let keep = Keep { surface, user, trials: None, good_only: false };
     let hint = format!("keeping every scan as {}; q quits", args.label);
-    let KeptCounts { kept, lost } = store(&config, &args.station, keep, hint)?;
+    let KeptCounter { kept, lost, .. } = store(&config, &args.station, keep, hint)?;
     let text = || format!("{} could not be written", show::counted(lost as usize, "scan"));
     match (kept, lost) {
         (_, 0) => Ok(()),
@@ -93,61 +86,38 @@ pub fn record(args: &RecordArgs) -> Done {
     }
 }
 
-/// The number of scans that were kept, and of those that could not be written.
-#[derive(Clone, Copy, Default)]
-struct KeptCounts {
-    kept: u32,
-    lost: u32,
-}
-
-/// Runs a station that keeps the scans of an order, until the last one. The operator sees `hint`.
+/// Runs a station that keeps scans until its order is complete. The operator sees `hint`.
 fn store(
     config: &StationConfig,
     args: &StationArgs,
-    keep: Keep,
+    order: Keep,
     hint: String,
-) -> Result<KeptCounts, Failure> {
+) -> Result<KeptCounter, Failure> {
     let library = library_of(config)?;
     describe(&library, &config.scene)?;
-    let stored = Rc::new(Cell::new(KeptCounts::default()));
-    let counted = stored.clone();
-    let order = keep.clone();
-    let count: Listen<'_> =
-        Box::new(move |commands| Box::new(KeptCounter { commands, order, stored: counted }));
-    let totals = work(
-        config,
-        assemble(config),
-        StationWork {
-            load: None,
-            store: library.clone(),
-            keep: Some(keep),
-            listeners: vec![count],
-            hint,
-            check: None,
-            json: args.json,
-            serve: args.serve.clone(),
-        },
-    )?;
-    let stored = stored.get();
-    let trials = show::counted(stored.kept as usize, "trial");
+    let mut counter = KeptCounter { commands: None, order, kept: 0, lost: 0 };
+    let (store, counts) = (library.clone(), Some(&mut counter));
+    let of = StationWork { load: None, store, counter: counts, hint, check: None };
+    let totals = work(config, args, assemble(config), of)?;
+    let trials = show::counted(counter.kept as usize, "trial");
     say!("{trials} recorded in {}", shown(&library));
     let folder = quoted(&library);
     let station = args.typed();
-    show::next(&match stored.kept {
+    show::next(&match counter.kept {
         0 => "surfaced devices lists what is plugged in, and the problems of each".into(),
         _ => format!(
             "enroll another surface with surfaced enroll LABEL{station} --library {folder}; with two \
              or more, surfaced eval {folder}, then surfaced run{station} --library {folder}"
         ),
     });
-    // Samples lost between scans are in no trial, and those lost within scans were reported.
-    if totals.failed.is_empty() {
-        return Ok(stored);
+    // Samples lost between scans belong to no trial; losses within scans were already reported.
+    if !totals.failed.is_empty() {
+        verdict(&totals)?;
     }
-    verdict(&totals).map(|()| stored)
+    Ok(counter)
 }
 
-/// Creates a library that does not exist yet, with a description of its sources, and checks that
+/// Creates the library if it does not exist, with a description of its sources, and checks that
 /// trials can be written into it.
 fn describe(library: &Path, scene: &Scene) -> Result<(), Failure> {
     if !library.exists() {
@@ -155,34 +125,4 @@ fn describe(library: &Path, scene: &Scene) -> Result<(), Failure> {
         write_library_toml(library, scene, &name, false)?;
     }
     Ok(check_writable(library)?)
-}
-
-/// Counts kept scans, and quits the station after the last one that is wanted.
-///
-/// For an order without a limit, scans that are kept under other labels count too.
-struct KeptCounter {
-    commands: Sender<Command>,
-    order: Keep,
-    stored: Rc<Cell<KeptCounts>>,
-}
-
-impl Listener for KeptCounter {
-    fn on_event(&mut self, event: &StationEvent) {
-        let StationEvent::Enrolled(Enrolled { outcome, surface, user, .. }) = event else { return };
-        let ours = (surface, user) == (&self.order.surface, &self.order.user);
-        if self.order.trials.is_some() && !ours {
-            return;
-        }
-        let KeptCounts { kept, lost } = self.stored.get();
-        let stored = match outcome {
-            EnrolledOutcome::Kept => KeptCounts { kept: kept + 1, lost },
-            EnrolledOutcome::Lost => KeptCounts { kept, lost: lost + 1 },
-            EnrolledOutcome::Refused | EnrolledOutcome::Waiting => return,
-        };
-        self.stored.set(stored);
-        if self.order.trials.is_some_and(|wanted| stored.kept >= wanted) {
-            // Fails only when the station has ended already.
-            let _ = self.commands.send(Command::Quit);
-        }
-    }
 }

@@ -1,22 +1,19 @@
-//! `surfaced eval`: measures accuracy by a protocol, such as leave-one-trial-out.
-
-mod report;
+//! `surfaced eval`: measures accuracy under a protocol, such as leave-one-trial-out.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use self::report::{EvalAnswer, EvalReport};
 use super::answers::AnswerArgs;
 use super::bad_files;
 use super::choose::{split, within};
 use super::method::{MethodArgs, at_least_one};
-use super::show::quoted;
-use super::{Done, Failure, SourceArgs, paper, show};
+use super::show::{listed, quoted};
+use super::{Done, Failure, SourceArgs, paper, say, show};
 use crate::dataset::table::{self, FeatureTables};
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
-    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Protocol, SettledOutcome,
-    UnknownOutcome, better_plain, enrol,
+    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Outcome, Prediction,
+    Protocol, SettledOutcome, UnknownOutcome, better_plain, enrol,
 };
 use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{Method, MethodName, RecogniseError};
@@ -43,7 +40,7 @@ pub struct Args {
     /// How queries and library are split (default: the first of these that fits)
     #[arg(long, value_enum)]
     protocol: Option<Protocol>,
-    /// Run the paper's tables, each figure beside the paper's
+    /// Compute the paper's tables, each result beside the paper's
     #[arg(long, conflicts_with_all = [
         "protocol", "sources", "query_seconds", "method", "neighbours", "halving", "enrolled"
     ])]
@@ -51,7 +48,7 @@ pub struct Args {
     /// Do one part of the work, such as 3/64, and write it to the folder that --out names
     #[arg(long, requires = "paper", requires = "out", value_name = "NUMBER/COUNT")]
     shard: Option<Shard>,
-    /// Folder for the report and the figures, or for the shard
+    /// Folder for the report, or for the shard
     #[arg(long, requires = "paper", value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -59,12 +56,12 @@ pub struct Args {
     #[command(flatten)]
     method: MethodArgs,
     /// Use only the first seconds of each query's drag
-    #[arg(long, value_name = "X", value_parser = super::common::seconds)]
+    #[arg(long, value_name = "X", value_parser = super::seconds)]
     query_seconds: Option<f64>,
-    /// Add each user's first N trials of every surface to the library (protocols of users)
+    /// Add each user's first N trials of every surface to the library (only protocols with users)
     #[arg(long, default_value_t = 0, value_name = "N")]
     enrolled: usize,
-    /// Also answer as soon as an answer is settled, and print accuracy and scan time
+    /// Also print accuracy and scan time when each scan ends as soon as its answer is settled
     #[arg(long, conflicts_with_all = ["paper", "query_seconds"])]
     settle: bool,
     /// Also leave whole surfaces out of the library, in this many groups, and print how many of
@@ -90,7 +87,7 @@ fn groups(text: &str) -> Result<usize, String> {
     }
 }
 
-/// The data to evaluate, and their name.
+/// The data to evaluate, and its name.
 struct EvalData<'a> {
     name: &'a str,
     synthetic: bool,
@@ -100,7 +97,6 @@ struct EvalData<'a> {
     cache: Option<&'a Path>,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     if let Some(Then::Merge(args)) = &args.then {
         return paper::merge(args);
@@ -144,7 +140,6 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-/// Says what to do next with the recordings.
 fn advise(data: &Path, report: &EvalReport) {
     let lib = quoted(data);
     if report.outcome.method == MethodName::Embedding.as_str() {
@@ -176,60 +171,41 @@ fn on_tables(args: &Args, tables: &FeatureTables) -> Result<EvalReport, Failure>
     evaluated(args, data)
 }
 
-/// The trials with the features of the chosen tables, or of all tables if none is chosen.
-///
-/// # Errors
-/// Wrong usage, if there is no such table.
+/// The trials, with the features of the chosen tables. If no table is chosen, all are used.
 fn vectors(tables: &FeatureTables, chosen: &[SourceId]) -> Result<Vec<FeatureVector>, Failure> {
     if let Some(unknown) = chosen.iter().find(|id| !tables.sources.contains(id)) {
-        let known: Vec<_> = tables.sources.iter().map(SourceId::as_str).collect();
-        return Err(Failure::Usage(format!("no table {unknown}; there are {}", known.join(", "))));
+        let known = listed(&tables.sources);
+        return Err(Failure::Usage(format!("no table {unknown}; there are {known}")));
     }
     let wanted = |id: &SourceId| chosen.is_empty() || chosen.contains(id);
-    let vector = |(key, sources): (&TrialKey, _)| FeatureVector {
+    let features = |(id, values): (&SourceId, &Vec<f64>)| {
+        (id.clone(), SourceFeatures { values: values.clone(), rate_hz: 0.0 })
+    };
+    let vector = |(key, sources): (&TrialKey, &BTreeMap<SourceId, _>)| FeatureVector {
         key: key.clone(),
-        sources: features(sources, &wanted),
+        sources: sources.iter().filter(|(id, _)| wanted(id)).map(features).collect(),
     };
     let trials = tables.trials.iter().map(vector).filter(|trial| !trial.sources.is_empty());
     let trials: Vec<FeatureVector> = trials.collect();
-    say!(
-        "{}: feature tables {}, {} trials",
-        tables.name,
-        tables.sources.iter().map(SourceId::as_str).collect::<Vec<_>>().join(", "),
-        trials.len()
-    );
+    say!("{}: feature tables {}, {} trials", tables.name, listed(&tables.sources), trials.len());
     Ok(trials)
-}
-
-fn features(
-    of_trial: &BTreeMap<SourceId, Vec<f64>>,
-    wanted: &dyn Fn(&SourceId) -> bool,
-) -> BTreeMap<SourceId, SourceFeatures> {
-    let kept = of_trial.iter().filter(|(id, _)| wanted(id));
-    kept.map(|(id, values)| (id.clone(), SourceFeatures { values: values.clone(), rate_hz: 0.0 }))
-        .collect()
 }
 
 fn evaluated(args: &Args, data: EvalData<'_>) -> Result<EvalReport, Failure> {
     let (protocol, before) = split(&data.keys, args.protocol)?;
     let folds = enrolled(args, protocol, &before, &data.keys)?;
     let method = args.method.spec()?.build(data.scene);
-    let steps = show::Steps::new();
     let evaluation = Evaluation {
         scene: data.scene,
         trials: data.trials,
         folds: &folds,
         query_seconds: args.query_seconds,
-        keep_dead_sources: false,
         cache: data.cache,
-        progress: &|step, done, of| steps.show(step, done, of),
+        progress: &say::progress,
     };
-    let measured = measured(args, (&data, protocol), &*method, evaluation, &before);
-    drop(steps);
-    measured.map_err(mended)
+    measured(args, (&data, protocol), &*method, evaluation, &before).map_err(mended)
 }
 
-/// Measures all that was requested.
 fn measured(
     args: &Args,
     (data, protocol): (&EvalData<'_>, Protocol),
@@ -238,20 +214,25 @@ fn measured(
     before: &[Fold],
 ) -> Result<EvalReport, EvaluateError> {
     let run = evaluation.prepare(method)?;
-    run.cache_remarks().iter().for_each(|remark| say!("{remark}"));
+    run.library.remarks.iter().for_each(|remark| say!("{remark}"));
     let settled = args.settle.then(|| SettledOutcome::of(&run, args.answers.settle_loss));
     let settled = settled.transpose()?;
-    let rate = args.answers.false_rejections();
+    let rate = args.answers.false_rejections;
     let unknown = args.leave_surfaces_out.map(|groups| UnknownOutcome::of(&run, groups, rate));
     let unknown = unknown.transpose()?;
     let measured = run.measure()?;
     let mut warnings = show::left_out(&measured.left_out);
+    warnings.iter().for_each(|line| say!("warning: {line}"));
     if args.method.is_default() {
         warnings.extend(better_plain(evaluation, &measured.predictions));
     }
     let enrolled = match args.enrolled {
         0 => None,
         count => Some(EnrolmentOutcome::of(&run, &measured, before, count)?),
+    };
+    let answer = |p: Prediction| {
+        let TrialKey { surface: truth, user, number: trial } = p.key;
+        EvalAnswer { truth, user, trial, answer: p.surface, margin: p.margin }
     };
     Ok(EvalReport {
         outcome: measured.outcome,
@@ -262,12 +243,12 @@ fn measured(
         settled,
         unknown,
         enrolled,
-        predictions: measured.predictions.into_iter().map(EvalAnswer::from).collect(),
+        predictions: measured.predictions.into_iter().map(answer).collect(),
         warnings,
     })
 }
 
-/// The folds with each user's own first trials in the library.
+/// The folds, with the first trials of each user added to the library.
 fn enrolled(
     args: &Args,
     protocol: Protocol,
@@ -283,7 +264,7 @@ fn enrolled(
     Ok(enrol(folds, keys, args.enrolled)?)
 }
 
-/// The failure, with the option that avoids it.
+/// Adds the option that avoids the failure to its message.
 fn mended(error: EvaluateError) -> Failure {
     match error {
         EvaluateError::Follow { .. } => Failure::Failed(format!("{error}; use --method embedding")),
@@ -292,4 +273,155 @@ fn mended(error: EvaluateError) -> Failure {
         }
         other => other.into(),
     }
+}
+
+/// The JSON document: the outcome, and the data and settings behind it.
+#[derive(serde::Serialize)]
+struct EvalReport {
+    #[serde(flatten)]
+    outcome: Outcome,
+    protocol: Protocol,
+    data: String,
+    synthetic: bool,
+    query_seconds: Option<f64>,
+    /// Present only with `--settle`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    settled: Option<SettledOutcome>,
+    /// Present only with `--leave-surfaces-out`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unknown: Option<UnknownOutcome>,
+    /// Present only with `--enrolled`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    enrolled: Option<EnrolmentOutcome>,
+    predictions: Vec<EvalAnswer>,
+    /// Sources that were left out, and the reasons, a line each.
+    warnings: Vec<String>,
+}
+
+#[derive(serde::Serialize)]
+struct EvalAnswer {
+    truth: String,
+    user: String,
+    trial: u32,
+    answer: String,
+    margin: f64,
+}
+
+impl EvalReport {
+    fn print(&self) {
+        let o = &self.outcome;
+        let percent = show::percent;
+        let mark = if self.synthetic { ", on synthetic data" } else { "" };
+        result!();
+        result!(
+            "accuracy   {} ({} of {} queries; 95 % interval {})",
+            percent(o.share.value()),
+            o.share.right,
+            o.queries,
+            show::interval(o.share)
+        );
+        result!(
+            "           {} · {} · {}{mark}",
+            self.protocol.name(),
+            o.method,
+            listed(&o.sources)
+        );
+        if self.protocol.folds_are_users() {
+            result!(
+                "           mean over {}: {} ± {}",
+                show::counted(o.folds.len(), "user"),
+                percent(o.accuracy_mean),
+                percent(o.accuracy_std)
+            );
+        }
+        self.enrolled.iter().for_each(print_enrolled);
+        result!(
+            "           {} against {}",
+            show::counted(o.classes, "surface"),
+            show::counted(o.library_trials, "library trial")
+        );
+        if !o.never_queried.is_empty() {
+            result!("           never queried: {}", o.never_queried.join(", "));
+        }
+        if say::is_verbose() {
+            result!("precision  {}", percent(o.precision_mean));
+            result!(
+                "query      {:.1} ms from raw samples to the answer (median), {:.1} ms (p99)",
+                o.query_ms_p50,
+                o.query_ms_p99
+            );
+        }
+        for (truth, answer, count) in o.confusion.worst(5) {
+            result!("           {count} × {truth} taken for {answer}");
+        }
+        self.settled.iter().for_each(print_settled);
+        self.unknown.iter().for_each(print_unknown);
+    }
+}
+
+fn print_enrolled(e: &EnrolmentOutcome) {
+    result!(
+        "enrolled   {} of each surface by the user: {:+.1} points; without, {} of the same queries \
+         ({})",
+        show::counted(e.trials, "trial"),
+        100.0 * e.gain,
+        show::percent(e.without.value()),
+        show::interval(e.without)
+    );
+}
+
+fn print_settled(s: &SettledOutcome) {
+    let percent = show::percent;
+    result!(
+        "settled    {} (95 % interval {}) against {} by whole scans: {} lost, {} gained",
+        percent(s.share.value()),
+        show::interval(s.share),
+        percent(s.accuracy_whole),
+        s.lost,
+        s.gained
+    );
+    result!(
+        "           after {:.2} s on average ({:.2} s in the median) of {:.2} s; {} of {} scans settled \
+         before they ended",
+        s.scan_s_mean,
+        s.scan_s_p50,
+        s.whole_s_mean,
+        s.settled,
+        s.queries
+    );
+    let shown = s.rules.iter().filter(|rule| rule.shown).count();
+    result!(
+        "           stated loss {} at most, shown (at 90 %) by the libraries of {shown} of {} folds",
+        percent(s.stated_loss),
+        s.rules.len()
+    );
+    if let Some(share) = s.core_share {
+        result!("           following takes {} of one core", percent(share));
+    }
+}
+
+fn print_unknown(u: &UnknownOutcome) {
+    let percent = show::percent;
+    result!(
+        "unknown    {} of {} queries of left-out surfaces caught (95 % interval {})",
+        percent(u.unknown.value()),
+        u.unknown.of,
+        show::interval(u.unknown)
+    );
+    result!(
+        "           {} of {} queries of known ones rejected ({}); stated {} ({} to {}, by {} \
+         left-out trials)",
+        percent(u.known.value()),
+        u.known.of,
+        show::interval(u.known),
+        percent(u.stated.rate),
+        percent(u.stated.rate_low),
+        percent(u.stated.rate_high),
+        u.stated.trials
+    );
+    result!(
+        "           in {} of {} folds the share rejected lies in the interval stated there",
+        u.folds_as_stated,
+        u.folds
+    );
 }

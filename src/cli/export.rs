@@ -1,4 +1,4 @@
-//! `surfaced export` and `surfaced import`: recordings as MCAP, and back.
+//! `surfaced export` and `surfaced import`: write recordings as MCAP, and read them back.
 
 use std::path::{Path, PathBuf};
 
@@ -6,19 +6,19 @@ use super::{Done, import_csv};
 
 /// Write a recording as MCAP, which Foxglove and other tools open
 ///
-/// The file holds samples and pictures as messages to look at, and the recording's own files, so
-/// that `surfaced import` gives them back byte for byte.
+/// The file holds samples and pictures as messages, and also the recording's own files:
+/// `surfaced import` restores these byte for byte.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced export my-library my-library.mcap\n  \
                         surfaced export my-library/oak/expert-01 oak.mcap\n\nTime: as long as copying the files takes")]
 pub struct ExportArgs {
     /// A library, one trial of it, or the LMT108 database
     recording: PathBuf,
-    /// The file to write; it must not be there yet
+    /// The file to write; it must not exist yet
     out: PathBuf,
 }
 
-/// Make a library of CSV tables, or write back a recording that was exported as MCAP
+/// Make a library from CSV tables, or restore a recording that was exported as MCAP
 #[derive(clap::Args)]
 #[command(
     args_conflicts_with_subcommands = true,
@@ -31,7 +31,7 @@ pub struct ImportArgs {
     /// The MCAP file
     #[arg(required = true)]
     mcap: Option<PathBuf>,
-    /// Folder of the library to make, which must not exist yet
+    /// Folder of the library to make; it must not exist yet
     #[arg(required = true)]
     library: Option<PathBuf>,
 }
@@ -41,7 +41,6 @@ enum Then {
     Csv(import_csv::CsvArgs),
 }
 
-/// Runs `surfaced import`.
 pub fn import(args: &ImportArgs) -> Done {
     match (&args.then, &args.mcap, &args.library) {
         (Some(Then::Csv(args)), ..) => import_csv::run(args),
@@ -50,7 +49,6 @@ pub fn import(args: &ImportArgs) -> Done {
     }
 }
 
-/// Runs `surfaced export`.
 #[cfg(feature = "mcap")]
 pub fn export(args: &ExportArgs) -> Done {
     use super::{show, shown};
@@ -76,7 +74,7 @@ fn import_mcap(mcap: &Path, library: &Path) -> Done {
     Ok(())
 }
 
-/// Refuses `surfaced export`: this build has no MCAP.
+/// Refuses `surfaced export`, since this build has no MCAP.
 #[cfg(not(feature = "mcap"))]
 pub fn export(_: &ExportArgs) -> Done {
     Err(left_out())

@@ -1,4 +1,4 @@
-//! Pictures with their numbers beside them as JSON, from which they can be drawn again.
+//! Writes figures, and their numbers as JSON beside them, so that figures can be drawn again.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Done, Failure, SourceArgs, shown};
+use super::{Done, Failure, SourceArgs};
 use crate::evaluate::Protocol;
 
 /// The data of a figure, and the file to write.
 #[derive(clap::Args)]
 pub struct FigureArgs {
-    /// Picture to write, an SVG; the JSON, and other pictures if there are any, go beside it
+    /// SVG file to write; the JSON and any other pictures are written beside it
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// How queries and library are split (default: the first of these that fits)
@@ -26,46 +26,40 @@ pub struct FigureArgs {
 }
 
 impl FigureArgs {
-    /// Refuses a picture named `.json`, which is the name of the file of its numbers.
+    /// Refuses a picture named `.json`, since the file of its numbers has that name.
     pub fn check(&self) -> Done {
         if self.out.extension().is_some_and(|e| e == "json") {
-            return Err(Failure::Usage(format!(
-                "{}: name the picture, such as chart.svg; the JSON is written beside it",
-                shown(&self.out)
-            )));
+            let problem = "name the picture, such as chart.svg; the JSON is written beside it";
+            return Err(Failure::usage_at(&self.out, problem));
         }
         Ok(())
     }
 
-    /// The path of the JSON.
     pub fn beside(&self) -> PathBuf {
         self.out.with_extension("json")
     }
 }
 
-/// Whether a path is an earlier run's JSON, not recordings.
+/// Whether a path is the JSON file of an earlier run, not a recording.
 pub fn is_earlier(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == "json") && path.is_file()
 }
 
-/// Reads the JSON that the command named `command` wrote beside its picture.
+/// Reads the JSON file that `command` wrote beside its picture.
 pub fn earlier<T: DeserializeOwned>(path: &Path, command: &str) -> Result<T, Failure> {
     let failed = |error: &dyn Display| {
-        Failure::Failed(format!(
-            "{}: {error}; expected what `surfaced {command}` writes beside its picture",
-            shown(path)
-        ))
+        let expected = format!("expected what `surfaced {command}` writes beside its picture");
+        Failure::at(path, format!("{error}; {expected}"))
     };
     let text = std::fs::read_to_string(path).map_err(|error| failed(&error))?;
     serde_json::from_str(&text).map_err(|error| failed(&error))
 }
 
-/// Writes a file that a person named.
 pub fn write(path: &Path, text: &str) -> Done {
-    std::fs::write(path, text).map_err(|error| Failure::Failed(format!("{}: {error}", shown(path))))
+    std::fs::write(path, text).map_err(|error| Failure::at(path, error))
 }
 
-/// The numbers of a picture, as the text of a JSON file.
+/// The numbers of a picture, as the content of a JSON file.
 pub fn json(numbers: &impl Serialize) -> Result<String, Failure> {
     Ok(serde_json::to_string_pretty(numbers)? + "\n")
 }

@@ -1,4 +1,4 @@
-//! `surfaced fleet`: one page and one interface for the stations of a broker.
+//! `surfaced fleet`: one page and one HTTP API for the stations of a broker.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
@@ -6,18 +6,18 @@ use std::path::PathBuf;
 use super::keys::watch_signals;
 use super::serve::ServeArgs;
 use super::{Done, Failure};
-use crate::fleet::{self, FleetError, FleetSettings};
+use crate::fleet::{self, FleetError};
 use crate::serve::Settings;
 use crate::station::config::{MqttAddress, TlsFiles};
 
-/// The usual port: that of a station on the same machine is taken.
+/// The default port. A station on the same machine may already use port 8080.
 const PORT: u16 = 8081;
 
 /// Show the stations of a broker on one page, until Ctrl-C
 ///
 /// Each station whose configuration has `[outputs] mqtt` appears: its state, last answers and
-/// throughput, unknown scans, devices that are down, scans that wait for review, and a link to its own
-/// page. /api/v1/scans.jsonl and .csv hold the answers of all.
+/// throughput, unknown scans, missing devices, scans that wait for review, and a link to its own
+/// page. /api/v1/scans.jsonl and .csv hold the answers of all stations.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced fleet mqtt://127.0.0.1\n  \
                         surfaced fleet mqtts://broker.example --ca ca.pem --serve 127.0.0.1:9000\n\n\
@@ -25,20 +25,20 @@ const PORT: u16 = 8081;
 pub struct Args {
     /// The broker, and the prefix of the stations' topics: mqtt://HOST, mqtts://USER:PASSWORD@HOST/PREFIX
     broker: MqttAddress,
-    /// The certificate authority of the broker, where it is not one of the system's
+    /// The certificate authority of the broker, if the system does not know it
     #[arg(long, value_name = "FILE")]
     ca: Option<PathBuf>,
-    /// The client certificate, where the broker wants one
+    /// The client certificate, if the broker requires one
     #[arg(long, value_name = "FILE", requires = "key")]
     certificate: Option<PathBuf>,
-    /// Its key
+    /// The key of the client certificate
     #[arg(long, value_name = "FILE", requires = "certificate")]
     key: Option<PathBuf>,
-    /// The folder of the answers so far, which may be removed at any time [default:
+    /// The folder that caches the answers; it may be removed at any time [default:
     /// ~/.cache/surfaced/fleet]
     #[arg(long, value_name = "FOLDER")]
     cache: Option<PathBuf>,
-    /// Space for them, in millions of bytes; the oldest make room
+    /// Size of the cache, in millions of bytes; the oldest answers are dropped first
     #[arg(long, default_value_t = 256, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     keep_mb: u32,
     #[command(flatten)]
@@ -63,14 +63,14 @@ pub fn run(args: &Args) -> Done {
     let address = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), PORT);
     let serve = args.serve.settings(Settings { address, ..Settings::default() })?;
     let most_bytes = u64::from(args.keep_mb) * 1_000_000;
-    let server = fleet::start(FleetSettings { broker, cache, most_bytes, serve });
+    let server = fleet::start(broker, &cache, most_bytes, &serve);
     let server = server.map_err(|error| match error {
         FleetError::Serve(error) => super::serve::failure(error),
         FleetError::File(error) => Failure::from(error),
     })?;
     let signals = watch_signals(crossbeam_channel::unbounded().0)?;
     say!("http://{}", server.address());
-    signals.wait();
+    let _ = signals.recv();
     server.stop();
     Ok(())
 }

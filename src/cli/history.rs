@@ -2,33 +2,30 @@
 
 use std::path::PathBuf;
 
-use serde_json::Value;
-
 use super::{Done, Failure, show};
-use crate::history::{CsvWriter, FOLDER, History, Precision};
-use crate::printable::table;
+use crate::history::{Correction, CsvWriter, FOLDER, History, HistoryRow, Precision};
 
 /// Show past scans: answers, their states and reasons, and corrections
 ///
-/// `surfaced run` keeps them in LIBRARY/.history, the newest as far as `[history] keep_mb` goes.
+/// `surfaced run` keeps the newest scans in LIBRARY/.history, up to the size `[history] keep_mb`.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced history my-library\n  \
                         surfaced history my-library --csv > scans.csv\n  \
                         surfaced history my-library --precision\n\nTime: a second for ten \
                         thousand scans")]
 pub struct Args {
-    /// The library that named them
+    /// The library that named the scans
     library: PathBuf,
     /// Show only the newest scans, at most this many
     #[arg(long, value_name = "N")]
     last: Option<usize>,
-    /// Show the share of right answers, surface by surface, among corrected scans
+    /// Show the share of right answers among corrected scans, for each surface
     #[arg(long)]
     precision: bool,
     /// Print CSV
     #[arg(long, conflicts_with_all = ["json", "precision"])]
     csv: bool,
-    /// Print one line of JSON a scan
+    /// Print one line of JSON for each scan
     #[arg(long)]
     json: bool,
 }
@@ -36,58 +33,43 @@ pub struct Args {
 pub fn run(args: &Args) -> Done {
     let folder = args.library.join(FOLDER);
     if !folder.is_dir() {
-        return Err(Failure::Failed(format!(
-            "{}: no scans are kept here; `surfaced run --library {}` keeps those that it names",
-            folder.display(),
-            args.library.display()
-        )));
+        let library = args.library.display();
+        let run = format!("`surfaced run --library {library}` keeps the scans that it names");
+        return Err(Failure::at(&folder, format!("no scans are kept here; {run}")));
     }
     let history = History::read(&folder)?;
     if args.precision {
         return precision(&history.precision(), args.json);
     }
     let mut csv = if args.csv { Some(CsvWriter::new(std::io::stdout())?) } else { None };
-    let mut passed = history.extent().scans.saturating_sub(args.last.unwrap_or(usize::MAX));
+    let passed = history.extent().scans.saturating_sub(args.last.unwrap_or(usize::MAX));
     let mut rows = Vec::new();
-    history.each(|scan| {
-        if passed > 0 {
-            passed -= 1;
-            return Ok(());
-        }
+    for row in history.rows().skip(passed) {
         match &mut csv {
-            Some(csv) => csv.scan(&scan)?,
-            None if args.json => show::json(&scan),
-            None => rows.push(cells(&scan)),
+            Some(csv) => csv.scan(&row?)?,
+            None if args.json => show::json(&row?),
+            None => rows.push(cells(row?)),
         }
-        Ok::<(), Failure>(())
-    })?;
+    }
     if let Some(csv) = csv {
         csv.finish()?;
     } else if !args.json {
-        let head = ["scan", "state", "surface", ">drag", "it was", "reasons"];
-        result!("{}", table(&head, &rows).trim_end());
+        show::table(&["scan", "state", "surface", ">drag", "it was", "reasons"], rows);
     }
     Ok(())
 }
 
-fn cells(scan: &Value) -> Vec<String> {
-    let text = |key: &str| scan[key].as_str().unwrap_or_default();
-    let list = |key: &str| {
-        let all = scan[key].as_array().into_iter().flatten().filter_map(Value::as_str);
-        all.collect::<Vec<_>>().join("; ")
+fn cells(row: HistoryRow) -> Vec<String> {
+    let HistoryRow { head, scan_s, reasons, correction, .. } = row;
+    let surface = head.surface.unwrap_or_else(|| "-".into());
+    let was = match correction {
+        None => String::new(),
+        Some(Correction::Surface { surface }) => surface,
+        Some(Correction::Unknown) => "unknown".into(),
+        Some(Correction::Bad) => "bad".into(),
     };
-    let was = match text_of(&scan["correction"]["was"]) {
-        "" => String::new(),
-        "surface" => text_of(&scan["correction"]["surface"]).into(),
-        other => other.into(),
-    };
-    let surface = scan["surface"].as_str().unwrap_or("-");
-    let drag = format!("{:.1} s", scan["scan_s"].as_f64().unwrap_or(0.0));
-    vec![text("id").into(), text("state").into(), surface.into(), drag, was, list("reasons")]
-}
-
-fn text_of(value: &Value) -> &str {
-    value.as_str().unwrap_or_default()
+    let (state, drag) = (head.state.as_str().into(), format!("{scan_s:.1} s"));
+    vec![head.id, state, surface, drag, was, reasons.join("; ")]
 }
 
 fn precision(all: &[Precision], json: bool) -> Done {
@@ -102,7 +84,6 @@ fn precision(all: &[Precision], json: bool) -> Done {
         let right = format!("{}/{}", one.right, one.corrected);
         vec![name, right, share, format!("{low} to {high}")]
     };
-    let rows: Vec<Vec<String>> = all.iter().map(row).collect();
-    result!("{}", table(&["surface", ">right", ">share", "95 %"], &rows).trim_end());
+    show::table(&["surface", ">right", ">share", "95 %"], all.iter().map(row));
     Ok(())
 }

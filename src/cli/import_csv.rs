@@ -1,4 +1,4 @@
-//! `surfaced import csv`: makes a library of tables.
+//! `surfaced import csv`: turns CSV tables into a library.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -7,12 +7,11 @@ use super::show::{self, counted, quoted};
 use super::{Done, Failure, bad_files, shown};
 use crate::dataset::csv::{Clock, CsvForm, CsvTable, NamePattern};
 use crate::library::{LibraryError, files};
-use crate::printable::table;
 use crate::record::{TrialOptions, check_writable, write_library_toml, write_trial};
 use crate::scene::{LibraryToml, Scene, SourceId};
 use crate::trial::{Signal, Trial, TrialKey};
 
-/// Names that mark a column of times, each with its unit in seconds.
+/// Names by which a column of times is recognised, each with the length of its unit in seconds.
 const TIMES: [(&str, f64); 8] = [
     ("time", 1.0),
     ("t", 1.0),
@@ -24,7 +23,7 @@ const TIMES: [(&str, f64); 8] = [
     ("time_ns", 1e-9),
 ];
 
-/// Make a library of CSV tables: a file for each trial, or a long one with columns that name them
+/// Make a library from CSV tables, one for each trial, or a long one with columns that name trials
 ///
 /// Columns may be separated by commas, semicolons, tabs or spaces. --dry-run shows what was understood,
 /// and writes nothing.
@@ -39,21 +38,21 @@ pub struct CsvArgs {
     /// Tables, or folders that hold them
     #[arg(required = true)]
     tables: Vec<PathBuf>,
-    /// The library to make; it must not be there yet
+    /// The library to make; it must not exist yet
     #[arg(long, value_name = "LIBRARY")]
     out: PathBuf,
-    /// A source and the columns that are its channels (default: columns that differ in the end, such
-    /// as acc_x and acc_y, are one source)
+    /// A source and the columns that are its channels (default: columns whose names differ only at
+    /// the end, such as acc_x and acc_y, are one source)
     #[arg(long, value_name = "ID=COLUMN,…", value_parser = source)]
     source: Vec<(SourceId, Vec<String>)>,
-    /// Rows a second
+    /// Number of rows per second
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
     /// Column of times, to which rows are resampled (default: `time`, `t`, `timestamp`, `time_ms`, …)
     #[arg(long, value_name = "COLUMN", conflicts_with = "rate")]
     time: Option<String>,
-    /// Seconds that the unit of the times lasts, such as 0.001 (default: by the column's name, else 1)
-    #[arg(long, value_name = "SECONDS", value_parser = super::common::seconds)]
+    /// Length of the unit of time in seconds, such as 0.001 (default: by the column's name, else 1)
+    #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
     time_unit: Option<f64>,
     /// Column with the surface, in a long table
     #[arg(long, value_name = "COLUMN")]
@@ -64,7 +63,7 @@ pub struct CsvArgs {
     /// Column with the number of the trial
     #[arg(long, value_name = "COLUMN")]
     trial: Option<String>,
-    /// Names of the files without extension; * stands for anything
+    /// Pattern of the file names without extension; * matches any text
     #[arg(long, value_name = "PATTERN", default_value = "{surface}/{trial}", value_parser = pattern)]
     names: NamePattern,
     /// Show what was understood, and write nothing
@@ -92,22 +91,15 @@ fn pattern(text: &str) -> Result<NamePattern, String> {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &CsvArgs) -> Done {
     let mut tables = Vec::new();
     args.tables.iter().try_for_each(|path| find(path, &mut tables))?;
     let Some(first) = tables.first() else {
-        return Err(Failure::Failed(format!(
-            "{}: no table is there; expected files whose names end with .csv, .tsv or .txt",
-            shown(&args.tables[0])
-        )));
+        let problem = "no table is there; expected files whose names end with .csv, .tsv or .txt";
+        return Err(Failure::at(&args.tables[0], problem));
     };
-    let empty = !args.out.exists() || files::list(&args.out)?.is_empty();
-    if !empty {
-        return Err(Failure::Usage(format!(
-            "{}: the library is there already; name another",
-            shown(&args.out)
-        )));
+    if args.out.exists() && !files::list(&args.out)?.is_empty() {
+        return Err(Failure::usage_at(&args.out, "the library is there already; name another"));
     }
     let form = understood(args, &CsvTable::read(first)?)?;
     let (mut trials, mut bad, mut uneven_hz) = (Vec::<Trial>::new(), Vec::new(), None);
@@ -117,9 +109,9 @@ pub fn run(args: &CsvArgs) -> Done {
         let problem = |problem| LibraryError::file(path, problem);
         match CsvTable::read(path).and_then(|t| t.trials(&name, &form).map_err(problem)) {
             Err(error) => bad.push(error),
-            Ok(found) => {
-                uneven_hz = uneven_hz.or(found.uneven_hz);
-                for trial in found.trials {
+            Ok((found, rate_hz)) => {
+                uneven_hz = uneven_hz.or(rate_hz);
+                for trial in found {
                     match keys.insert(trial.key.clone()) {
                         true => trials.push(trial),
                         false => bad.push(problem(format!(
@@ -147,7 +139,7 @@ pub fn run(args: &CsvArgs) -> Done {
     Ok(())
 }
 
-/// Adds the tables at a path: the file itself, or those in the folder and its subfolders.
+/// Adds the tables at a path, which is a single file or a folder with tables and subfolders.
 fn find(path: &Path, tables: &mut Vec<PathBuf>) -> Done {
     if !path.is_dir() {
         tables.push(path.to_path_buf());
@@ -164,25 +156,22 @@ fn find(path: &Path, tables: &mut Vec<PathBuf>) -> Done {
     Ok(())
 }
 
-/// The meaning of the columns, by the arguments and the first table.
+/// Determines the meaning of the columns from the arguments and the first table.
 fn understood(args: &CsvArgs, first: &CsvTable) -> Result<CsvForm, Failure> {
-    let is_time =
-        |(name, _): &&(&str, f64)| first.header.iter().any(|c| c.eq_ignore_ascii_case(name));
-    let guessed = TIMES.iter().find(is_time);
-    let clock = match (args.rate, &args.time, guessed) {
-        (Some(rate_hz), _, _) => Clock::Rate(rate_hz),
-        (None, Some(column), _) => {
+    let guessed = || {
+        let column = |(name, _): &(&str, f64)| {
+            first.header.iter().find(|column| column.eq_ignore_ascii_case(name)).cloned()
+        };
+        TIMES.iter().find_map(column)
+    };
+    let clock = match (args.rate, args.time.clone().or_else(guessed)) {
+        (Some(rate_hz), _) => Clock::Rate(rate_hz),
+        (None, Some(column)) => {
             let known = TIMES.iter().find(|(name, _)| column.eq_ignore_ascii_case(name));
             let unit_s = args.time_unit.or(known.map(|(_, unit_s)| *unit_s)).unwrap_or(1.0);
-            Clock::Times { column: column.clone(), unit_s }
+            Clock::Times { column, unit_s }
         }
-        (None, None, Some((name, unit_s))) => {
-            let mut columns = first.header.iter();
-            let column = columns.find(|column| column.eq_ignore_ascii_case(name)).cloned();
-            let unit_s = args.time_unit.unwrap_or(*unit_s);
-            Clock::Times { column: column.unwrap_or_default(), unit_s }
-        }
-        (None, None, None) => {
+        (None, None) => {
             return Err(Failure::Usage(
                 "the rate is not known: give --rate HZ, or --time COLUMN for a column of times"
                     .into(),
@@ -195,7 +184,7 @@ fn understood(args: &CsvArgs, first: &CsvTable) -> Result<CsvForm, Failure> {
     Ok(CsvForm { sources, clock, labels, names: args.names.clone() })
 }
 
-/// Groups columns into sources by their names: columns that differ only after the last `_`, `.`,
+/// Groups columns into sources by name. Columns whose names differ only after the last `_`, `.`,
 /// `-` or space, or in a last digit, are channels of one source.
 fn grouped(
     first: &CsvTable,
@@ -224,11 +213,7 @@ fn grouped(
         )));
     }
     let named = |(id, columns): (String, Vec<String>)| Ok((SourceId::new(&id)?, columns));
-    sources
-        .into_iter()
-        .map(named)
-        .collect::<Result<_, crate::scene::SceneError>>()
-        .map_err(Into::into)
+    sources.into_iter().map(named).collect()
 }
 
 fn print(form: &CsvForm, trials: &[Trial], uneven_hz: Option<f64>) {
@@ -240,7 +225,8 @@ fn print(form: &CsvForm, trials: &[Trial], uneven_hz: Option<f64>) {
         let rate = series.map_or_else(String::new, |series| format!("{} Hz", series.rate_hz()));
         vec![id.to_string(), columns.join(", "), rate]
     });
-    result!("{}", table(&["source", "columns", ">rate"], &rows.collect::<Vec<_>>()));
+    show::table(&["source", "columns", ">rate"], rows);
+    result!();
     let mut surfaces: BTreeMap<&str, (usize, BTreeSet<&str>, f64)> = BTreeMap::new();
     for trial in trials {
         let TrialKey { surface, user, .. } = &trial.key;
@@ -250,12 +236,10 @@ fn print(form: &CsvForm, trials: &[Trial], uneven_hz: Option<f64>) {
         of.2 += trial.longest_s(|_| true).unwrap_or(0.0);
     }
     let rows = surfaces.iter().map(|(surface, (count, users, seconds))| {
-        let users = users.iter().copied().collect::<Vec<_>>().join(", ");
         let mean = format!("{:.1} s", seconds / *count as f64);
-        vec![(*surface).to_string(), count.to_string(), mean, users]
+        vec![(*surface).to_string(), count.to_string(), mean, show::listed(users)]
     });
-    let head = ["surface", ">trials", ">mean length", "by"];
-    result!("{}", table(&head, &rows.collect::<Vec<_>>()).trim_end());
+    show::table(&["surface", ">trials", ">mean length", "by"], rows);
     if let (Clock::Times { column, .. }, Some(hz)) = (&form.clock, uneven_hz) {
         say!(
             "rows come {hz:.1} times a second by `{column}`; they are resampled by straight lines"
@@ -263,7 +247,7 @@ fn print(form: &CsvForm, trials: &[Trial], uneven_hz: Option<f64>) {
     }
 }
 
-/// Writes a library whose sources are those of the trials.
+/// Writes the trials as a library, whose description lists the sources of the trials.
 fn write(out: &Path, trials: &[Trial]) -> Done {
     let mut text = String::from("format = 1\n");
     let mut written = BTreeSet::new();

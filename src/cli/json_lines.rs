@@ -1,7 +1,7 @@
 //! Prints the events of a station as lines of JSON on stdout.
 //!
-//! A separate thread writes them, so that a reader who stalls holds up neither live devices nor
-//! the end of the program.
+//! A separate thread writes the lines, so that a slow reader delays neither live devices nor the
+//! end of the program.
 
 use std::convert::Infallible;
 use std::io::Write;
@@ -13,24 +13,24 @@ use serde::Serialize;
 use super::show;
 use crate::station::{Command, End, Listener, StationEvent};
 
-/// Most lines that wait for their reader; a minute brings a few scans.
+/// How many lines may wait for a slow reader; there are only a few scans a minute.
 const WAITING: usize = 1024;
-/// Most warnings in one line; each is also on stderr and in the interface for programs.
+/// How many warnings one line may hold; all warnings also go to stderr and to the HTTP API.
 const WARNINGS: usize = 50;
-/// How long the program waits at its end for a slow reader.
+/// How long the program waits for a slow reader before it ends.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Prints a line for each scan that was named, and for each that was to be kept, with the warnings
-/// since the line before; warnings after the last scan get a separate line.
+/// Prints a line for each scan that was named or was to be kept, together with the warnings since
+/// the previous line. Warnings after the last scan get a line of their own.
 pub struct JsonLines {
-    /// None once the last line was handed over.
+    /// The channel to the thread that prints; `None` after the last line.
     lines: Option<Sender<String>>,
     end: End,
-    /// Whether to wait for the reader: true where no device would lose data meanwhile.
+    /// Whether to wait for a slow reader, which is allowed only if no device loses data meanwhile.
     waits: bool,
-    /// Lines that were dropped, since the reader has stalled.
+    /// Number of lines dropped because the reader was too slow.
     dropped: u64,
-    /// Warnings since the last line.
+    /// Warnings since the previous line.
     warnings: Vec<String>,
 }
 
@@ -42,10 +42,7 @@ struct JsonLine<'a, T> {
 }
 
 impl JsonLines {
-    /// Prints from now on; sends [`Command::Quit`] to `commands` once nobody reads the lines.
-    ///
-    /// # Errors
-    /// If the system gives no thread.
+    /// Starts to print. Sends [`Command::Quit`] to `commands` if the reader has closed stdout.
     pub fn start(commands: Sender<Command>, waits: bool) -> std::io::Result<Self> {
         let (lines, to_print) = bounded::<String>(WAITING);
         let (end, ended) = bounded::<Infallible>(0);
@@ -53,7 +50,7 @@ impl JsonLines {
             let _end = end;
             for line in to_print {
                 if writeln!(std::io::stdout(), "{line}").is_err() {
-                    // Fails only when the station has ended already.
+                    // Sending fails only if the station has already ended.
                     let _ = commands.send(Command::Quit);
                     return;
                 }
@@ -68,7 +65,7 @@ impl JsonLines {
         let Some(lines) = &self.lines else { return };
         let line = show::json_text(&JsonLine { of, warnings: std::mem::take(&mut self.warnings) });
         if self.waits {
-            // Fails only when nobody reads any more.
+            // Sending fails only if the reader has closed stdout.
             let _ = lines.send(line);
         } else if let Err(TrySendError::Full(_)) = lines.try_send(line) {
             if self.dropped == 0 {

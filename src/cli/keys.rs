@@ -1,4 +1,4 @@
-//! Keys and signals that end or steer a station.
+//! Keys and signals that control or end a station.
 
 use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,16 +11,16 @@ use super::{DAMAGED, Failure};
 use crate::station::Command;
 use crate::system::{next_key, restore_terminal, signals, single_keys};
 
-/// Time from the first signal until the process ends in any case: later than a station ends by
-/// itself, and within the five seconds allowed for it.
+/// Time from the first signal until the process is ended by force. It is longer than a station needs
+/// to end, and shorter than the five seconds allowed.
 const LIMIT: Duration = Duration::from_millis(4700);
 
-/// Keys that are read one by one, until it is dropped.
+/// Puts the terminal into a mode that delivers single keys; dropping it restores the old mode.
 pub struct Keys;
 
 impl Keys {
-    /// Reads keys if the program is in the foreground of a terminal: `space` begins or ends a scan,
-    /// `q` quits.
+    /// Reads keys if the program is in the foreground of a terminal: `space` starts or stops a
+    /// scan, `q` quits.
     pub fn listen(commands: Sender<Command>, scanning: Arc<AtomicBool>) -> Option<Self> {
         if !std::io::stderr().is_terminal() || !single_keys() {
             return None;
@@ -34,14 +34,14 @@ impl Keys {
                     'q' | 'Q' => (Command::Quit, "quits"),
                     _ => continue,
                 };
-                // Said at once, even if the station is busy.
+                // The line is printed here, at once, since the station may be busy.
                 say!("the key {does}");
                 if commands.send(command).is_err() {
                     return;
                 }
             }
         };
-        // The thread waits for keys until the process ends.
+        // The handle is dropped, since the thread waits for keys until the process ends.
         std::thread::Builder::new().name("keys".into()).spawn(read).ok()?;
         Some(keys)
     }
@@ -53,20 +53,10 @@ impl Drop for Keys {
     }
 }
 
-/// Waits for a signal.
-pub struct Signalled(mpsc::Receiver<()>);
-
-impl Signalled {
-    /// Waits for the first signal, if it has not come yet.
-    pub fn wait(self) {
-        let _ = self.0.recv();
-    }
-}
-
-/// Makes the first signal a command to quit. The second one ends the process at once, as does the
-/// first when there is neither a station nor anybody who waits for it. However the station takes
-/// it, the process ends within [`LIMIT`].
-pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
+/// Turns the first signal into [`Command::Quit`], and notifies the receiver. A second signal ends
+/// the process at once; the first signal also does if neither a station nor the receiver exists.
+/// In any case, the process ends within [`LIMIT`].
+pub fn watch_signals(commands: Sender<Command>) -> Result<mpsc::Receiver<()>, Failure> {
     let signals = signals()?;
     let (send, signalled) = mpsc::channel();
     let watch = move || {
@@ -76,18 +66,18 @@ pub fn watch_signals(commands: Sender<Command>) -> Result<Signalled, Failure> {
                 restore_terminal();
                 std::process::exit(128 + signal);
             }
-            // If the system gives no thread, the second signal ends it.
+            // If no thread can be started, a second signal ends the process.
             let _ = std::thread::Builder::new().name("end".into()).spawn(end_late);
         }
     };
     std::thread::Builder::new().name("signals".into()).spawn(watch)?;
-    Ok(Signalled(signalled))
+    Ok(signalled)
 }
 
-/// Ends a process that has not ended by itself in time, such as one whose output nobody reads.
+/// Ends a process that has not ended in time, for example because nobody reads its output.
 fn end_late() {
     std::thread::sleep(LIMIT);
-    // On a thread of its own: the process may be stuck on stderr.
+    // A separate thread writes, since writing to stderr may block.
     let warn = || say!("warning: the program did not end in time; some data may be lost");
     let _ = std::thread::Builder::new().spawn(warn);
     std::thread::sleep(Duration::from_millis(50));

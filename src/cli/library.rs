@@ -1,4 +1,4 @@
-//! `surfaced library`: lists the trials of a library, and edits them reversibly.
+//! `surfaced library`: lists the trials of a library, and edits them; every edit can be undone.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,16 +10,15 @@ use super::method::ComparingArgs;
 use super::{Done, Failure, bad_files, check, show};
 use crate::dataset;
 use crate::evaluate::{TrialCheck, TrialVerdict};
-use crate::printable::table;
-use crate::record::edit::{self, Editor, LibraryLock, ListedTrial, Step, Undone};
+use crate::record::edit::{self, Editor, LibraryLock, ListedTrial, Step};
 use crate::scene::Scene;
 use crate::trial::{TrialKey, normal};
 
 /// List the trials of a library, rename, move, remove and restore them
 ///
-/// A trial is called by its folder, SURFACE/TRIAL, or its file, SURFACE/FILE.wav, as `list` shows
-/// it; a SURFACE alone means all its trials. Removed trials lie in LIBRARY/.removed, and every step
-/// can be undone.
+/// A trial is given by its folder, SURFACE/TRIAL, or its file, SURFACE/FILE.wav, as `list` shows
+/// it; a SURFACE alone means all its trials. Removed trials are kept in LIBRARY/.removed, and every
+/// edit can be undone.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced library list my-library\n  \
                         surfaced library rename my-library oak oak-sanded\n  \
@@ -33,34 +32,34 @@ pub struct Args {
 
 #[derive(Subcommand)]
 enum Edit {
-    /// List the trials: date, user, flaws, and what each is named when it is left out
+    /// List the trials: date, user, flaws, and the name that each gets when it is left out
     List(ListArgs),
     /// Give all trials of a surface another label
     Rename {
-        /// The library
+        /// The library's folder
         library: PathBuf,
-        /// The label now
+        /// The present label
         surface: String,
-        /// The label from now on
+        /// The new label
         label: String,
-        /// Put the trials together with those that have this label already
+        /// Add the trials to those that have the new label already
         #[arg(long)]
         merge: bool,
     },
     /// Give some trials another label
     Move {
-        /// The library
+        /// The library's folder
         library: PathBuf,
         /// Trials, SURFACE/TRIAL or SURFACE/FILE.wav each, or surfaces
         #[arg(required = true)]
         trials: Vec<String>,
-        /// The label from now on
+        /// The new label
         #[arg(long, value_name = "LABEL")]
         to: String,
     },
-    /// Remove trials, so that they can come back
+    /// Remove trials; `restore` brings them back
     Remove {
-        /// The library
+        /// The library's folder
         library: PathBuf,
         /// Trials, SURFACE/TRIAL or SURFACE/FILE.wav each, or surfaces
         #[arg(required = true)]
@@ -68,27 +67,27 @@ enum Edit {
     },
     /// Bring removed trials back
     Restore {
-        /// The library
+        /// The library's folder
         library: PathBuf,
         /// Trials, SURFACE/TRIAL each, or surfaces; `list --removed` shows them
         #[arg(required = true)]
         trials: Vec<String>,
     },
-    /// Take the last step back
+    /// Undo the last edit
     Undo {
-        /// The library
+        /// The library's folder
         library: PathBuf,
     },
 }
 
 #[derive(clap::Args)]
 struct ListArgs {
-    /// The library
+    /// The library's folder
     library: PathBuf,
-    /// List those that were removed
+    /// List the removed trials
     #[arg(long)]
     removed: bool,
-    /// Do not leave each trial out and name it, which takes a while
+    /// Skip leaving each trial out to name it, which takes a while
     #[arg(long)]
     quick: bool,
     /// Print one JSON document on stdout
@@ -98,7 +97,6 @@ struct ListArgs {
     comparing: ComparingArgs,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     let (library, step) = match &args.edit {
         Edit::List(args) => return list(args),
@@ -119,10 +117,10 @@ pub fn run(args: &Args) -> Done {
             (library, editor(library)?.restore(&all_normal(trials))?)
         }
         Edit::Undo { library } => {
-            let Undone { step, gone } = editor(library)?.undo()?;
+            let step = editor(library)?.undo()?;
             moved(&step);
             say!("undone: {}", step.what);
-            for trial in &gone {
+            for trial in step.gone.iter().flatten() {
                 say!("{trial} is no longer there, and did not come back");
             }
             return Ok(());
@@ -139,18 +137,17 @@ fn named(label: &str) -> Result<String, Failure> {
     }
 }
 
-/// Refuses to put the trials of two surfaces together, since that is seldom meant.
+/// Fails if `label` has trials already, unless it is the normal form of the old label `surface`.
 fn is_free(library: &Path, surface: &str, label: &str) -> Done {
     let listed = edit::list(library, &Scene::lmt108())?;
     match listed.iter().filter(|trial| trial.key.surface == *label).count() {
         0 => Ok(()),
         _ if normal(surface) == *label => Ok(()),
-        n => Err(Failure::Usage(format!(
-            "{}: {label} is there already, with {}; to put {surface} and {label} together, add \
-             --merge",
-            library.display(),
-            show::counted(n, "trial")
-        ))),
+        n => {
+            let there = format!("{label} is there already, with {}", show::counted(n, "trial"));
+            let merge = format!("to put {surface} and {label} together, add --merge");
+            Err(Failure::usage_at(library, format!("{there}; {merge}")))
+        }
     }
 }
 
@@ -174,12 +171,11 @@ fn done(library: &Path, step: &Step) {
     say!("{}: {trials}; `surfaced library undo {}` takes it back", step.what, library.display());
 }
 
-/// A line of the list.
 #[derive(Serialize)]
 struct LibraryRow {
     #[serde(flatten)]
     listed: ListedTrial,
-    /// The answer when it is left out; absent with `--quick`.
+    /// Whether the trial is named right when it is left out; `None` with `--quick`.
     verdict: Option<TrialVerdict>,
     named: Option<String>,
     margin: Option<f64>,
@@ -210,13 +206,11 @@ fn list(args: &ListArgs) -> Done {
         LibraryRow { listed, verdict, named, margin, flaws: flaws.unwrap_or_default() }
     };
     let rows: Vec<LibraryRow> = listed.into_iter().map(row).collect();
-    if args.json {
-        show::json(&rows);
-        return Ok(());
-    }
     let head = ["trial", "surface", "user", "recorded", ">length", "left out", "flaws"];
-    let rows: Vec<Vec<String>> = rows.iter().map(cells).collect();
-    result!("{}", table(&head, &rows).trim_end());
+    match args.json {
+        true => show::json(&rows),
+        false => show::table(&head, rows.iter().map(cells)),
+    }
     Ok(())
 }
 

@@ -1,4 +1,4 @@
-//! `surfaced run`: the station at work, and what it shares with `enroll` and `record`.
+//! `surfaced run`: runs a station. `enroll` and `record` share parts of this file.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -13,9 +13,9 @@ use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
 use super::method::{Comparing, ComparingArgs};
-use super::outputs::{Page, is_at, send_answers};
+use super::outputs::{Page, send_answers};
 use super::serve::ServeArgs;
-use super::show::{counted, quoted};
+use super::show::{counted, listed, quoted};
 use super::terminal::Terminal;
 use super::{Done, Failure, bad_files, shown};
 use crate::dataset;
@@ -29,56 +29,55 @@ use crate::scene::{Scene, SourceId};
 use crate::serve::{Audit, LibraryFolder, Settings};
 use crate::station::config::{StationConfig, StylusConfig, fitting};
 use crate::station::{
-    Assembled, Command, Keep, LibraryState, Listener, Load, Recogniser, ScanStore, Station,
-    StationEvent, assemble,
+    Assembled, Command, Enrolled, EnrolledOutcome, Keep, LibraryState, Listener, Load, Recogniser,
+    ScanStore, Station, StationEvent, assemble,
 };
 use crate::system;
 
-/// Options that describe the station.
 #[derive(Clone, Debug, clap::Args)]
 pub struct StationArgs {
     /// The station's configuration (default: that of configs/stylus.toml)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The library: a folder of labelled trials
+    /// The library, a folder of labelled trials
     #[arg(long, value_name = "LIB")]
     library: Option<PathBuf>,
     /// The stylus's port, instead of the configured one: `auto`, `usb:VENDOR:PRODUCT` or a path
     #[arg(long, value_name = "PORT")]
     stylus: Option<Selector>,
     /// A sensor that prints lines of numbers: a serial port (PORT@BAUD), tcp://HOST:PORT,
-    /// udp://HOST:PORT, or - for standard input. Alone, or with the [[lines]] of --config
+    /// udp://HOST:PORT, or - for standard input. With --config, it replaces the port of its [[lines]]
     #[arg(long, value_name = "PORT", allow_hyphen_values = true)]
     lines: Option<LinesAddress>,
     /// Print lines of JSON on stdout
     #[arg(long)]
-    pub json: bool,
+    json: bool,
     #[command(flatten)]
-    pub serve: ServeArgs,
+    serve: ServeArgs,
 }
 
 impl StationArgs {
-    /// The options that name the station, as they are typed, for commands to be typed next.
+    /// The options that describe the station, as the user types them in a suggested command.
     pub fn typed(&self) -> String {
         let config = self.config.as_ref().map(|path| format!(" --config {}", quoted(path)));
         let lines = self.lines.as_ref().map(|address| format!(" --lines {address}"));
         config.unwrap_or_default() + &lines.unwrap_or_default()
     }
 
-    /// The configuration that the file and the flags give.
+    /// The configuration that results from the file and the flags.
     pub fn config(&self) -> Result<StationConfig, Failure> {
         let mut config = match (&self.config, &self.lines) {
             (None, Some(address)) => surveyed(address)?,
-            (file, _) => config(file.as_deref())?,
+            (file, _) => super::config(file.as_deref())?,
         };
         if let (Some(address), Some(path)) = (&self.lines, &self.config) {
             let [lines] = &mut config.lines[..] else {
-                return Err(Failure::Usage(format!(
-                    "{}: it has {} [[lines]], and --lines names the port of one; leave --config \
-                     out to learn a sensor from what it prints",
-                    shown(path),
+                let problem = format!(
+                    "it has {} [[lines]], and --lines names the port of one; leave --config out to \
+                     learn a sensor from what it prints",
                     config.lines.len()
-                )));
+                );
+                return Err(Failure::usage_at(path, problem));
             };
             lines.address = address.clone();
         }
@@ -93,13 +92,12 @@ impl StationArgs {
     }
 }
 
-/// A station of one sensor that nobody has described, by what it prints.
+/// A configuration for one sensor that no file describes, made from the lines that it sends.
 fn surveyed(address: &LinesAddress) -> Result<StationConfig, Failure> {
     say!("learning what comes from {address}, for {SURVEY_S} s; leave the sensor at rest");
     let survey = survey_of(address, SURVEY_PATIENCE).map_err(Failure::Failed)?;
     let text = fitting(address, &survey).map_err(Failure::Failed)?;
-    let parsed = StationConfig::parse(&text, Path::new("what was learnt"));
-    let config = parsed.map_err(|error| Failure::Failed(error.to_string()))?;
+    let config = StationConfig::parse(&text, Path::new("what was learnt"))?;
     for lines in &config.lines {
         let columns = lines.streams.iter().map(|stream| stream.columns.len()).sum::<usize>();
         let rate_hz = lines.rate_hz.unwrap_or(0.0);
@@ -112,13 +110,6 @@ fn surveyed(address: &LinesAddress) -> Result<StationConfig, Failure> {
     Ok(config)
 }
 
-/// A station's configuration, or the defaults.
-pub fn config(file: Option<&Path>) -> Result<StationConfig, Failure> {
-    let read = |path| StationConfig::read(path).map_err(|error| Failure::Usage(error.to_string()));
-    file.map_or_else(|| Ok(StationConfig::embedded()), read)
-}
-
-/// The folder of a station's library.
 pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
     config.library.clone().ok_or_else(|| {
         let text = "no library is named; give --library FOLDER, or `library` in the configuration";
@@ -126,8 +117,8 @@ pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
     })
 }
 
-/// Returns a function that reads the library anew at each call, and makes it ready to name scans.
-/// `given` are the sources that scans can have, where that is known.
+/// Returns a function that reads the library each time it is called, and prepares it for naming.
+/// `given` are the sources that scans can have, if they are known.
 pub fn load(
     path: &Path,
     scene: &Scene,
@@ -166,16 +157,14 @@ pub fn load(
     })
 }
 
-/// Returns a function that audits the library anew at each call.
+/// Returns a function that audits the library each time it is called.
 pub fn check(path: &Path, how: &Comparing) -> Audit {
     let (path, how) = (path.to_path_buf(), how.clone());
-    Audit(Arc::new(move || super::check::audit(&path, &how, false).map_err(Failure::text)))
+    Arc::new(move || super::check::audit(&path, &how, false).map_err(Failure::text))
 }
 
-/// The message that no scan of a station can be compared with its library.
+/// The message when the station and its library have no source in common.
 fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceId>) -> String {
-    let list =
-        |ids: Vec<&SourceId>| ids.iter().map(|id| id.as_str()).collect::<Vec<_>>().join(", ");
     let live = match cfg!(all(feature = "microphone", feature = "camera")) {
         true => "",
         false => " (for sound and pictures, build with `--features live`)",
@@ -185,42 +174,34 @@ fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceI
          a library with these devices (`surfaced enroll LABEL`), or configure the devices that it \
          was recorded with{live}",
         path.display(),
-        list(library.iter().collect()),
-        list(given.iter().collect()),
+        listed(library),
+        listed(given),
     )
 }
 
-/// Makes a listener that may send commands.
-pub type Listen<'a> = Box<dyn FnOnce(Sender<Command>) -> Box<dyn Listener + 'a> + 'a>;
-
-/// What a command wants a station to do.
+/// The work that a command wants of a station.
 pub struct StationWork<'a> {
-    /// The function that reads the library, if scans are to be named.
+    /// The function that reads the library; `None` if scans are not to be named.
     pub load: Option<Load>,
     /// The library for enrolled scans.
     pub store: PathBuf,
-    /// The station's own order to keep scans, which holds unless the page gives another one.
-    pub keep: Option<Keep>,
-    /// Further listeners, which may send commands.
-    pub listeners: Vec<Listen<'a>>,
-    /// Instructions for the operator, shown while there is nothing else to show.
+    /// The station's own order to keep scans. It applies while the page has given no other order.
+    pub counter: Option<&'a mut KeptCounter>,
+    /// Instructions for the operator, shown while there is no other text.
     pub hint: String,
-    /// The function that audits the library, if the page may ask for it.
+    /// The function that audits the library; `None` if the page may not start an audit.
     pub check: Option<Audit>,
-    /// Whether to print lines of JSON.
-    pub json: bool,
-    /// Whether and where the station's page is served.
-    pub serve: ServeArgs,
 }
 
-/// The sources that scans of these devices can have.
+/// The sources that scans from these devices can have.
 pub fn given(assembled: &Assembled) -> BTreeSet<SourceId> {
     assembled.device_of.keys().filter_map(|id| SourceId::new(id).ok()).collect()
 }
 
-/// Runs a station of these devices until a key, a signal or a listener makes it quit.
+/// Runs a station with these devices until a key, a signal or a listener ends it.
 pub fn work(
     config: &StationConfig,
+    args: &StationArgs,
     assembled: Assembled,
     work: StationWork<'_>,
 ) -> Result<Totals, Failure> {
@@ -235,7 +216,7 @@ pub fn work(
         progress_every_s: Some(LOOK_S),
         ..Options::default()
     };
-    let options = work.serve.options(options);
+    let options = args.serve.options(options);
     let store = ScanStore {
         folder: work.store,
         scene: config.scene.clone(),
@@ -245,49 +226,40 @@ pub fn work(
     let library = LibraryFolder { folder: store.folder.clone(), scene: store.scene.clone() };
     let devices = store.devices.clone();
     let mut station = Station::new(assembled.devices, options).store(store);
-    let mut history = Arc::default();
-    let (mut outputs, page) = (Vec::new(), Page::default());
-    if work.load.is_some() {
-        let folder = library.folder.join(history::FOLDER);
-        (station, history) =
-            keep_scans(station, &folder, config.keep_mb, (&library.scene, devices))?;
-        (station, outputs) =
-            send_answers(station, &config.outputs, &library.folder, (&history, &page))?;
-    }
     let commands = station.commands();
+    // A library of another layout would not find new trials, so no scans are enrolled there.
+    let enrolls = !dataset::is_foreign(&library.folder);
+    let mut settings = Settings {
+        address: config.serve,
+        enrolls,
+        library: enrolls.then(|| library.clone()),
+        check: work.check,
+        viewfinder: assembled.viewfinder,
+        ..Settings::default()
+    };
+    let page = Page::default();
     if let Some(load) = work.load {
+        let folder = library.folder.join(history::FOLDER);
+        (station, settings.history) =
+            keep_scans(station, &folder, config.keep_mb, (&library.scene, devices))?;
+        let shown = (&settings.history, &page);
+        (station, settings.outputs) =
+            send_answers(station, &config.outputs, &library.folder, shown)?;
         station = station.load(load);
     }
-    if let Some(keep) = work.keep {
-        station = station.keep(keep);
+    if let Some(counter) = work.counter {
+        counter.commands = Some(commands.clone());
+        station = station.keep(counter.order.clone()).listener(counter);
     }
     if let Some(flasher) = assembled.flasher {
         station = station.listener(flasher);
     }
-    if work.json {
+    if args.json {
         station = station.listener(JsonLines::start(commands.clone(), false)?);
     }
-    for listen in work.listeners {
-        station = station.listener(listen(commands.clone()));
-    }
     let supervisor = Supervisor::new(commands.clone())?;
-    // In a library of another layout, added trials would not be read.
-    let enrolls = !dataset::is_foreign(&library.folder);
-    let (address, library) = (config.serve, enrolls.then_some(library));
-    let (check, viewfinder) = (work.check, assembled.viewfinder);
-    let settings = Settings {
-        address,
-        enrolls,
-        library,
-        check,
-        history,
-        viewfinder,
-        outputs,
-        ..Settings::default()
-    };
-    let (station, server) = work.serve.start(station.listener(supervisor), settings)?;
-    is_at(&page, server.as_ref());
-    let terminal = Terminal::new(work.json, work.hint);
+    let (station, _server) = args.serve.start(station.listener(supervisor), settings, &page)?;
+    let terminal = Terminal::new(args.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());
     let _signals = watch_signals(commands.clone())?;
     let mut station = station.listener(terminal);
@@ -297,9 +269,9 @@ pub fn work(
     Ok(station.run()?)
 }
 
-/// Keeps the scans of a station in a folder of at most `keep_mb` million bytes. Where that fails, a
-/// warning says why, and answers are kept in memory until the program ends. `sources` holds the
-/// scene, and the device of each source.
+/// Keeps the scans of a station in a folder of at most `keep_mb` million bytes. If the folder
+/// cannot be used, a warning gives the reason, and answers stay in memory until the program ends.
+/// `sources` holds the scene, and the device of each source.
 pub fn keep_scans<'a>(
     station: Station<'a>,
     folder: &Path,
@@ -312,7 +284,7 @@ pub fn keep_scans<'a>(
     match History::open(folder, u64::from(keep_mb) * 1_000_000) {
         Ok(history) => {
             let history = Arc::new(history);
-            // Recordings at any rate are kept.
+            // The scene states no rate, so that scans are kept at whatever rate they were recorded.
             let scene = sources.0.clone().changed(|spec| spec.rate_hz = None);
             let keeper = Keeper::start(history.clone(), scene, sources.1)?;
             Ok((station.listener(keeper), history))
@@ -324,7 +296,6 @@ pub fn keep_scans<'a>(
     }
 }
 
-/// The result of a command with live devices.
 pub fn verdict(totals: &Totals) -> Done {
     if let Some((name, error)) = totals.failed.first() {
         return Err(Failure::Damaged(format!("{name}: {error}")));
@@ -337,17 +308,14 @@ pub fn verdict(totals: &Totals) -> Done {
     }
 }
 
-/// Reports to systemd, where it is there.
+/// Reports the state of the station to systemd, if systemd runs it.
 pub struct Supervisor(());
 
 impl Supervisor {
-    /// Pings the station that takes `commands` as often as the watchdog of the unit demands.
-    ///
-    /// # Errors
-    /// If no thread can be started.
+    /// Pings the station through `commands` as often as the watchdog of the systemd unit requires.
     pub fn new(commands: Sender<Command>) -> std::io::Result<Self> {
         if let Some(limit) = system::watchdog() {
-            // Three times as often as necessary: two may come late.
+            // Pings three times as often as required, so that two pings may be late.
             let every = (limit / 3).max(Duration::from_millis(10));
             let ping = move || {
                 while commands.send(Command::Ping).is_ok() {
@@ -374,8 +342,8 @@ impl Listener for Supervisor {
 
 /// Name surfaces as they are dragged over: live devices, until `q` or Ctrl-C
 ///
-/// Starts with the devices that are there, and names those that are missing. Scans are detected by
-/// their tap and drag; on a terminal, the space bar also begins and ends one by hand.
+/// Starts with the available devices, and lists the missing ones. Scans are detected by their tap
+/// and drag; on a terminal, the space bar also starts and stops a scan.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
                         surfaced run --config station.toml --json --serve\n  \
@@ -411,21 +379,40 @@ pub fn run(args: &Args) -> Done {
     let given = Some(given(&assembled));
     let load = load(&library, &config.scene, &how, (&args.answers, &args.accuracy), given);
     let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
-    let totals = work(
-        &config,
-        assembled,
-        StationWork {
-            load: Some(load),
-            store: library,
-            keep: None,
-            listeners: Vec::new(),
-            hint: format!(
-                "tap a surface, then drag over it{long}; space begins and ends a scan, q quits"
-            ),
-            check,
-            json: args.station.json,
-            serve: args.station.serve.clone(),
-        },
-    )?;
-    verdict(&totals)
+    let hint =
+        format!("tap a surface, then drag over it{long}; space begins and ends a scan, q quits");
+    let (load, store) = (Some(load), library);
+    let of = StationWork { load, store, counter: None, hint, check };
+    verdict(&work(&config, &args.station, assembled, of)?)
+}
+
+/// Counts kept scans, and stops the station after the last one of the order.
+///
+/// If the order has no limit, scans kept under other labels are counted too.
+pub struct KeptCounter {
+    /// The sender of commands to the station; `None` until the station is built.
+    pub commands: Option<Sender<Command>>,
+    pub order: Keep,
+    pub kept: u32,
+    /// Scans that could not be written.
+    pub lost: u32,
+}
+
+impl Listener for KeptCounter {
+    fn on_event(&mut self, event: &StationEvent) {
+        let StationEvent::Enrolled(Enrolled { outcome, surface, user, .. }) = event else { return };
+        let ours = (surface, user) == (&self.order.surface, &self.order.user);
+        if self.order.trials.is_some() && !ours {
+            return;
+        }
+        match outcome {
+            EnrolledOutcome::Kept => self.kept += 1,
+            EnrolledOutcome::Lost => self.lost += 1,
+            EnrolledOutcome::Refused | EnrolledOutcome::Waiting => return,
+        }
+        if self.order.trials.is_some_and(|wanted| self.kept >= wanted) {
+            // Sending fails only if the station has already ended, so an error is ignored.
+            let _ = self.commands.as_ref().map(|commands| commands.send(Command::Quit));
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! How trials are compared: the method and its settings, or a plan that names them.
+//! How trials are compared: by a method and its settings, or by a plan.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -25,23 +25,6 @@ impl ValueEnum for MethodName {
     }
 }
 
-impl ValueEnum for PositionMode {
-    fn value_variants<'a>() -> &'a [Self] {
-        &[Self::Shared, Self::PerPair]
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(match self {
-            Self::Shared => {
-                PossibleValue::new("shared").help("Once a repetition, for the whole library")
-            }
-            Self::PerPair => PossibleValue::new("per-pair")
-                .help("Anew for each pair of trials, as the authors' program does"),
-        })
-    }
-}
-
-/// Settings of a method.
 #[derive(Clone, Debug, clap::Args)]
 pub struct MethodArgs {
     /// How trials are compared (default: embedding, or the one whose options are given)
@@ -59,24 +42,20 @@ pub struct MethodArgs {
     /// With `reference`: nearest library trials that vote, k (default: 1)
     #[arg(long, value_name = "K", value_parser = at_least_one)]
     neighbours: Option<usize>,
-    /// Seed of everything that is drawn at random
+    /// Seed of all random draws
     #[arg(long, default_value_t = 1, value_name = "SEED")]
     seed: u64,
-    /// With `reference`: sum kernels in f64 throughout: slower, and equal to within 1e-4 of a score
+    /// With `reference`: sum kernels in f64 throughout, which is slower; scores agree to within 1e-4
     #[arg(long)]
     exact: bool,
     /// With `reference`: compare all trials by one repetition, the best 64 by two, the best 16 by all
     #[arg(long)]
     halving: bool,
-    /// With `reference`: do not tabulate library sums: quicker to prepare, slower to compare
-    #[arg(long)]
-    no_tables: bool,
     /// Neither read nor write the cache of prepared trials beside the library
     #[arg(long)]
     no_cache: bool,
 }
 
-/// Parses a count.
 pub fn at_least_one(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(number) if (1..=MOST_COUNT).contains(&number) => Ok(number),
@@ -85,14 +64,13 @@ pub fn at_least_one(text: &str) -> Result<usize, String> {
 }
 
 impl MethodArgs {
-    /// The method that was asked for, by name or by options that it alone has.
+    /// The method that the user named, or else the one that the given options belong to.
     fn name(&self) -> Result<MethodName, Failure> {
         let counts = [self.n, self.repetitions, self.neighbours];
         let of_reference = counts.iter().any(Option::is_some)
             || self.positions.is_some()
             || self.exact
-            || self.halving
-            || self.no_tables;
+            || self.halving;
         match self.method {
             None if of_reference => Ok(MethodName::Reference),
             None => Ok(MethodName::Embedding),
@@ -107,10 +85,6 @@ impl MethodArgs {
         }
     }
 
-    /// The method that was asked for.
-    ///
-    /// # Errors
-    /// Wrong usage, if options of different methods are given.
     pub fn spec(&self) -> Result<MethodSpec, Failure> {
         let trees = TreeOptions { seed: self.seed };
         Ok(match self.name()? {
@@ -122,7 +96,7 @@ impl MethodArgs {
         })
     }
 
-    /// The method of a plan; settings that a plan leaves open are taken from these arguments.
+    /// The method of a plan. Settings that the plan does not contain come from these arguments.
     pub fn planned(&self, plan: &MethodSpec) -> MethodSpec {
         match plan {
             MethodSpec::Reference(ReferenceOptions { samples, repetitions, .. }) => {
@@ -134,17 +108,16 @@ impl MethodArgs {
         }
     }
 
-    /// Whether no method was chosen.
+    /// Whether the user chose no method.
     pub fn is_default(&self) -> bool {
         self.method.is_none() && self.name().is_ok_and(|name| name == MethodName::Embedding)
     }
 
-    /// Whether prepared trials are kept beside their library.
+    /// Whether prepared trials are cached beside their library.
     pub fn uses_cache(&self) -> bool {
         !self.no_cache
     }
 
-    /// The settings of `reference`.
     pub fn reference_options(&self) -> ReferenceOptions {
         let usual = ReferenceOptions::default();
         ReferenceOptions {
@@ -154,13 +127,13 @@ impl MethodArgs {
             positions: self.positions.unwrap_or(usual.positions),
             seed: self.seed,
             precision: if self.exact { SumPrecision::Oracle } else { SumPrecision::Fast },
-            tabulate: !self.no_tables,
             halving: if self.halving { STAGES.to_vec() } else { Vec::new() },
+            ..usual
         }
     }
 }
 
-/// The options that select a method, with the settings by which charts distinguish methods.
+/// The options that select a method, with those settings that distinguish methods in charts.
 pub fn options_of(method: &MethodSpec) -> String {
     let mut options = format!("--method {}", method.name().as_str());
     if let MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, .. }) = method {
@@ -172,14 +145,14 @@ pub fn options_of(method: &MethodSpec) -> String {
     options
 }
 
-/// How trials are compared, by options or by a plan, in commands that name scans.
+/// How trials are compared, in commands that name scans: by options or by a plan.
 #[derive(clap::Args)]
 pub struct ComparingArgs {
     #[command(flatten)]
     sources: SourceArgs,
     #[command(flatten)]
     method: MethodArgs,
-    /// Compare with the method, sources and scan time of this plan, a file by `surfaced plan`
+    /// Use the method, sources and scan time of this plan, a file written by `surfaced plan`
     #[arg(long, value_name = "FILE", conflicts_with_all = [
         "sources", "method", "n", "repetitions", "positions", "neighbours",
         "halving"
@@ -188,17 +161,14 @@ pub struct ComparingArgs {
 }
 
 impl ComparingArgs {
-    /// Reads the plan, if one is given, and says so; otherwise takes the other arguments.
-    ///
-    /// # Errors
-    /// Wrong usage, if the plan cannot be read.
+    /// Reads the plan if one is given, and prints its settings; without a plan, uses the options.
     pub fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
         let (sources, cache) = (self.sources.clone(), self.method.uses_cache());
         let Some(path) = &self.plan else {
             let method = self.method.spec()?;
             return Ok(Comparing { plan: None, sources, method, cache, query_seconds });
         };
-        let plan = Plan::read(path).map_err(|error| Failure::Usage(error.to_string()))?;
+        let plan = Plan::read(path).map_err(Failure::usage)?;
         let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
         let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
         say!(
@@ -212,31 +182,25 @@ impl ComparingArgs {
     }
 }
 
-/// The way scans are compared.
 #[derive(Clone)]
 pub struct Comparing {
-    /// The plan, if one is given.
     pub plan: Option<Plan>,
     sources: SourceArgs,
-    /// The method.
     pub method: MethodSpec,
-    /// Whether prepared trials are kept beside the library.
+    /// Whether prepared trials are cached beside the library.
     cache: bool,
-    /// Seconds of each drag that are used, if not all.
+    /// Seconds of each drag that are used; `None` for the whole drag.
     pub query_seconds: Option<f64>,
 }
 
 impl Comparing {
-    /// `folder`, where prepared trials are cached beside the library; `None` with `--no-cache`.
+    /// The folder in which prepared trials are cached, which is `folder`; `None` with `--no-cache`.
     pub fn cache_in(&self, folder: &Path) -> Option<PathBuf> {
         self.cache.then(|| folder.to_path_buf())
     }
 
-    /// How long scans must last, in seconds, and the reason in a line: by the plan if it says so,
-    /// else by the model of the library.
-    ///
-    /// # Errors
-    /// If the library cannot reach the accuracy that was asked for.
+    /// How long scans must last, in seconds, and a line with the reason. The time comes from the
+    /// plan if it has one, and otherwise from the model of the library.
     pub fn lasting(
         &self,
         accuracy: &AccuracyArgs,
@@ -249,13 +213,12 @@ impl Comparing {
         Ok((found.as_ref().and_then(ScanTime::scan_s), found.map(|answer| answer.line())))
     }
 
-    /// The scene with the sources that are compared.
-    ///
-    /// # Errors
-    /// Wrong usage, if the scene lacks one.
+    /// The scene with only the sources that are compared.
     pub fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
         match &self.plan {
-            Some(plan) => plan.narrow(scene).map_err(|error| Failure::Usage(error.to_string())),
+            Some(plan) => scene.only(&plan.sources).map_err(|error| {
+                Failure::Usage(format!("the plan needs sources that the data do not have: {error}"))
+            }),
             None => self.sources.narrow(scene),
         }
     }

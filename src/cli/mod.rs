@@ -1,5 +1,4 @@
-//! The command line: arguments are checked, turned into what the library works with, and results
-//! shown.
+//! The command line: checks arguments, calls the library crate, and shows the results.
 //!
 //! With `--json` a command prints JSON on stdout; other text goes to stderr.
 
@@ -11,7 +10,6 @@ mod bad_files;
 mod chart;
 mod check;
 mod choose;
-mod common;
 mod compare;
 mod devices;
 mod duration;
@@ -31,7 +29,6 @@ mod outputs;
 mod paper;
 mod plan;
 mod replay;
-mod samples;
 mod serve;
 mod show;
 mod stress;
@@ -39,13 +36,18 @@ mod synth;
 mod tally;
 mod terminal;
 
+use std::fmt::Display;
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use tracing::Level;
 
-use self::common::{Done, Failure, SourceArgs, hold, open, open_held};
 use self::show::shown;
+use crate::library::Library;
+use crate::record::edit::LibraryLock;
+use crate::scene::{Scene, SourceId};
+use crate::station::config::StationConfig;
 
 /// Names the surface a sensorised stylus is dragged over, by the kernel two-sample test.
 #[derive(Parser)]
@@ -59,72 +61,66 @@ use self::show::shown;
 struct Cli {
     #[command(subcommand)]
     command: CliCommand,
-    /// Also say on which measurements and settings an answer rests
+    /// Also print the measurements and settings that an answer is based on
     #[arg(long, short, global = true)]
     verbose: bool,
-    /// Stop at recordings that cannot be used, instead of going on without them and ending with 3
+    /// Stop at recordings that cannot be used, instead of skipping them and ending with code 3
     #[arg(long, global = true)]
     strict: bool,
 }
 
-#[derive(Subcommand)]
-enum CliCommand {
-    Replay(replay::Args),
-    Run(live::Args),
-    Fleet(fleet::Args),
-    Outputs(outputs::Args),
-    Enroll(enroll::EnrollArgs),
-    Record(enroll::RecordArgs),
-    Eval(eval::Args),
-    Check(check::Args),
-    Library(library::Args),
-    History(history::Args),
-    Chart(chart::Args),
-    Plan(plan::Args),
-    Stress(stress::Args),
-    Compare(compare::Args),
-    Dependence(compare::DependenceArgs),
-    Duration(duration::Args),
-    Synth(synth::Args),
-    Devices(devices::Args),
-    Export(export::ExportArgs),
-    Import(export::ImportArgs),
-    Completion(CompletionArgs),
+macro_rules! commands {
+    ($($name:ident($args:ty) => $run:path,)*) => {
+        #[derive(Subcommand)]
+        enum CliCommand {
+            $($name($args),)*
+        }
+
+        impl CliCommand {
+            fn run(&self) -> Done {
+                match self {
+                    $(Self::$name(args) => $run(args),)*
+                }
+            }
+        }
+    };
+}
+
+// Lists each command with its arguments and the function that runs it.
+commands! {
+    Replay(replay::Args) => replay::run,
+    Run(live::Args) => live::run,
+    Fleet(fleet::Args) => fleet::run,
+    Outputs(outputs::Args) => outputs::run,
+    Enroll(enroll::EnrollArgs) => enroll::enroll,
+    Record(enroll::RecordArgs) => enroll::record,
+    Eval(eval::Args) => eval::run,
+    Check(check::Args) => check::run,
+    Library(library::Args) => library::run,
+    History(history::Args) => history::run,
+    Chart(chart::Args) => chart::run,
+    Plan(plan::Args) => plan::run,
+    Stress(stress::Args) => stress::run,
+    Compare(compare::Args) => compare::run,
+    Dependence(compare::DependenceArgs) => compare::dependence,
+    Duration(duration::Args) => duration::run,
+    Synth(synth::Args) => synth::run,
+    Devices(devices::Args) => devices::run,
+    Export(export::ExportArgs) => export::export,
+    Import(export::ImportArgs) => export::import,
+    Completion(CompletionArgs) => completion,
 }
 
 /// The exit code of [`Failure::Damaged`].
 const DAMAGED: u8 = 3;
 
-/// Runs the command that the process was started with.
+/// Runs the command given on the command line of this process.
 pub fn run() -> ExitCode {
     say::start_log();
     let Cli { command, verbose, strict } = Cli::parse();
     say::be_verbose(verbose);
     bad_files::be_strict(strict);
-    let done = match command {
-        CliCommand::Replay(args) => replay::run(&args),
-        CliCommand::Run(args) => live::run(&args),
-        CliCommand::Fleet(args) => fleet::run(&args),
-        CliCommand::Outputs(args) => outputs::run(&args),
-        CliCommand::Enroll(args) => enroll::enroll(&args),
-        CliCommand::Record(args) => enroll::record(&args),
-        CliCommand::Eval(args) => eval::run(&args),
-        CliCommand::Check(args) => check::run(&args),
-        CliCommand::Library(args) => library::run(&args),
-        CliCommand::History(args) => history::run(&args),
-        CliCommand::Chart(args) => chart::run(&args),
-        CliCommand::Plan(args) => plan::run(&args),
-        CliCommand::Stress(args) => stress::run(&args),
-        CliCommand::Compare(args) => compare::run(&args),
-        CliCommand::Dependence(args) => compare::dependence(&args),
-        CliCommand::Duration(args) => duration::run(&args),
-        CliCommand::Synth(args) => synth::run(&args),
-        CliCommand::Devices(args) => devices::run(&args),
-        CliCommand::Export(args) => export::export(&args),
-        CliCommand::Import(args) => export::import(&args),
-        CliCommand::Completion(args) => completion(&args, Cli::command()),
-    };
-    let (code, level, message) = match done.and_then(|()| bad_files::verdict()) {
+    let (code, level, message) = match command.run().and_then(|()| bad_files::verdict()) {
         Ok(()) => return ExitCode::SUCCESS,
         Err(Failure::Failed(message)) => (1, Level::ERROR, message),
         Err(Failure::Usage(message)) => (2, Level::ERROR, message),
@@ -148,18 +144,122 @@ struct CompletionArgs {
     shell: clap_complete::Shell,
 }
 
-fn completion(args: &CompletionArgs, mut program: clap::Command) -> Done {
+fn completion(args: &CompletionArgs) -> Done {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut program, "surfaced", &mut script);
-    // Printed here, since `generate` panics if the reader has gone away.
+    clap_complete::generate(args.shell, &mut Cli::command(), "surfaced", &mut script);
+    // The script is printed here, since `generate` would panic if the reader has closed stdout.
     Ok(std::io::Write::write_all(&mut std::io::stdout(), &script)?)
+}
+
+/// The reason why a command did not complete its work, by exit code.
+#[derive(Debug)]
+enum Failure {
+    /// Exit code 1.
+    Failed(String),
+    /// Exit code 2.
+    Usage(String),
+    /// Exit code 3. The work is done, but something in use was lost or damaged.
+    Damaged(String),
+}
+
+impl Failure {
+    fn usage(why: impl Display) -> Self {
+        Self::Usage(why.to_string())
+    }
+
+    /// Makes the failure of a user who named a wrong file or folder.
+    fn usage_at(path: &Path, why: impl Display) -> Self {
+        Self::Usage(format!("{}: {why}", path.display()))
+    }
+
+    /// Makes the failure of an operation on a file or folder.
+    fn at(path: &Path, why: impl Display) -> Self {
+        Self::Failed(format!("{}: {why}", path.display()))
+    }
+
+    fn text(self) -> String {
+        let (Self::Failed(text) | Self::Usage(text) | Self::Damaged(text)) = self;
+        text
+    }
+}
+
+/// Errors of the library crate end a command with exit code 1.
+impl<E: std::error::Error> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+type Done = Result<(), Failure>;
+
+/// The sources that a comparison uses.
+#[derive(Clone, Debug, clap::Args)]
+struct SourceArgs {
+    /// Sources to compare, with commas between them (default: all that the data have)
+    #[arg(long, value_delimiter = ',', value_name = "ID,…", value_parser = SourceId::new)]
+    sources: Vec<SourceId>,
+}
+
+impl SourceArgs {
+    /// The scene with only the sources that the user named.
+    fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
+        if self.sources.is_empty() {
+            return Ok(scene);
+        }
+        scene.only(&self.sources).map_err(Failure::usage)
+    }
+}
+
+/// Reads the configuration of a station from a file; without a file, returns the defaults.
+fn config(file: Option<&Path>) -> Result<StationConfig, Failure> {
+    let read = |path| StationConfig::read(path).map_err(Failure::usage);
+    file.map_or_else(|| Ok(StationConfig::embedded()), read)
+}
+
+/// Locks a library against edits until the command ends; `path` is the library or one of its trials.
+fn hold(path: &Path) {
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    // A trial lies two folders below its library, so the library is one of these three folders.
+    for folder in path.ancestors().take(3).filter(|folder| folder.is_dir()) {
+        std::mem::forget(LibraryLock::for_reading(folder));
+    }
+}
+
+/// Opens recordings in any form, locks them against edits, and summarises them on stderr.
+fn open(path: &Path) -> Result<Library, Failure> {
+    hold(path);
+    open_held(path)
+}
+
+/// Like [`open`], for callers that have already locked the recordings.
+fn open_held(path: &Path) -> Result<Library, Failure> {
+    let library = bad_files::open(path, &Scene::lmt108())?;
+    show::library(&library);
+    Ok(library)
+}
+
+/// The longest drag that an option may give, in seconds (an hour).
+const LONGEST_S: f64 = 3600.0;
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x > 0.0 && x <= LONGEST_S => Ok(x),
+        _ => Err(format!("expected a positive number of seconds, at most {LONGEST_S}")),
+    }
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x > 0.0 && x < 1.0 => Ok(x),
+        _ => Err("expected a fraction above 0 and below 1, such as 0.01".into()),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// The commands of a page: indented lines that begin with `surfaced`, without their comments.
+    /// The commands in a page, that is, its indented lines that begin with `surfaced`.
     fn commands(page: &str) -> impl Iterator<Item = &str> {
         let indented = page.lines().filter_map(|line| line.strip_prefix("    "));
         let plain = |line| str::split(line, "  #").next().unwrap_or_default().trim();
@@ -196,7 +296,7 @@ mod tests {
             assert!(!examples.is_empty(), "`surfaced {name} --help` has no example");
             assert!(after.contains("\n\nTime: "), "`surfaced {name} --help` does not say how long");
             for example in examples {
-                // A shell would take these away.
+                // A shell would take redirections and quotes away, so they are removed here.
                 let plain = example.split(" > ").next().unwrap_or_default();
                 let words = plain.split_whitespace().map(|word| word.trim_matches('\''));
                 let parsed = Cli::try_parse_from(std::iter::once("surfaced").chain(words));

@@ -1,24 +1,23 @@
-//! `surfaced outputs`, and the outputs of a station at work.
+//! `surfaced outputs`, and the outputs of a running station.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use clap::Subcommand;
 
-use super::{Done, Failure, live, show};
+use super::{Done, Failure, show};
 use crate::history::History;
 use crate::outputs::{self, Output, OutputHealth, OutputTest};
-use crate::serve::Server;
 use crate::station::Station;
-use crate::station::config::{OutputsConfig, machine_name};
+use crate::station::config::OutputsConfig;
 
-/// Name of the folder of answers that wait, in that of the library.
+/// Name of the folder, inside the library, that holds answers not sent yet.
 const FOLDER: &str = ".outbox";
 
-/// The address of a station's page, once it is known.
+/// The address of a station's page; empty until the server has started.
 pub type Page = Arc<OnceLock<String>>;
 
-/// Sends the answers of a station where its configuration says; those that wait are kept in `folder`.
+/// Sends the answers of a station to its configured outputs; unsent answers are kept in `folder`.
 pub fn send_answers<'a>(
     mut station: Station<'a>,
     config: &OutputsConfig,
@@ -31,16 +30,6 @@ pub fn send_answers<'a>(
         station = station.listener(output);
     }
     Ok((station, healths))
-}
-
-/// The page of a station is at the address of this server, as other machines reach it.
-pub fn is_at(page: &Page, server: Option<&Server>) {
-    let Some(address) = server.map(Server::address) else { return };
-    let host = match address.ip().is_unspecified() {
-        true => format!("{}:{}", machine_name(), address.port()),
-        false => address.to_string(),
-    };
-    let _ = page.set(format!("http://{host}"));
 }
 
 /// Try the outputs of a station's configuration
@@ -56,8 +45,8 @@ pub struct Args {
 enum OutputsCommand {
     /// Send one answer to each output, and say what happened
     ///
-    /// It is an answer of the state `unnamed`, for a scan that never was. By MQTT it goes to the topic
-    /// PREFIX/STATION/test, and is not retained. Ends with code 1 where an output did not take it.
+    /// The answer has the state `unnamed` and belongs to no scan. By MQTT it goes to the topic
+    /// PREFIX/STATION/test, and is not retained. Ends with code 1 if an output refuses it.
     Test(TestArgs),
 }
 
@@ -66,18 +55,18 @@ struct TestArgs {
     /// The station's configuration
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// Print one line of JSON an output
+    /// Print each output's result as one line of JSON
     #[arg(long)]
     json: bool,
 }
 
 pub fn run(args: &Args) -> Done {
     let OutputsCommand::Test(TestArgs { config: path, json }) = &args.command;
-    let config = live::config(Some(path))?.outputs;
+    let config = super::config(Some(path))?.outputs;
     let tests = outputs::test(&config)?;
     if tests.is_empty() {
         let problem = "no output is configured; add `http` or `mqtt` to [outputs]";
-        return Err(Failure::Usage(format!("{}: {problem}", path.display())));
+        return Err(Failure::usage_at(path, problem));
     }
     for test in &tests {
         let OutputTest { output, arrived, said } = test;

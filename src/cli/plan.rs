@@ -1,18 +1,16 @@
-//! `surfaced plan`: the cheapest setting that names a library's surfaces well enough.
+//! `surfaced plan`: finds the cheapest setting that names a library's surfaces well enough.
 
 use std::path::PathBuf;
 
 use super::choose::choose;
-use super::common::share;
 use super::figure::write;
 use super::show::quoted;
-use super::{Done, Failure, SourceArgs, bad_files, say, show};
+use super::{Done, Failure, SourceArgs, bad_files, say, share, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{PlanOptions, Planned, search};
 use crate::library::Library;
-use crate::printable::table;
 
-/// The share of whole scans to be named right.
+/// The default share of whole scans that must be named right.
 const TARGET: f64 = 0.99;
 
 /// Find the cheapest setting that names this library's surfaces well enough
@@ -26,8 +24,8 @@ const TARGET: f64 = 0.99;
 pub struct Args {
     /// Recordings: a library, or the LMT108 database
     lib: PathBuf,
-    /// Share of scans that must be named right, also by the scan time (default: 0.99 by whole scans,
-    /// and at most 0.01 less by the scan time)
+    /// Share of scans that must be named right, whole and at the scan time (default: 0.99 of whole
+    /// scans, and at most 0.01 less at the scan time)
     #[arg(long, visible_alias = "accuracy", value_name = "SHARE", value_parser = share)]
     target: Option<f64>,
     /// File to write the plan to
@@ -38,12 +36,11 @@ pub struct Args {
     protocol: Option<Protocol>,
     #[command(flatten)]
     sources: SourceArgs,
-    /// Print the plan, and what it was found by, as one JSON document on stdout
+    /// Print the plan, and the measurements behind it, as one JSON document on stdout
     #[arg(long)]
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
     let planned = bad_files::work(&args.lib, library, |library| {
@@ -52,8 +49,7 @@ pub fn run(args: &Args) -> Done {
         let target = args.target.unwrap_or(TARGET);
         let options = PlanOptions { target, accuracy: args.target, protocol: chosen.protocol };
         let library = Library { scene: chosen.scene, entries: chosen.entries, ..library.clone() };
-        let steps = show::Steps::new();
-        Ok(search(&library, options, &|step, done, of| steps.show(step, done, of))?)
+        Ok(search(&library, options, &say::progress)?)
     })?;
     let text = planned.plan.to_toml();
     if let Some(out) = &args.out {
@@ -67,20 +63,27 @@ pub fn run(args: &Args) -> Done {
     if args.out.is_none() && say::is_verbose() {
         result!("\n{text}");
     }
-    advise(args);
-    verdict(args, &planned)
-}
-
-/// Says what to do next with the plan.
-fn advise(args: &Args) {
     let lib = quoted(&args.lib);
-    match &args.out {
+    let written = match &args.out {
         Some(out) => {
             show::wrote(&[out]);
             show::next(&format!("surfaced run --library {lib} --plan {}", quoted(out)));
+            format!("the best one is in {}", out.display())
         }
-        None => show::next(&format!("surfaced plan {lib} --out plan.toml keeps this plan")),
+        None => {
+            show::next(&format!("surfaced plan {lib} --out plan.toml keeps this plan"));
+            "the best one is above".into()
+        }
+    };
+    let e = &planned.plan.expected;
+    if e.reached {
+        return Ok(());
     }
+    Err(Failure::Failed(format!(
+        "no plan reaches {}; {written}, at {}: enrol more trials, add a sensor, or lower --target",
+        show::percent(e.target),
+        show::percent(e.accuracy)
+    )))
 }
 
 fn print(planned: &Planned) {
@@ -103,13 +106,9 @@ fn print(planned: &Planned) {
         show::percent(e.accuracy_high)
     );
     e.doubt().iter().for_each(|doubt| result!("{doubt}"));
-    if say::is_verbose() {
-        details(planned);
+    if !say::is_verbose() {
+        return;
     }
-}
-
-/// The sources and the steps of the search.
-fn details(planned: &Planned) {
     let costs = planned.sources.iter().map(|cost| {
         vec![
             cost.source.to_string(),
@@ -119,25 +118,10 @@ fn details(planned: &Planned) {
         ]
     });
     let head = ["source", ">alone", ">raw samples to answer", ">recorded"];
-    result!("\n{}", table(&head, &costs.collect::<Vec<_>>()));
+    result!();
+    show::table(&head, costs);
+    result!();
     for step in &planned.steps {
         result!("{step}");
     }
-}
-
-/// A target that no setting reaches is a failure, though the best plan was written.
-fn verdict(args: &Args, planned: &Planned) -> Done {
-    let e = &planned.plan.expected;
-    if e.reached {
-        return Ok(());
-    }
-    let written = match &args.out {
-        Some(out) => format!("the best one is in {}", out.display()),
-        None => "the best one is above".into(),
-    };
-    Err(Failure::Failed(format!(
-        "no plan reaches {}; {written}, at {}: enrol more trials, add a sensor, or lower --target",
-        show::percent(e.target),
-        show::percent(e.accuracy)
-    )))
 }

@@ -1,4 +1,4 @@
-//! `surfaced replay`: plays recordings through the live pipeline, and names them.
+//! `surfaced replay`: plays recordings through the live pipeline, and names their surfaces.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use super::choose::{Choice, choose, within};
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
 use super::method::{Comparing, ComparingArgs};
-use super::outputs::{Page, is_at, send_answers};
+use super::outputs::{Page, send_answers};
 use super::serve::ServeArgs;
 use super::show::{self, quoted};
 use super::tally::Tally;
@@ -18,8 +18,7 @@ use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
 use crate::history;
-use crate::library::Entry;
-use crate::library::audit::{self, Unreadable};
+use crate::library::{Entry, Unreadable, unreadable};
 use crate::recognise::{
     LOOK_S, Method, MethodName, Model, ReadyModel, RecogniseError, ready_model,
 };
@@ -32,9 +31,9 @@ use crate::trial::EXPERT;
 
 /// Play recordings as if they were live, and name their surfaces
 ///
-/// Without DATA, plays the embedded synthetic scene. Without --library, each trial of DATA is
-/// named against the others by the protocol: users against the expert where DATA has users, else
-/// each trial against the same person's other trials.
+/// Without DATA, plays the embedded synthetic scene. Without --library, the trials of DATA are
+/// compared with each other: users with the expert if DATA has users, and otherwise each trial with
+/// the same person's other trials.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced replay\n  \
                         surfaced replay LMT_108_SurfaceMaterials_Database --sources mi2 --speed max\n  \
@@ -49,7 +48,7 @@ pub struct Args {
     /// How fast to play: a multiple of real time, or `max`
     #[arg(long, default_value = "max", value_name = "SPEED")]
     speed: Speed,
-    /// Split of queries and library, where no library is given
+    /// How queries and library are split, if no library is given
     #[arg(long, value_enum, conflicts_with = "library")]
     protocol: Option<Protocol>,
     #[command(flatten)]
@@ -59,35 +58,34 @@ pub struct Args {
     #[command(flatten)]
     accuracy: AccuracyArgs,
     /// Use only the first seconds of each drag
-    #[arg(long, value_name = "X", value_parser = super::common::seconds, conflicts_with = "plan")]
+    #[arg(long, value_name = "X", value_parser = super::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
-    /// Print one line of JSON a scan on stdout
+    /// Print one line of JSON for each scan on stdout
     #[arg(long)]
     json: bool,
-    /// A station's configuration, of which `[outputs]` and `[history]` hold for the replay
+    /// A station's configuration; the replay uses its `[outputs]` and `[history]`
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     #[command(flatten)]
     serve: ServeArgs,
 }
 
-/// The recordings that are played, and those that they are compared with.
+/// The recordings to play, and the recordings to compare them with.
 pub(super) struct ReplayStage {
-    /// Name of the library.
     pub name: String,
     pub scene: Scene,
-    /// All trials, of data and library.
+    /// All trials: the recordings to play, and the library.
     pub entries: Vec<Entry>,
     pub folds: Vec<Fold>,
     pub synthetic: bool,
-    /// The folder whose cache holds the prepared trials of the library.
+    /// The folder with the cache of prepared trials; `None` without a cache.
     pub cache: Option<PathBuf>,
 }
 
 pub fn run(args: &Args) -> Done {
     say::results_aside(args.json);
     let how = args.comparing.resolve(args.query_seconds)?;
-    // Trials are read as they are played.
+    // Trials are read while they are played, so the locks keep other programs from editing them.
     let _data = args.data.as_deref().map(LibraryLock::for_reading);
     let library = args.library.as_deref().map(LibraryLock::for_reading);
     let stage = match (&args.data, &args.library) {
@@ -102,7 +100,6 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
-/// Says what to do next.
 fn advise(args: &Args) {
     let next = match (&args.data, &args.library) {
         (None, _) if args.serve.is_wanted() => "surfaced eval my-library measures your own \
@@ -117,8 +114,8 @@ fn advise(args: &Args) {
     show::next(&next);
 }
 
-/// The embedded scene: the expert's trials are the library, and the users' trials are the queries,
-/// including those of a surface that the library lacks.
+/// Uses the embedded scene. The expert's trials are the library, and the users' trials are the
+/// queries; one surface of the queries is missing from the library.
 fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
     let synth::Embedded { library, remarks } = synth::embedded();
     show::library(&library);
@@ -138,7 +135,7 @@ fn by_protocol(
     folder: &Path,
     protocol: Option<Protocol>,
 ) -> Result<ReplayStage, Failure> {
-    // All recordings are played, so all must be readable.
+    // All recordings are played, so those that cannot be read are left out here.
     let (data, _) = bad_files::readable(folder, super::open_held(folder)?)?;
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();
@@ -153,14 +150,12 @@ fn by_protocol(
 fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, Failure> {
     let same = |path: &Path| path.canonicalize().ok();
     if same(data).is_some() && same(data) == same(library) {
-        return Err(Failure::Usage(format!(
-            "{}: data and library are one folder, so each trial would meet itself; leave --library \
-             off, and each is named against the others",
-            data.display()
-        )));
+        let problem = "data and library are one folder, so each trial would meet itself; leave \
+                       --library off, and each is named against the others";
+        return Err(Failure::usage_at(data, problem));
     }
     let cache = how.cache_in(library);
-    // All data are read to be played; of the library, the cache of prepared trials may be enough.
+    // Data to play that cannot be read are left out here. For the library, the cache may be enough.
     let (data, _) = bad_files::readable(data, super::open_held(data)?)?;
     let library = super::open_held(library)?;
     let synthetic = data.synthetic || library.synthetic;
@@ -177,7 +172,7 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
     Ok(ReplayStage { name: library.name, scene, entries, folds: vec![fold], synthetic, cache })
 }
 
-/// Plays the stage's queries, and names them. `reading` locks out edits until the library is read.
+/// Plays and names the queries of the stage. `reading` locks out edits until the library is read.
 fn play(
     args: &Args,
     how: &Comparing,
@@ -192,35 +187,32 @@ fn play(
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     if args.json {
-        // While a page is served, the program ends on a signal, even if nobody reads the lines.
+        // While a page is served, a slow reader must not keep a signal from ending the program.
         let lines = JsonLines::start(station.commands(), !args.serve.is_wanted())?;
         station = station.listener(lines);
     }
     let library = args.library.as_ref().filter(|_| args.serve.is_wanted());
-    if let Some(folder) = library {
-        let load = live::load(folder, &stage.scene, how, (&args.answers, &args.accuracy), None);
-        station = station.load(load).store(ScanStore::new(folder.clone(), stage.scene.clone()));
-    }
     let mut settings = Settings { enrolls: library.is_some(), ..Settings::default() };
-    // Without a library, scans are kept until the program ends, and so are answers that wait.
+    if let Some(folder) = library {
+        let (folder, scene) = (folder.clone(), stage.scene.clone());
+        let load = live::load(&folder, &scene, how, (&args.answers, &args.accuracy), None);
+        station = station.load(load).store(ScanStore::new(folder.clone(), scene.clone()));
+        settings.check = Some(live::check(&folder, how));
+        settings.library = Some(LibraryFolder { folder, scene });
+    }
+    // Without a library, past scans and unsent answers are kept here only until the program ends.
     let until_end = tempfile::tempdir()?;
-    let config = live::config(args.config.as_deref())?;
+    let config = super::config(args.config.as_deref())?;
     if args.serve.is_wanted() {
         let folder = library.map_or(until_end.path(), PathBuf::as_path).join(history::FOLDER);
         let sources = (&stage.scene, BTreeMap::new());
         (station, settings.history) = live::keep_scans(station, &folder, config.keep_mb, sources)?;
-        settings.library = library.map(|folder| {
-            let (folder, scene) = (folder.clone(), stage.scene.clone());
-            LibraryFolder { folder, scene }
-        });
-        settings.check = library.map(|folder| live::check(folder, how));
     }
     let (page, folder) = (Page::default(), args.library.as_deref().unwrap_or(until_end.path()));
     (station, settings.outputs) =
         send_answers(station, &config.outputs, folder, (&settings.history, &page))?;
-    let (mut station, server) = args.serve.start(station, settings)?;
-    is_at(&page, server.as_ref());
-    // The page is there while the models are made. Until then, a signal ends the program as usual.
+    let (mut station, server) = args.serve.start(station, settings, &page)?;
+    // The page can be seen while the models are made; a signal then ends the program at once.
     station.emit(&StationEvent::Reading);
     let (recogniser, follows) = match (recogniser(args, how, &stage), &args.library) {
         (Err(error), Some(folder)) => {
@@ -243,8 +235,8 @@ fn play(
     let totals = station.run()?;
     tally.sum_up(stage.synthetic);
     if let (Some(server), Some(signals)) = (server, signals) {
-        // The page stays until somebody ends the program.
-        signals.wait();
+        // The page is served until a signal arrives.
+        let _ = signals.recv();
         server.stop();
     }
     if let Some((name, error)) = totals.failed.first() {
@@ -253,8 +245,8 @@ fn play(
     tally.verdict(totals.lost())
 }
 
-/// Makes the recogniser, which names each query by the library of its fold, and says on what its
-/// answers rest. The flag is true if it follows scans in progress.
+/// Makes the recogniser, which names each query by the library of its fold, and prints what its
+/// answers are based on. The flag tells whether the recogniser follows scans in progress.
 fn recogniser(
     args: &Args,
     how: &Comparing,
@@ -262,7 +254,7 @@ fn recogniser(
 ) -> Result<(Recogniser, bool), Failure> {
     let method = how.method.build(&stage.scene);
     let models = models(&*method, stage)?;
-    // The scan time of the whole library, although each query is named by a part of it.
+    // The scan time is that of all trials together, although a query is named by only some of them.
     let (needed_s, lasting) = match &models[..] {
         [_, _, ..] if how.method.name() == MethodName::Embedding => {
             let all = (0..stage.entries.len()).collect();
@@ -270,7 +262,7 @@ fn recogniser(
             let whole = ready_model(&*method, &stage.entries, &all, cache, &|_, _| {})?;
             how.lasting(&args.accuracy, &whole.model)?
         }
-        // There is at least one fold.
+        // A stage has at least one fold, and each fold has a model, so this index exists.
         _ => how.lasting(&args.accuracy, &models[0])?,
     };
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
@@ -279,17 +271,17 @@ fn recogniser(
     let mut recogniser = Recogniser::with_folds(models, fold_of, stage.scene.clone(), library)
         .with_trials(&compared)
         .lasting(needed_s);
-    let applied = args.answers.apply(&mut recogniser)?;
+    let (follows, remarks) = args.answers.apply(&mut recogniser)?;
     recogniser.add_remarks(lasting.as_slice());
     if say::is_verbose() {
-        applied.remarks.iter().for_each(|remark| say!("{remark}"));
+        remarks.iter().for_each(|remark| say!("{remark}"));
     }
     lasting.iter().for_each(|line| say!("{line}"));
-    Ok((recogniser, applied.follows))
+    Ok((recogniser, follows))
 }
 
 impl ReplayStage {
-    /// The queries, each with its fold.
+    /// The queries, each with the index of its fold.
     fn queries(&self) -> impl Iterator<Item = (usize, &Entry)> {
         let of_fold = |(index, fold): (usize, &'_ Fold)| {
             fold.queries.clone().into_iter().map(move |query| (index, query))
@@ -298,13 +290,10 @@ impl ReplayStage {
         all.map(|(fold, query)| (fold, &self.entries[query]))
     }
 
-    /// Drops the recordings of the library at `folder` that cannot be read, and warns of them;
-    /// false if all can be read.
-    ///
-    /// # Errors
-    /// With `--strict`, if there are any.
+    /// Leaves unreadable recordings of the library at `folder` out, and warns of them. Returns false if
+    /// all recordings can be read, so that nothing changed.
     fn leaves_unreadable_out(&mut self, folder: &Path) -> Result<bool, Failure> {
-        let unreadable = audit::unreadable(&self.compared());
+        let unreadable = unreadable(&self.compared());
         let Self { entries, folds, .. } = self;
         for fold in folds {
             for Unreadable { entry, source, .. } in &unreadable {
@@ -317,7 +306,7 @@ impl ReplayStage {
         Ok(some)
     }
 
-    /// The trials that stand in the library of some fold.
+    /// The trials that are in the library of at least one fold.
     fn compared(&self) -> Vec<Entry> {
         let folds = self.folds.iter();
         let indexes: BTreeSet<usize> = folds.flat_map(|fold| fold.library.clone()).collect();
@@ -326,19 +315,17 @@ impl ReplayStage {
 }
 
 fn models(method: &dyn Method, stage: &ReplayStage) -> Result<Vec<Arc<dyn Model>>, RecogniseError> {
-    let steps = show::Steps::new();
     let cache = stage.cache.as_deref();
     if let [fold] = &stage.folds[..] {
-        let step = |done, of| steps.show("preparing the library", done, of);
+        let step = |done, of| say::progress("preparing the library", done, of);
         let library = fold.library.iter().copied().collect();
         let ReadyModel { model, remarks, .. } =
             ready_model(method, &stage.entries, &library, cache, &step)?;
         remarks.iter().for_each(|remark| say!("{remark}"));
         return Ok(vec![model]);
     }
-    let progress = |step, done, of| steps.show(step, done, of);
     let evaluation = Evaluation::new(&stage.scene, &stage.entries, &stage.folds);
-    let run = Evaluation { cache, progress: &progress, ..evaluation }.prepare(method)?;
-    run.cache_remarks().iter().for_each(|remark| say!("{remark}"));
+    let run = Evaluation { cache, progress: &say::progress, ..evaluation }.prepare(method)?;
+    run.library.remarks.iter().for_each(|remark| say!("{remark}"));
     stage.folds.iter().map(|fold| run.fit(&fold.library)).collect()
 }

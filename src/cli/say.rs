@@ -1,7 +1,7 @@
 //! Writes text for people: results on stdout, everything else on stderr. It never fails.
 //!
-//! A daemon outlives its log. A line that cannot be written, because its reader is gone or its disk
-//! is full, is dropped; while devices are at work, so is one whose reader has stalled.
+//! A daemon must survive the loss of its log, so a line that cannot be written (closed pipe, full
+//! disk) is dropped. While devices are running, a line is also dropped if its reader has stalled.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -9,68 +9,69 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use indicatif::{ProgressBar, ProgressStyle};
+use tracing::field::Field;
+use tracing::level_filters::LevelFilter;
 use tracing::{Event, Level, Subscriber};
-use tracing_subscriber::fmt::format::Writer;
-use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
-use tracing_subscriber::registry::LookupSpan;
+use tracing_subscriber::Layer;
+use tracing_subscriber::layer::{Context, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
 
 use crate::printable::Printable;
 use crate::system::{AsOutput, takes_more};
 
-/// The time for which a stalled reader may hold up live devices, once.
+/// How long a line may wait for a stalled reader. Later lines do not wait until the reader is ready.
 const PATIENCE: Duration = Duration::from_millis(100);
-/// A pipe that is ready takes this much without blocking (`PIPE_BUF` on Linux).
+/// A pipe that is ready accepts this many bytes without blocking (`PIPE_BUF` on Linux).
 const ATOMIC: usize = 4096;
 
-/// Whether devices are at work, which must not wait for a reader.
+/// Whether devices are running. If so, no line may wait for its reader.
 static LIVE: AtomicBool = AtomicBool::new(false);
-/// Whether the reader of stdout, and that of stderr, did not take the last line.
+/// Whether the readers of stdout and of stderr, in this order, had stalled at the last line.
 static STALLED: [AtomicBool; 2] = [const { AtomicBool::new(false) }; 2];
-/// Whether stdout is for JSON alone.
+/// Whether stdout is reserved for JSON.
 static RESULTS_ASIDE: AtomicBool = AtomicBool::new(false);
-/// The status line, if one is kept: the last line of the terminal, below all others.
+/// The text of the status line, the last line of the terminal. `None` if no status line is kept.
 static STATUS: Mutex<Option<String>> = Mutex::new(None);
 
-/// Goes to the start of the terminal's line, and clears it.
+/// Moves the cursor to the start of the line, and clears the line.
 const CLEAR: &str = "\r\x1b[2K";
 
-/// Writes a line for people on stderr; takes what `format!` takes. It never panics.
+/// Writes a line for people on stderr; the arguments are those of `format!`. It never panics.
 macro_rules! say {
     () => { $crate::cli::say::line("") };
     ($($text:tt)*) => { $crate::cli::say::line(&format!($($text)*)) };
 }
 
-/// Writes a line of a result on stdout; takes what `format!` takes. It never panics.
+/// Writes a line of a result on stdout; the arguments are those of `format!`. It never panics.
 macro_rules! result {
     () => { $crate::cli::say::result_line("") };
     ($($text:tt)*) => { $crate::cli::say::result_line(&format!($($text)*)) };
 }
 
-/// Whether to print details, too.
+/// Whether to print more details.
 static VERBOSE: AtomicBool = AtomicBool::new(false);
 
-/// Sets whether to print details, too; see [`is_verbose`].
 pub fn be_verbose(verbose: bool) {
     VERBOSE.store(verbose, Ordering::Release);
 }
 
-/// Whether `--verbose` asks for details.
 pub fn is_verbose() -> bool {
     VERBOSE.load(Ordering::Acquire)
 }
 
-/// From now on, no line waits for its reader.
+/// From now on, no line waits for a stalled reader.
 pub fn never_wait() {
     LIVE.store(true, Ordering::Release);
 }
 
-/// Locks the status line while a line is written, so that no other line comes in between.
+/// Locks the status line while a line is written, so that the two do not mix.
 fn status_line() -> MutexGuard<'static, Option<String>> {
-    // Each change is one assignment, so a panic leaves a usable line.
+    // Each change is one assignment, so the text is valid even if a thread panicked meanwhile.
     STATUS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Keeps a status line from now on, see [`status`], or ends it.
+/// Starts (`on`) or ends the status line at the bottom of the terminal; [`status`] sets its text.
 pub fn keep_status_line(on: bool) {
     let mut kept = status_line();
     if kept.is_some() && !on {
@@ -79,12 +80,35 @@ pub fn keep_status_line(on: bool) {
     *kept = on.then(String::new);
 }
 
-/// Writes a line; see [`say!`].
+/// The name and the progress bar of the current step.
+static PROGRESS: Mutex<Option<(&'static str, ProgressBar)>> = Mutex::new(None);
+
+/// Draws the progress of a step as a bar on a terminal; the next line of text removes the bar.
+pub fn progress(step: &'static str, done: usize, of: usize) {
+    // If a thread panicked while it held the lock, the bar can still be drawn.
+    let mut shown = PROGRESS.lock().unwrap_or_else(PoisonError::into_inner);
+    if shown.as_ref().is_none_or(|(name, _)| *name != step) {
+        shown.take().inspect(|(_, old)| old.finish_and_clear());
+        let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} · {eta} left");
+        let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+        let new = ProgressBar::new(of as u64).with_style(style).with_message(step);
+        *shown = Some((step, new));
+    }
+    shown.iter().for_each(|(_, bar)| bar.set_position(done as u64));
+}
+
+pub fn end_progress() {
+    let shown = PROGRESS.lock().unwrap_or_else(PoisonError::into_inner).take();
+    shown.inspect(|(_, bar)| bar.finish_and_clear());
+}
+
+/// Writes a line on stderr; see [`say!`].
 pub fn line(text: &str) {
+    end_progress();
     write_stderr(&above(&status_line(), &format!("{}\n", lines(text))));
 }
 
-/// A line with its end, above the status line, if there is one.
+/// The text that prints a line above the status line, if there is one.
 fn above(status: &Option<String>, line: &str) -> String {
     match status {
         Some(status) => format!("{CLEAR}{line}{status}"),
@@ -92,20 +116,21 @@ fn above(status: &Option<String>, line: &str) -> String {
     }
 }
 
-/// From now on, results for people go to stderr: stdout is for JSON.
+/// With `aside`, results for people go to stderr from now on, since stdout is for JSON.
 pub fn results_aside(aside: bool) {
     RESULTS_ASIDE.store(aside, Ordering::Release);
 }
 
-/// Writes a line of a result; see [`result!`].
+/// Writes a line of a result on stdout, unless [`results_aside`] sent results to stderr.
 pub fn result_line(text: &str) {
+    end_progress();
     if RESULTS_ASIDE.load(Ordering::Acquire) {
         return line(text);
     }
     let print = || write(&mut io::stdout().lock(), &STALLED[0], &format!("{}\n", Printable(text)));
     let kept = status_line();
     let Some(status) = &*kept else {
-        // A reader of results who stalls must not hold up what is said on stderr.
+        // A stalled reader of stdout must not delay lines on stderr.
         drop(kept);
         return print();
     };
@@ -114,7 +139,7 @@ pub fn result_line(text: &str) {
     write_stderr(status);
 }
 
-/// Replaces the status line, where one is kept.
+/// Replaces the text of the status line, if one is kept.
 pub fn status(text: &str) {
     if let Some(kept) = &mut *status_line() {
         *kept = Printable(text).to_string();
@@ -131,14 +156,14 @@ fn write(out: &mut (impl Write + AsOutput), stalled: &AtomicBool, text: &str) {
         if LIVE.load(Ordering::Acquire) && !ready(out, stalled) {
             return;
         }
-        // Nobody is left to read about an error.
+        // An error is ignored, since there is nowhere to report it.
         if out.write_all(part).and_then(|()| out.flush()).is_err() {
             return;
         }
     }
 }
 
-/// Whether a part can be written without blocking; waits a moment, but only once in a row.
+/// Whether text can be written without blocking. Waits up to `PATIENCE` for a reader not yet stalled.
 fn ready(out: &impl AsOutput, stalled: &AtomicBool) -> bool {
     let wait = if stalled.load(Ordering::Acquire) { Duration::ZERO } else { PATIENCE };
     let ready = takes_more(out, wait);
@@ -146,8 +171,8 @@ fn ready(out: &impl AsOutput, stalled: &AtomicBool) -> bool {
     ready
 }
 
-/// A text as it stands on the terminal or in the log: further lines are indented, so that none
-/// passes for a message of its own.
+/// A text made safe for the terminal or the log. All lines after the first are indented, so that
+/// none can be mistaken for a separate message.
 fn lines(text: &str) -> String {
     let shown = Printable(text).to_string();
     let indented = shown.split('\n').enumerate().map(|(at, line)| match at {
@@ -158,38 +183,25 @@ fn lines(text: &str) -> String {
     indented.collect()
 }
 
-/// Sends what the program logs to stderr, through [`line`].
+/// Sends the program's log events to stderr through [`line`].
 pub fn start_log() {
-    let lines = tracing_subscriber::fmt()
-        .with_max_level(Level::INFO)
-        .with_ansi(false)
-        .event_format(Lines)
-        .with_writer(|| Stderr);
-    // Fails only where a log was started before, as by a test.
-    let _ = lines.try_init();
+    // Starting fails only if a log was started before, for example by a test.
+    let _ = tracing_subscriber::registry().with(LevelFilter::INFO).with(Log).try_init();
 }
 
-/// A line for each event: its priority for the journal, `error` or `warning`, its text.
-struct Lines;
+/// Prints each log event as a line that holds its priority for the journal, its level and its text.
+struct Log;
 
-impl<S, N> FormatEvent<S, N> for Lines
-where
-    S: Subscriber + for<'a> LookupSpan<'a>,
-    N: for<'a> FormatFields<'a> + 'static,
-{
-    fn format_event(
-        &self,
-        context: &FmtContext<'_, S, N>,
-        mut writer: Writer<'_>,
-        event: &Event<'_>,
-    ) -> fmt::Result {
+impl<S: Subscriber> Layer<S> for Log {
+    fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
         let level = *event.metadata().level();
-        write!(writer, "{}{}", priority(level), word(level))?;
-        context.format_fields(writer, event)
+        let mut text = format!("{}{}", priority(level), word(level));
+        event.record(&mut |_: &Field, value: &dyn fmt::Debug| text += &format!("{value:?}"));
+        line(&text);
     }
 }
 
-/// The first word of a message of this level.
+/// The word with which messages of this level begin.
 pub fn word(level: Level) -> &'static str {
     match level {
         Level::ERROR => "error: ",
@@ -198,7 +210,7 @@ pub fn word(level: Level) -> &'static str {
     }
 }
 
-/// The priority of a line, in the form that the journal reads at its start (see sd-daemon(3)).
+/// The prefix of a line that tells the systemd journal its priority (see sd-daemon(3)).
 pub fn priority(level: Level) -> &'static str {
     if std::env::var_os("JOURNAL_STREAM").is_none() {
         return "";
@@ -207,20 +219,6 @@ pub fn priority(level: Level) -> &'static str {
         Level::ERROR => "<3>",
         Level::WARN => "<4>",
         _ => "<6>",
-    }
-}
-
-/// Takes one event at each write, and never fails.
-struct Stderr;
-
-impl io::Write for Stderr {
-    fn write(&mut self, text: &[u8]) -> io::Result<usize> {
-        line(String::from_utf8_lossy(text).trim_end_matches('\n'));
-        Ok(text.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
     }
 }
 

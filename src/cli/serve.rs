@@ -1,24 +1,26 @@
-//! Serving the page while a station works: `--serve` and its token.
+//! Serves the page while a station runs, by `--serve` and its token.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use super::Failure;
+use super::outputs::Page;
 use crate::scan::Options;
 use crate::serve::{PORT, Reporter, ServeError, Server, Settings, Token};
 use crate::station::Station;
+use crate::station::config::machine_name;
 
 /// The environment variable that holds the token.
 const TOKEN: &str = "SURFACED_TOKEN";
-/// The interval at which new samples are sent to the page, in seconds: 25 times a second, so that
-/// 20 are drawn even if some come late.
+/// Interval at which new samples are sent to the page, in seconds. At 25 times a second, the
+/// page can draw 20 times a second even if some samples come late.
 const TRACE_EVERY_S: f64 = 0.04;
-/// The interval at which the progress of a scan is sent to the page, in seconds of drag.
+/// Interval at which the progress of a scan is sent to the page, in seconds of drag.
 const PROGRESS_EVERY_S: f64 = 0.1;
 
 /// Whether and where the page is served.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ServeArgs {
-    /// Serve the page and the interface for programs, until SIGTERM
+    /// Serve the page and the HTTP API, until SIGTERM
     ///
     /// ADDR is an address with its port, or either alone; port 0 picks a free one. To serve other
     /// machines, give an address such as 0.0.0.0, and a token of at least 16 characters in the
@@ -27,13 +29,13 @@ pub struct ServeArgs {
     serve: Option<Option<SocketAddr>>,
     /// A trusted proxy in front of the server
     ///
-    /// `X-Forwarded-For` and `X-Forwarded-Proto` count only from these addresses. Give it once for
-    /// each proxy.
+    /// `X-Forwarded-For` and `X-Forwarded-Proto` are believed only from these addresses. Repeat the
+    /// option for each proxy.
     #[arg(long = "serve-proxy", value_name = "ADDR", requires = "serve")]
     proxies: Vec<IpAddr>,
 }
 
-/// Parses an address with its port, or either alone.
+/// Parses an address with a port, an address alone, or a port alone.
 fn address(text: &str) -> Result<SocketAddr, String> {
     let local = Ipv4Addr::LOCALHOST.to_string();
     let text = text.strip_prefix("localhost").map_or(text.to_string(), |port| local + port);
@@ -47,12 +49,11 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 }
 
 impl ServeArgs {
-    /// Whether to serve at all.
     pub fn is_wanted(&self) -> bool {
         self.serve.is_some()
     }
 
-    /// The options of a session, with updates for the page if it is served.
+    /// The options of a session. If the page is served, they include updates for the page.
     pub fn options(&self, options: Options) -> Options {
         if !self.is_wanted() {
             return options;
@@ -64,23 +65,30 @@ impl ServeArgs {
         }
     }
 
-    /// Serves `station` if `--serve` is given, and prints the address on stderr; it is that of
-    /// `settings` if `--serve` names none.
+    /// Serves `station` if `--serve` is given, and prints the address on stderr. The default
+    /// address is in `settings`. Sets `page` to the address at which other machines find the page.
     pub fn start<'a>(
         &self,
         station: Station<'a>,
         settings: Settings,
+        page: &Page,
     ) -> Result<(Station<'a>, Option<Server>), Failure> {
         if !self.is_wanted() {
             return Ok((station, None));
         }
         let started = Server::start(&self.settings(settings)?, station.commands());
         let (server, reporter): (Server, Reporter) = started.map_err(failure)?;
-        say!("http://{}", server.address());
+        let address = server.address();
+        say!("http://{address}");
+        let host = match address.ip().is_unspecified() {
+            true => format!("{}:{}", machine_name(), address.port()),
+            false => address.to_string(),
+        };
+        let _ = page.set(format!("http://{host}"));
         Ok((station.listener(reporter), Some(server)))
     }
 
-    /// Settings with what was given on the command line, and the token.
+    /// Adds the token and the command line's options to the settings.
     pub fn settings(&self, settings: Settings) -> Result<Settings, Failure> {
         let token = match std::env::var(TOKEN) {
             Ok(text) => Some(Token::new(&text).map_err(failure)?),
@@ -92,7 +100,7 @@ impl ServeArgs {
     }
 }
 
-/// The end of a command whose server does not start.
+/// Turns an error of the server's start into the failure of the command.
 pub fn failure(error: ServeError) -> Failure {
     match error {
         ServeError::Open(_) | ServeError::Token => Failure::Usage(error.to_string()),

@@ -1,17 +1,18 @@
-//! Texts for people on stderr: summaries, progress, advice.
+//! Formats summaries and advice for people, for stderr.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::path::Path;
-use std::sync::Mutex;
 
-use indicatif::{ProgressBar, ProgressStyle};
-
+use super::say;
 use crate::evaluate::{LeftOutSources, Share};
 use crate::library::Library;
 use crate::printable;
+pub(super) use crate::printable::{counted, json_text};
 use crate::station::{Answer, AnswerState};
+use crate::trial::TrialKey;
 
-/// Says what a library holds, and what was skipped.
+/// Prints what a library contains, and what was skipped.
 pub fn library(library: &Library) {
     let trials = counted(library.entries.len(), "trial");
     let surfaces = counted(library.surfaces().len(), "surface");
@@ -24,66 +25,73 @@ pub fn library(library: &Library) {
 
 /// Prints one JSON document on stdout.
 ///
-/// A reader that has gone away (`| head`) wants no more: the program ends there.
+/// If the reader has closed stdout (as `| head` does), the program ends here.
 pub fn json(value: &impl serde::Serialize) {
+    say::end_progress();
     if writeln!(std::io::stdout(), "{}", json_text(value)).is_err() {
         std::process::exit(1);
     }
 }
 
-/// The JSON text of one document, or of one line in a stream.
-pub fn json_text(value: &impl serde::Serialize) -> String {
-    // Plain structs, numbers and text: nothing here that JSON cannot express.
-    serde_json::to_string(value).expect("plain data")
-}
-
-/// Warns which sources were left out of queries, and why; returns the same lines.
+/// The sources that were left out of queries, and the reasons. There is one line for each source and
+/// channel, even if the channel was stuck at many values.
 pub fn left_out(left_out: &LeftOutSources) -> Vec<String> {
-    let lines = left_out.iter().filter_map(|(remark, trials)| {
+    let mut kinds: BTreeMap<&str, (BTreeSet<&str>, BTreeSet<&TrialKey>)> = BTreeMap::new();
+    for (remark, trials) in left_out {
+        let kind = remark.split(" at ").next().unwrap_or_default();
+        let (remarks, of_kind) = kinds.entry(kind).or_default();
+        remarks.insert(remark);
+        of_kind.extend(trials);
+    }
+    let line = |(kind, (remarks, trials)): (&str, (BTreeSet<&str>, BTreeSet<&TrialKey>))| {
+        let first = trials.first().map(ToString::to_string).unwrap_or_default();
         let more = match trials.len() {
             0 | 1 => String::new(),
             several => format!(" and {} more", several - 1),
         };
-        trials.first().map(|first| format!("{remark} ({first}{more})"))
-    });
-    let lines: Vec<String> = lines.collect();
-    lines.iter().for_each(|line| say!("warning: {line}"));
-    lines
+        let remark = *remarks.first()?;
+        let remark = match (remarks.len(), remark.rsplit_once("; ")) {
+            (2.., Some((_, advice))) => format!("{kind}; {advice}"),
+            _ => remark.into(),
+        };
+        Some(format!("{remark} ({first}{more})"))
+    };
+    kinds.into_iter().filter_map(line).collect()
 }
 
-/// Says which files were written.
+pub fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
+    result!("{}", printable::table(head, &rows.into_iter().collect::<Vec<_>>()).trim_end());
+}
+
 pub fn wrote<P: AsRef<Path>>(files: &[P]) {
-    let names: Vec<String> = files.iter().map(|file| shown(file.as_ref())).collect();
-    say!("wrote {}", names.join(", "));
+    say!("wrote {}", listed(files.iter().map(|file| shown(file.as_ref()))));
 }
 
-/// Says what to do next.
+/// Joins texts with commas.
+pub fn listed<T: ToString>(things: impl IntoIterator<Item = T>) -> String {
+    things.into_iter().map(|thing| thing.to_string()).collect::<Vec<_>>().join(", ")
+}
+
 pub fn next(what: &str) {
     say!("next: {what}");
 }
 
-/// A path, quoted for a shell where necessary.
+/// A path, quoted for a shell if necessary.
 pub fn quoted(path: &Path) -> String {
     printable::quoted(&shown(path))
 }
 
-/// A number of things: `1 trial`, `2 trials`.
-pub fn counted(number: usize, thing: &str) -> String {
-    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
-}
-
-/// A fraction as a percentage.
 pub fn percent(fraction: f64) -> String {
     format!("{:.1} %", fraction * 100.0)
 }
 
-/// The 95 % interval of a share: `93.6 % to 98.6 %`.
+/// The 95 % interval of a share, such as `93.6 % to 98.6 %`.
 pub fn interval(share: Share) -> String {
     let (low, high) = share.interval();
     format!("{} to {}", percent(low), percent(high))
 }
 
-/// An answer in a word or two: the surface, and whether the name stands.
+/// An answer in one or two words, for the surface and a mark of doubt.
 pub fn named(answer: &Answer) -> String {
     let surface = answer.surface.as_deref().unwrap_or("unknown");
     match answer.state {
@@ -94,8 +102,13 @@ pub fn named(answer: &Answer) -> String {
     }
 }
 
-/// The certainty of an answer: `fits none` for an unknown surface, its probability where the method
-/// states one, else the margin to the next surface.
+/// Advice to drag longer, by the time that was missing; empty if the drag was long enough.
+pub fn longer(answer: &Answer) -> String {
+    answer.more_s().map(|s| format!("  (drag {s:.1} s longer)")).unwrap_or_default()
+}
+
+/// The certainty of an answer. It is `fits none` for an unknown surface; for others the probability, or
+/// the margin to the next surface if the method gives no probabilities.
 pub fn certainty(answer: &Answer) -> String {
     match answer.confidence {
         _ if answer.surface.is_none() => "fits none".into(),
@@ -105,43 +118,33 @@ pub fn certainty(answer: &Answer) -> String {
     }
 }
 
-/// A progress bar on stderr, one for each step of some work; it appears only on a terminal.
-pub struct Steps(Mutex<Option<(&'static str, ProgressBar)>>);
-
-impl Steps {
-    /// A progress bar without a step yet.
-    pub fn new() -> Self {
-        Self(Mutex::new(None))
-    }
-
-    /// Shows how much of a step is done.
-    pub fn show(&self, step: &'static str, done: usize, of: usize) {
-        // A thread that panicked while it held the lock left a bar that can still be drawn.
-        let mut bar = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        if bar.as_ref().is_none_or(|(name, _)| *name != step) {
-            if let Some((_, old)) = bar.take() {
-                old.finish_and_clear();
-            }
-            let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} · {eta} left");
-            let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
-            let new = ProgressBar::new(of as u64).with_style(style).with_message(step);
-            *bar = Some((step, new));
-        }
-        if let Some((_, bar)) = bar.as_ref() {
-            bar.set_position(done as u64);
-        }
-    }
-}
-
-impl Drop for Steps {
-    fn drop(&mut self) {
-        if let Ok(Some((_, bar))) = self.0.get_mut() {
-            bar.finish_and_clear();
-        }
-    }
-}
-
-/// A file that a person named, for messages.
+/// A path that the user gave, for messages.
 pub(super) fn shown(path: &Path) -> String {
     path.display().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_channel_that_is_stuck_at_many_values_is_warned_of_once() {
+        let key = |number| TrialKey::new("oak", "anna", number);
+        let stuck = |channel, value| {
+            format!("vel is left out: channel {channel} is stuck at {value}; check its cable")
+        };
+        let mut all = LeftOutSources::new();
+        for (remark, number) in [
+            (stuck(1, "0.5"), 3),
+            (stuck(1, "-0.2 for the last 50 % of the scan"), 2),
+            (stuck(2, "0"), 4),
+        ] {
+            all.entry(remark).or_default().insert(key(number));
+        }
+        let lines = [
+            format!("vel is left out: channel 1 is stuck; check its cable ({} and 1 more)", key(2)),
+            format!("{} ({})", stuck(2, "0"), key(4)),
+        ];
+        assert_eq!(left_out(&all), lines);
+    }
 }

@@ -1,11 +1,11 @@
-//! `surfaced stress`: every method, disturbed until it breaks.
+//! `surfaced stress`: disturbs queries or the library until each method fails.
 
 use std::path::PathBuf;
 
 use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, earlier, is_earlier, json, write};
 use super::method::at_least_one;
-use super::{Done, Failure, bad_files, say, show, shown};
+use super::{Done, Failure, bad_files, say, show};
 use crate::evaluate::stress::{
     self, Disturbance, Measure, StressPlan, StressReport, disturb, figure,
 };
@@ -15,10 +15,10 @@ use crate::scene::SourceSpec;
 
 /// Disturb queries, and the library, until each method breaks
 ///
-/// Writes a chart of the accuracy (and beside it NAME-unknown.svg and NAME-calibration.svg, for the
-/// rejection of unknown surfaces and for stated probabilities), the numbers as JSON, and as a
-/// Markdown table where each method loses 5 points. `reference` runs with --halving. An earlier
-/// run's JSON in place of recordings is drawn again.
+/// Writes a chart of the accuracy, the numbers as JSON, and a Markdown table of where each method
+/// loses 5 points. Beside the chart, NAME-unknown.svg and NAME-calibration.svg show the rejection
+/// of unknown surfaces and the stated probabilities. `reference` runs with --halving. If LIB is the
+/// JSON of an earlier run, its figures are drawn again.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced stress LMT_108_SurfaceMaterials_Database --sources \
                         mi2 --out stress.svg\n  surfaced stress lib --out s.svg --only \
@@ -26,8 +26,8 @@ use crate::scene::SourceSpec;
 pub struct Args {
     /// Recordings: a library, or the LMT108 database; or an earlier run's JSON
     lib: PathBuf,
-    /// JSON of an earlier run of the same queries, shown in the same picture and table; its methods
-    /// get the file's name
+    /// JSON of an earlier run with the same queries, for the same picture and table; the file's name
+    /// is added to its methods
     #[arg(long, value_name = "FILE")]
     beside: Option<PathBuf>,
     #[command(flatten)]
@@ -38,21 +38,17 @@ pub struct Args {
     /// Disturbances, with commas between them (default: all that the data can show)
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
     only: Vec<String>,
-    /// Queries at most
+    /// Largest number of queries
     #[arg(long, default_value_t = 40, value_name = "N", value_parser = at_least_one)]
     queries: usize,
-    /// Compare sources with a dead or stuck sensor all the same, instead of leaving them out
-    #[arg(long)]
-    keep_flawed: bool,
     /// Seed of the disturbances
     #[arg(long, default_value_t = 1, value_name = "SEED")]
     seed: u64,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Done {
     args.figure.check()?;
-    // Read first: an hour of measuring should not fail at a mistyped name.
+    // The file is read first, so that a mistyped name does not fail after an hour of measuring.
     let beside = match &args.beside {
         Some(path) => Some((path, earlier::<StressReport>(path, "stress")?)),
         None => None,
@@ -65,8 +61,7 @@ pub fn run(args: &Args) -> Done {
     };
     if let Some((path, other)) = beside {
         let whose = path.file_stem().unwrap_or_default().to_string_lossy();
-        let refused = |why| Failure::Usage(format!("{}: {why}", shown(path)));
-        report.join(other, &whose).map_err(refused)?;
+        report.join(other, &whose).map_err(|why| Failure::usage_at(path, why))?;
     }
     show::wrote(&keep(args, &report)?);
     say::results_aside(args.figure.json);
@@ -92,7 +87,6 @@ fn measured(args: &Args, library: &Library) -> Result<StressReport, Failure> {
         folds: &folds,
         disturbances: &disturbances,
         seed: args.seed,
-        keep_flawed: args.keep_flawed,
     };
     let mut report = StressReport {
         data: library.name.clone(),
@@ -103,7 +97,6 @@ fn measured(args: &Args, library: &Library) -> Result<StressReport, Failure> {
         unknown_queries: (folds.iter().flat_map(|fold| &fold.queries))
             .filter(|query| plan.is_unknown(**query))
             .count(),
-        keep_flawed: args.keep_flawed,
         methods: Vec::new(),
     };
     let methods: Vec<MethodName> = match args.methods.as_slice() {
@@ -113,17 +106,14 @@ fn measured(args: &Args, library: &Library) -> Result<StressReport, Failure> {
     for (done, method) in methods.iter().enumerate() {
         say!("{}/{}  {}", done + 1, methods.len(), method.as_str());
         let method = quick(*method).build(&scene);
-        let steps = show::Steps::new();
-        let measured = stress::run(&*method, &plan, &|step, done, of| steps.show(step, done, of))?;
-        drop(steps);
-        report.methods.push(measured);
-        // Finished work stays if a later method fails or the run is interrupted.
+        report.methods.push(stress::run(&*method, &plan, &say::progress)?);
+        // The report is written after each method, so that it remains if a later method fails.
         keep(args, &report)?;
     }
     Ok(report)
 }
 
-/// A method with its usual settings; `reference` with successive halving, which is faster.
+/// A method with its default settings, except that `reference` uses successive halving for speed.
 fn quick(method: MethodName) -> MethodSpec {
     match method {
         MethodName::Reference => MethodSpec::Reference(ReferenceOptions {
@@ -137,11 +127,8 @@ fn quick(method: MethodName) -> MethodSpec {
 fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Failure> {
     let all = disturb::all();
     if let Some(unknown) = only.iter().find(|name| !all.iter().any(|d| d.name == **name)) {
-        let known: Vec<_> = all.iter().map(|d| d.name).collect();
-        return Err(Failure::Usage(format!(
-            "no disturbance `{unknown}`; there are {}",
-            known.join(", ")
-        )));
+        let known = show::listed(all.iter().map(|d| d.name));
+        return Err(Failure::Usage(format!("no disturbance `{unknown}`; there are {known}")));
     }
     let wanted = |d: &Disturbance| only.is_empty() || only.iter().any(|name| name == d.name);
     let found: Vec<_> = all.into_iter().filter(|d| wanted(d) && d.fits(held)).collect();
@@ -151,7 +138,7 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
     Ok(found)
 }
 
-/// Writes the pictures and their numbers, and returns the files' paths.
+/// Writes the pictures and their numbers, and returns the paths of the files.
 fn keep(args: &Args, report: &StressReport) -> Result<Vec<PathBuf>, Failure> {
     let out = &args.figure.out;
     let mut written = vec![out.clone(), out.with_extension("md"), args.figure.beside()];
@@ -160,7 +147,7 @@ fn keep(args: &Args, report: &StressReport) -> Result<Vec<PathBuf>, Failure> {
     for (name, measure) in
         [("unknown", Measure::UnknownRejected), ("calibration", Measure::CalibrationError)]
     {
-        // Without probabilities there is nothing to draw.
+        // If no method gives probabilities, there is no figure.
         if let Ok(svg) = figure(report, measure) {
             let path = out.with_file_name(format!("{stem}-{name}.svg"));
             write(&path, &svg)?;

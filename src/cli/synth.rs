@@ -4,9 +4,10 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
+use serde_json::json;
 
 use super::method::at_least_one;
-use super::{Done, Failure, show};
+use super::{Done, Failure, say, show};
 use crate::dataset::synth::{self, Difficulty, Parameters};
 use crate::library::About;
 use crate::record::{self, TrialOptions};
@@ -22,17 +23,17 @@ pub struct Args {
     /// Number of surfaces
     #[arg(long, default_value_t = 12, value_name = "COUNT", value_parser = at_least_one)]
     surfaces: usize,
-    /// Trials of each surface by the expert
+    /// Number of the expert's trials of each surface
     #[arg(long, default_value_t = 4, value_name = "COUNT")]
     trials: u32,
-    /// Users, with one trial of each surface
+    /// Number of users, each with one trial of each surface
     #[arg(long, default_value_t = 3, value_name = "COUNT")]
     users: u32,
     /// The same seed gives the same dataset
     #[arg(long, default_value_t = 1, value_name = "SEED")]
     seed: u64,
-    /// Length of a drag
-    #[arg(long, default_value_t = 4.8, value_name = "X", value_parser = super::common::seconds)]
+    /// Length of a drag in seconds
+    #[arg(long, default_value_t = 4.8, value_name = "X", value_parser = super::seconds)]
     seconds: f64,
     /// Make each source about as hard as in LMT108, instead of easier
     #[arg(long)]
@@ -42,24 +43,12 @@ pub struct Args {
     json: bool,
 }
 
-#[derive(serde::Serialize)]
-struct SynthReport {
-    out: String,
-    synthetic: bool,
-    surfaces: usize,
-    trials: usize,
-    seed: u64,
-}
-
 pub fn run(args: &Args) -> Done {
     if args.trials + args.users == 0 {
         return Err(Failure::Usage("--trials 0 --users 0 leaves nothing to write".into()));
     }
     if args.out.read_dir().is_ok_and(|mut inside| inside.next().is_some()) {
-        return Err(Failure::Failed(format!(
-            "{}: the folder is not empty; name a new one",
-            args.out.display()
-        )));
+        return Err(Failure::at(&args.out, "the folder is not empty; name a new one"));
     }
     let library = synth::library(&Parameters {
         surfaces: args.surfaces,
@@ -71,27 +60,23 @@ pub fn run(args: &Args) -> Done {
         difficulty: if args.hard { Difficulty::lmt108() } else { Difficulty::default() },
     });
     record::write_library_toml(&args.out, &library.scene, &library.name, true)?;
-    let steps = show::Steps::new();
     let done = AtomicUsize::new(0);
     let of = library.entries.len();
     let options = TrialOptions { about: About::default(), durable: false };
     library.entries.par_iter().try_for_each(|entry| {
         record::write_trial(&args.out, &entry.load()?, &library.scene, &options)?;
-        steps.show("writing trials", done.fetch_add(1, Ordering::Relaxed) + 1, of);
+        say::progress("writing trials", done.fetch_add(1, Ordering::Relaxed) + 1, of);
         Ok::<_, crate::library::LibraryError>(())
     })?;
-    drop(steps);
-    let report = SynthReport {
-        out: super::shown(&args.out),
-        synthetic: true,
-        surfaces: args.surfaces,
-        trials: of,
-        seed: args.seed,
-    };
+    let out = super::shown(&args.out);
     if args.json {
+        let Args { surfaces, seed, .. } = args;
+        let report = json!({
+            "out": out, "synthetic": true, "surfaces": surfaces, "trials": of, "seed": seed,
+        });
         show::json(&report);
     } else {
-        say!("wrote {of} synthetic trials of {} surfaces to {}", args.surfaces, report.out);
+        say!("wrote {of} synthetic trials of {} surfaces to {out}", args.surfaces);
         show::next(&format!("surfaced eval {}", show::quoted(&args.out)));
     }
     Ok(())

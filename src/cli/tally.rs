@@ -1,101 +1,44 @@
-//! Shows the results of a replay, scan by scan and in total.
+//! Prints the results of a replay, for each scan and in total.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::{Done, Failure, say, show};
-use crate::evaluate::wilson_interval;
+use crate::evaluate::Share;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState, Listener, Remark, RemarkKind, StationEvent};
 
 /// Counts of the answers so far.
+#[derive(Default)]
 pub struct Tally {
-    /// Whether each answer is shown.
+    /// Whether to print each answer.
     each: bool,
     total: usize,
-    /// Counts of remarks by kind and source; only the first of each is shown.
+    /// Number of remarks by kind and source. Only the first remark of a kind and source is printed.
     remarks: BTreeMap<(RemarkKind, Option<SourceId>), usize>,
     answers: usize,
-    with_truth: usize,
-    right: usize,
+    /// Share of answers that are right, among those whose truth is known.
+    right: Share,
     latencies_ms: Vec<f64>,
-    /// The surface named when the answer was settled, by the number of the scan.
+    /// The surface named when the answer was settled, by the number of its scan.
     settled: BTreeMap<u32, String>,
-    by_then: ByThen,
-    notable: Notable,
-    damages: usize,
-    /// Scans that hold too little to be named.
-    too_little: usize,
-    spoiled: usize,
-}
-
-/// Confusions, unknown surfaces and dead sources, for the summary.
-#[derive(Default)]
-struct Notable {
-    /// Counts of confusions: the true surface, and the one named.
-    confused: BTreeMap<(String, String), usize>,
-    /// Scans of known surfaces that were called unknown.
-    rejected: usize,
-    /// Scans of surfaces that the library lacks, and how many of them were called unknown.
-    lacking: usize,
-    called_unknown: usize,
-    /// The number of scans from which each source was left out.
-    left_out: BTreeMap<SourceId, usize>,
-}
-
-impl Notable {
-    fn add(&mut self, answer: &Answer) {
-        let flawed = answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
-        // A source with a flawed channel may still be used.
-        let left_out: BTreeSet<&SourceId> = flawed
-            .filter_map(|remark| remark.source.as_ref())
-            .filter(|source| !answer.sources.contains(source))
-            .collect();
-        for source in left_out {
-            *self.left_out.entry(source.clone()).or_default() += 1;
-        }
-        let Some(truth) = &answer.truth else { return };
-        let lacks = answer.ranked.iter().all(|ranked| ranked.surface != *truth);
-        self.lacking += usize::from(lacks);
-        match &answer.surface {
-            None if lacks => self.called_unknown += 1,
-            None => self.rejected += 1,
-            Some(surface) if surface != truth && !lacks => {
-                *self.confused.entry((truth.clone(), surface.clone())).or_default() += 1;
-            }
-            Some(_) => {}
-        }
-    }
-
-    fn show(&self) {
-        for ((truth, surface), count) in &self.confused {
-            result!("confused {truth} taken for {surface} in {}", show::counted(*count, "scan"));
-        }
-        if self.lacking > 0 {
-            result!(
-                "unknown  {} of {} of new surfaces were called unknown",
-                self.called_unknown,
-                show::counted(self.lacking, "scan")
-            );
-        }
-        if self.rejected > 0 {
-            let scans = show::counted(self.rejected, "scan");
-            result!("unknown  {scans} of known surfaces, by mistake");
-        }
-        for (source, count) in &self.left_out {
-            let scans = show::counted(*count, "scan");
-            result!("left out {source} in {scans}: its sensor was dead");
-        }
-    }
-}
-
-/// Counts of answers at the time when they were settled, or at the end of their scan.
-#[derive(Default)]
-struct ByThen {
-    settled: usize,
-    with_truth: usize,
-    right: usize,
+    /// Number of scans settled before their end; `right_by_then` takes these as they were settled.
+    settled_early: usize,
+    right_by_then: Share,
+    /// Total seconds of scan until the answers were settled, and total seconds of whole scans.
     used_s: f64,
     whole_s: f64,
+    /// Number of confusions by true surface and named surface.
+    confused: BTreeMap<(String, String), usize>,
+    /// Number of scans of known surfaces that were called unknown.
+    rejected: usize,
+    /// Share of scans called unknown, among scans of surfaces that the library lacks.
+    lacking: Share,
+    /// Number of scans from which each source was left out.
+    left_out: BTreeMap<SourceId, usize>,
+    damages: usize,
+    /// Number of scans with too little data to be named.
+    too_little: usize,
+    spoiled: usize,
 }
 
 impl Listener for Tally {
@@ -118,34 +61,34 @@ impl Listener for Tally {
 }
 
 impl Tally {
-    /// An empty tally of `total` scans; `each` says whether each answer is shown.
+    /// An empty tally of `total` scans; `each` tells whether each answer is printed.
     pub fn new(each: bool, total: usize) -> Self {
-        Self {
-            each,
-            total,
-            remarks: BTreeMap::new(),
-            answers: 0,
-            with_truth: 0,
-            right: 0,
-            latencies_ms: Vec::new(),
-            settled: BTreeMap::new(),
-            by_then: ByThen::default(),
-            notable: Notable::default(),
-            damages: 0,
-            too_little: 0,
-            spoiled: 0,
-        }
+        Self { each, total, ..Self::default() }
     }
 
     fn answer(&mut self, answer: &Answer) {
         self.answers += 1;
         self.latencies_ms.push(answer.latency_ms);
         self.spoiled += usize::from(!answer.spoiled.is_empty());
+        let settled = self.settled.remove(&answer.scan);
+        self.settled_early += usize::from(settled.is_some());
+        self.used_s += answer.settled_s.unwrap_or(answer.scan_s);
+        self.whole_s += answer.scan_s;
         let right = answer.truth.as_ref().map(|truth| is_right(answer, truth, None));
-        self.with_truth += usize::from(right.is_some());
-        self.right += usize::from(right == Some(true));
-        self.settled_answer(answer);
-        self.notable.add(answer);
+        if let (Some(truth), Some(right)) = (&answer.truth, right) {
+            self.right.add(right);
+            self.right_by_then.add(is_right(answer, truth, settled.as_ref()));
+            self.mistake(answer, truth);
+        }
+        let flawed = answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
+        // A source with a flawed channel may still have been used, so `sources` decides.
+        let left_out: BTreeSet<&SourceId> = flawed
+            .filter_map(|remark| remark.source.as_ref())
+            .filter(|source| !answer.sources.contains(source))
+            .collect();
+        for source in left_out {
+            *self.left_out.entry(source.clone()).or_default() += 1;
+        }
         for reason in &answer.spoiled {
             say!("warning: scan {}: {reason}", answer.scan);
         }
@@ -157,15 +100,15 @@ impl Tally {
         }
     }
 
-    fn settled_answer(&mut self, answer: &Answer) {
-        let settled = self.settled.remove(&answer.scan);
-        let then = &mut self.by_then;
-        then.settled += usize::from(settled.is_some());
-        then.used_s += answer.settled_s.unwrap_or(answer.scan_s);
-        then.whole_s += answer.scan_s;
-        if let Some(truth) = &answer.truth {
-            then.with_truth += 1;
-            then.right += usize::from(is_right(answer, truth, settled.as_ref()));
+    fn mistake(&mut self, answer: &Answer, truth: &String) {
+        let lacks = answer.ranked.iter().all(|ranked| ranked.surface != *truth);
+        match &answer.surface {
+            surface if lacks => self.lacking.add(surface.is_none()),
+            None => self.rejected += 1,
+            Some(surface) if surface != truth => {
+                *self.confused.entry((truth.clone(), surface.clone())).or_default() += 1;
+            }
+            Some(_) => {}
         }
     }
 
@@ -178,7 +121,6 @@ impl Tally {
             (Some(false), Some(truth)) => format!("wrong, it was {truth}"),
             _ => answer.trial.map_or_else(String::new, |number| format!("(trial {number})")),
         };
-        let longer = answer.more_s().map(|s| format!("  (drag {s:.1} s longer)"));
         let took = match say::is_verbose() {
             true => format!("  (answered in {:.1} ms)", answer.latency_ms),
             false => String::new(),
@@ -189,18 +131,15 @@ impl Tally {
             self.total,
             show::named(answer),
             show::certainty(answer),
-            longer.unwrap_or_default()
+            show::longer(answer)
         );
-        // Reasons for doubt that no warning has given; other states explain themselves.
+        // Prints the reasons for doubt that no warning has printed. Other states explain themselves.
         let is_known = |why: &&String| {
             answer.spoiled.contains(why) || answer.remarks.iter().any(|remark| remark.text == **why)
         };
         if answer.state == AnswerState::Unsure {
-            answer
-                .reasons
-                .iter()
-                .filter(|why| !is_known(why))
-                .for_each(|why| say!("        {why}"));
+            let news = answer.reasons.iter().filter(|why| !is_known(why));
+            news.for_each(|why| say!("        {why}"));
         }
     }
 
@@ -212,13 +151,12 @@ impl Tally {
         }
     }
 
-    /// Shows and counts a warning that something in use was lost or damaged.
+    /// Prints and counts a warning that something in use was lost or damaged.
     fn damage(&mut self, text: &str) {
         self.damages += 1;
         say!("warning: {text}");
     }
 
-    /// Shows the totals.
     pub fn sum_up(&mut self, synthetic: bool) {
         let again: usize = self.remarks.values().map(|count| count - 1).sum();
         if again > 0 {
@@ -228,17 +166,15 @@ impl Tally {
             return;
         }
         let mark = if synthetic { " (synthetic scene)" } else { "" };
-        let (low, high) = wilson_interval(self.right, self.with_truth);
         self.latencies_ms.sort_by(f64::total_cmp);
         let median = self.latencies_ms[self.latencies_ms.len() / 2];
         result!();
-        if self.with_truth > 0 {
+        if self.right.of > 0 {
             result!(
-                "accuracy {} of {} scans (95 % interval {} to {}){mark}",
-                show::percent(self.right as f64 / self.with_truth as f64),
-                self.with_truth,
-                show::percent(low),
-                show::percent(high)
+                "accuracy {} of {} scans (95 % interval {}){mark}",
+                show::percent(self.right.value()),
+                self.right.of,
+                show::interval(self.right)
             );
         }
         if say::is_verbose() {
@@ -247,28 +183,42 @@ impl Tally {
                  during the drag)"
             );
         }
-        let then = &self.by_then;
-        if then.settled > 0 && say::is_verbose() {
+        if self.settled_early > 0 && say::is_verbose() {
             let n = self.answers as f64;
             result!(
                 "settled  {} of {} scans before their end; on average {:.2} s of {:.2} s of scan \
                  used{}",
-                then.settled,
+                self.settled_early,
                 self.answers,
-                then.used_s / n,
-                then.whole_s / n,
-                if then.with_truth > 0 {
-                    let share = then.right as f64 / then.with_truth as f64;
-                    format!("; {} correct by then", show::percent(share))
-                } else {
-                    String::new()
+                self.used_s / n,
+                self.whole_s / n,
+                match self.right_by_then {
+                    Share { of: 0, .. } => String::new(),
+                    share => format!("; {} correct by then", show::percent(share.value())),
                 }
             );
         }
-        self.notable.show();
+        for ((truth, surface), count) in &self.confused {
+            result!("confused {truth} taken for {surface} in {}", show::counted(*count, "scan"));
+        }
+        if self.lacking.of > 0 {
+            let scans = show::counted(self.lacking.of, "scan");
+            result!(
+                "unknown  {} of {scans} of new surfaces were called unknown",
+                self.lacking.right
+            );
+        }
+        if self.rejected > 0 {
+            let scans = show::counted(self.rejected, "scan");
+            result!("unknown  {scans} of known surfaces, by mistake");
+        }
+        for (source, count) in &self.left_out {
+            let scans = show::counted(*count, "scan");
+            result!("left out {source} in {scans}: its sensor was dead");
+        }
     }
 
-    /// The result of the command, after `lost` samples were lost.
+    /// The result of the command, given that `lost` samples were lost.
     pub fn verdict(&self, lost: u64) -> Done {
         if self.answers == 0 && self.too_little == 0 {
             return Err(Failure::Failed("no scan was named; see the warnings above".into()));
@@ -283,8 +233,8 @@ impl Tally {
     }
 }
 
-/// Whether an answer, or the surface that it had settled on, is right. `None` (unknown) is right if
-/// the library lacks the true surface.
+/// Whether an answer is right; `settled` is the surface named when it settled, and takes
+/// precedence. An answer without a surface (unknown) is right if the library lacks the true one.
 fn is_right(answer: &Answer, truth: &String, settled: Option<&String>) -> bool {
     match settled.or(answer.surface.as_ref()) {
         Some(surface) => surface == truth,

@@ -1,75 +1,66 @@
-//! Reads recordings from CSV tables: one file for each trial, or a long file with columns that name
-//! the trials. Columns become sources; the rows have a fixed rate, or a column of times.
+//! Reads recordings from CSV tables. A table holds one trial, or many trials named by columns.
+//! Other columns become sources. The rows have a fixed rate, or a column of times.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::table::line_of;
+use ndarray::Array2;
+
 use crate::library::LibraryError;
-use crate::library::files;
+use crate::library::files::{self, number_in};
+use crate::printable::counted;
 use crate::scene::SourceId;
 use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, normal};
 
-/// The line number of a row, and its cells.
-type NumberedRow = (u64, Vec<String>);
+/// A row of a table: its line number in the file, and its cells.
+pub type NumberedRow = (u64, Vec<String>);
 
-/// How the times of a table's rows are known.
+/// How to find the time of each row of a table.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Clock {
-    /// The number of rows a second.
+    /// Fixed number of rows per second.
     Rate(f64),
-    /// A column of times.
     Times {
-        /// name of the column
+        /// name of the column that holds the times
         column: String,
-        /// length of the column's time unit in seconds
+        /// time unit of the column, in seconds
         unit_s: f64,
     },
 }
 
-/// What the columns of a table and the name of its file mean.
+/// How to read a table: the meaning of its columns and of its file name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CsvForm {
-    /// Each source, and the columns that are its channels.
+    /// Each source, with the names of the columns that are its channels.
     pub sources: Vec<(SourceId, Vec<String>)>,
-    /// The times of the rows.
     pub clock: Clock,
-    /// The columns that name the surface, the user and the trial, where there are any.
+    /// The columns with the names of surface, user and trial; `None` if there is no such column.
     pub labels: [Option<String>; 3],
-    /// Where the file's name tells the surface, the user and the trial.
+    /// Pattern of the file's path, which names the trial if no column names the surface.
     pub names: NamePattern,
 }
 
-/// The trials read from one file.
-#[derive(Debug)]
-pub struct CsvTrials {
-    /// The trials, in the order of the file.
-    pub trials: Vec<Trial>,
-    /// Mean rate of the rows in Hz before resampling, if rows were resampled.
-    pub uneven_hz: Option<f64>,
-}
-
-/// A table whose cells are still text.
+/// A CSV table whose cells are still text.
 pub struct CsvTable {
-    /// The names of the columns; their numbers from 1 on, if the file has no names.
+    /// Names of the columns; `1`, `2`, … if the file does not name them.
     pub header: Vec<String>,
-    rows: Vec<NumberedRow>,
-    /// Whether a comma may be the decimal mark.
+    pub rows: Vec<NumberedRow>,
+    /// Whether a comma may be the decimal mark: true unless commas separate the columns.
     comma: bool,
 }
 
 impl CsvTable {
-    /// Reads a table whose columns are separated by commas, semicolons, tabs or spaces.
-    ///
-    /// # Errors
-    /// If the file cannot be read, is not text, or has lines with different numbers of columns.
+    /// Reads a table. Commas, semicolons, tabs or spaces separate its columns, and each line must have
+    /// as many columns as the first.
     pub fn read(path: &Path) -> Result<Self, LibraryError> {
         let bytes = files::read_bytes(path, files::MOST_TEXT)?;
-        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
-        Self::parse(bytes).map_err(|problem| LibraryError::file(path, problem))
+        Self::parse(&bytes, false).map_err(|problem| LibraryError::file(path, problem))
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self, String> {
+    /// Parses the text of a table. The first line names the columns if `named` is true, or if none
+    /// of its cells is a number.
+    pub fn parse(bytes: &[u8], named: bool) -> Result<Self, String> {
+        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let first = bytes.split(|&byte| byte == b'\n').find(|line| !line.trim_ascii().is_empty());
         let first = first.unwrap_or_default();
         let count = |mark: u8| first.iter().filter(|&&byte| byte == mark).count();
@@ -90,7 +81,7 @@ impl CsvTable {
                 continue;
             }
             if table.header.is_empty() {
-                if cells.iter().all(|cell| table.number(cell).is_none()) {
+                if named || cells.iter().all(|cell| table.number(cell).is_none()) {
                     table.header = cells;
                     continue;
                 }
@@ -98,7 +89,8 @@ impl CsvTable {
             }
             let (found, expected) = (cells.len(), table.header.len());
             if found != expected {
-                return Err(format!("line {line} has {found} columns; the first has {expected}"));
+                let found = counted(found, "column");
+                return Err(format!("line {line} has {found}; the first has {expected}"));
             }
             table.rows.push((line, cells));
         }
@@ -108,7 +100,7 @@ impl CsvTable {
         }
     }
 
-    /// The columns whose first cell is a number.
+    /// Names of the columns whose first cell is a number.
     pub fn numeric(&self) -> Vec<String> {
         let is_numeric = |at: &usize| self.number(&self.rows[0].1[*at]).is_some();
         (0..self.header.len()).filter(is_numeric).map(|at| self.header[at].clone()).collect()
@@ -125,27 +117,37 @@ impl CsvTable {
         })
     }
 
-    fn value(&self, (line, cells): &NumberedRow, column: usize) -> Result<f64, String> {
+    /// The number in the cell of a row; an error if it is no number or not finite.
+    pub fn value(&self, (line, cells): &NumberedRow, column: usize) -> Result<f64, String> {
         let name = &self.header[column];
         self.number(&cells[column]).filter(|value| value.is_finite()).ok_or_else(|| {
             format!("line {line}, column `{name}`: `{}` is not a finite number", cells[column])
         })
     }
 
-    /// The trials of the table; `name` is the path of its file without extension.
+    /// All cells as finite numbers, shape (rows, columns).
+    pub fn values(&self) -> Result<Array2<f64>, String> {
+        let (rows, columns) = (self.rows.len(), self.header.len());
+        let cells =
+            self.rows.iter().flat_map(|row| (0..columns).map(move |at| self.value(row, at)));
+        let values = cells.collect::<Result<Vec<f64>, String>>()?;
+        // This cannot fail: `parse` checked that all rows have the same number of columns.
+        Ok(Array2::from_shape_vec((rows, columns), values).expect("rows of equal length"))
+    }
+
+    /// The trials of the table and, for a table with times, the mean rate of the first trial's rows
+    /// in Hz. `name` is the path of the table's file without extension.
     ///
     /// # Errors
-    /// If a column is missing, a cell is no finite number, the name does not fit the pattern, times
-    /// do not rise, or a trial has fewer than two rows.
-    pub fn trials(&self, name: &str, form: &CsvForm) -> Result<CsvTrials, String> {
-        let labels = form
-            .labels
-            .each_ref()
-            .map(|column| column.as_ref().map(|column| self.column(column)).transpose());
-        let [surface, user, trial] = labels;
-        let (surface, user, trial) = (surface?, user?, trial?);
-        let of_name = match surface {
-            Some(_) => NameParts::default(),
+    /// If a column is missing, a cell is not a finite number, the name does not fit the pattern, the
+    /// times do not rise, or a trial has fewer than two rows.
+    pub fn trials(&self, name: &str, form: &CsvForm) -> Result<(Vec<Trial>, Option<f64>), String> {
+        let mut columns = [None; 3];
+        for (column, label) in columns.iter_mut().zip(&form.labels) {
+            *column = label.as_ref().map(|label| self.column(label)).transpose()?;
+        }
+        let of_name = match columns[0] {
+            Some(_) => Default::default(),
             None => form.names.parts(name).ok_or_else(|| {
                 format!("its name does not fit the pattern `{}`; see --names", form.names.0)
             })?,
@@ -153,14 +155,12 @@ impl CsvTable {
         let mut groups: Vec<(TrialKey, Vec<&NumberedRow>)> = Vec::new();
         let mut place: BTreeMap<TrialKey, usize> = BTreeMap::new();
         for row in &self.rows {
-            let cell = |column: Option<usize>| column.map(|at| row.1[at].as_str());
-            let number = cell(trial).or(of_name.trial.as_deref());
-            let number = number.map(|text| number_of(text).ok_or(text)).transpose();
+            let cell = |at: usize| columns[at].map(|at| &*row.1[at]).or(of_name[at].as_deref());
+            let number = cell(2).map(|text| number_in(text).ok_or(text)).transpose();
             let number = number.map_err(|text| {
                 format!("line {}: the trial is `{text}`; expected a whole number", row.0)
             })?;
-            let surface = cell(surface).or(of_name.surface.as_deref()).unwrap_or_default();
-            let user = cell(user).or(of_name.user.as_deref()).unwrap_or(EXPERT);
+            let (surface, user) = (cell(0).unwrap_or_default(), cell(1).unwrap_or(EXPERT));
             if surface.is_empty() || user.is_empty() {
                 return Err(format!("line {}: no surface or no user is named", row.0));
             }
@@ -171,13 +171,13 @@ impl CsvTable {
             }
             groups[at].1.push(row);
         }
-        let mut found = CsvTrials { trials: Vec::new(), uneven_hz: None };
+        let (mut trials, mut uneven_hz) = (Vec::new(), None);
         for (key, rows) in groups {
-            let (trial, uneven_hz) = self.trial(key, &rows, form)?;
-            found.trials.push(trial);
-            found.uneven_hz = found.uneven_hz.or(uneven_hz);
+            let (trial, rate_hz) = self.trial(key, &rows, form)?;
+            trials.push(trial);
+            uneven_hz = uneven_hz.or(rate_hz);
         }
-        Ok(found)
+        Ok((trials, uneven_hz))
     }
 
     fn trial(
@@ -202,7 +202,7 @@ impl CsvTable {
                 }
                 let mut steps: Vec<f64> = times.windows(2).map(|two| two[1] - two[0]).collect();
                 steps.sort_by(f64::total_cmp);
-                // WAV files hold whole rates.
+                // The rate is 1/median step, rounded since WAV files hold whole rates.
                 ((1.0 / steps[steps.len() / 2]).round().max(1.0), Some(times))
             }
         };
@@ -228,7 +228,7 @@ impl CsvTable {
     }
 }
 
-/// Rows at evenly spaced times, by linear interpolation between the rows at `times`, which rise.
+/// Resamples rows to `rate_hz` by linear interpolation. `times` are the rows' times in s, rising.
 fn resampled(times: &[f64], rows: &[Vec<f64>], rate_hz: f64) -> Vec<Vec<f64>> {
     let last = times.len() - 1;
     let count = ((times[last] - times[0]) * rate_hz + 1e-6).floor() as usize + 1;
@@ -246,40 +246,35 @@ fn resampled(times: &[f64], rows: &[Vec<f64>], rate_hz: f64) -> Vec<Vec<f64>> {
     (0..count).map(at).collect()
 }
 
-/// The number that a text ends with.
-fn number_of(text: &str) -> Option<u32> {
-    let stem = text.trim_end_matches(|c: char| c.is_ascii_digit());
-    text[stem.len()..].parse().ok()
+/// The line number, from 1 on, of a row of a CSV text. If blank lines precede the row, the crate
+/// `csv` gives the number of the first blank line instead.
+fn line_of(text: &[u8], row: &csv::StringRecord) -> u64 {
+    let Some(start) = row.position() else { return 0 };
+    let after = text.get(start.byte() as usize..).unwrap_or_default();
+    let blank = after.iter().take_while(|byte| matches!(byte, b'\r' | b'\n'));
+    start.line() + blank.filter(|byte| **byte == b'\n').count() as u64
 }
 
-/// A pattern of file paths: text with the fields `{surface}`, `{user}` and `{trial}`, and `*` for
-/// any text. Fields and `*` match at least one character, but no `/`.
+/// A pattern for file paths: text, the fields `{surface}`, `{user}` and `{trial}`, and `*` for any
+/// text. Fields and `*` match at least one character, but no `/`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NamePattern(pub String);
 
-/// The labels found in a file's path.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct NameParts {
-    pub surface: Option<String>,
-    pub user: Option<String>,
-    /// A text that ends with the trial's number.
-    pub trial: Option<String>,
-}
-
 impl NamePattern {
-    /// The labels in a path; `None` if its last parts, as many as the pattern has, do not fit. Each
-    /// field takes the shortest text with which the rest fits.
-    pub fn parts(&self, name: &str) -> Option<NameParts> {
+    /// Reads surface, user and trial (text that ends with the number) from the path `name`.
+    /// Compares as many of the path's last components as the pattern has; `None` if they do not
+    /// fit. Each field takes the shortest text that lets the rest of the path fit.
+    pub fn parts(&self, name: &str) -> Option<[Option<String>; 3]> {
         let depth = self.0.matches('/').count();
         let from = name.rmatch_indices('/').nth(depth).map_or(0, |(at, _)| at + 1);
-        let mut parts = NameParts::default();
+        let mut parts = [None, None, None];
         fits(&self.0, &name[from..], &mut parts).then_some(parts)
     }
 }
 
-fn fits(pattern: &str, name: &str, parts: &mut NameParts) -> bool {
+fn fits(pattern: &str, name: &str, parts: &mut [Option<String>; 3]) -> bool {
     let fields = ["{surface}", "{user}", "{trial}", "*"];
-    let Some(field) = fields.into_iter().find(|field| pattern.starts_with(field)) else {
+    let Some(field) = fields.iter().position(|field| pattern.starts_with(field)) else {
         return match (pattern.chars().next(), name.chars().next()) {
             (None, None) => true,
             (Some(a), Some(b)) if a == b => {
@@ -290,13 +285,9 @@ fn fits(pattern: &str, name: &str, parts: &mut NameParts) -> bool {
     };
     let ends = name.char_indices().map(|(at, c)| (at + c.len_utf8(), c));
     for (end, _) in ends.take_while(|(_, c)| *c != '/') {
-        if fits(&pattern[field.len()..], &name[end..], parts) {
-            let text = Some(name[..end].to_string());
-            match field {
-                "{surface}" => parts.surface = text,
-                "{user}" => parts.user = text,
-                "{trial}" => parts.trial = text,
-                _ => {}
+        if fits(&pattern[fields[field].len()..], &name[end..], parts) {
+            if let Some(part) = parts.get_mut(field) {
+                *part = Some(name[..end].to_string());
             }
             return true;
         }
@@ -317,6 +308,23 @@ mod tests {
         }
     }
 
+    #[test]
+    fn samples_may_be_separated_in_any_way_and_blank_lines_do_not_count() {
+        for text in ["1,2\n3,4\n", "1; 2\n\n3;4", "\u{feff}1\t2\r\n3\t4\r\n  \n"] {
+            let samples = CsvTable::parse(text.as_bytes(), false).unwrap().values().unwrap();
+            assert_eq!(samples, ndarray::array![[1.0, 2.0], [3.0, 4.0]], "{text:?}");
+        }
+        for (text, part) in [
+            ("1,2\n\n3,x\n", "line 3, column `2`: `x` is not a finite number"),
+            ("1,2\n3\n", "line 2 has 1 column; the first has 2"),
+            ("1,2\n3,\n", "line 2, column `2`: `` is not"),
+            ("\n\n", "no rows"),
+        ] {
+            let said = CsvTable::parse(text.as_bytes(), false).and_then(|table| table.values());
+            assert!(said.as_ref().unwrap_err().contains(part), "{text:?}: {said:?}");
+        }
+    }
+
     fn series(trial: &Trial) -> &Series {
         let Signal::Series(series) = &trial.signals["acc"] else { panic!("no series") };
         series
@@ -326,7 +334,7 @@ mod tests {
     fn names_are_read_by_their_pattern() {
         let parts = |pattern: &str, name: &str| {
             let found = NamePattern(pattern.into()).parts(name)?;
-            Some([found.surface, found.user, found.trial].map(Option::unwrap_or_default))
+            Some(found.map(Option::unwrap_or_default))
         };
         let of = |a: &str, b: &str, c: &str| Some([a, b, c].map(String::from));
         assert_eq!(parts("{surface}/{trial}", "a/Eiche/3"), of("Eiche", "", "3"));
@@ -340,25 +348,25 @@ mod tests {
 
     #[test]
     fn a_decimal_comma_and_a_table_without_names_are_read() {
-        let german = CsvTable::parse("x;y\n0,5;-1\n1,5;2\n".as_bytes()).unwrap();
-        let found = german.trials("oak_2", &form(Clock::Rate(100.0))).unwrap().trials;
+        let german = CsvTable::parse("x;y\n0,5;-1\n1,5;2\n".as_bytes(), false).unwrap();
+        let found = german.trials("oak_2", &form(Clock::Rate(100.0))).unwrap().0;
         assert_eq!(found[0].key, TrialKey::new("oak", EXPERT, 2));
         assert_eq!(series(&found[0]).samples(), [0.5, -1.0, 1.5, 2.0]);
-        assert_eq!(CsvTable::parse(b"1 2\n3 4\n").unwrap().header, ["1", "2"]);
+        assert_eq!(CsvTable::parse(b"1 2\n3 4\n", false).unwrap().header, ["1", "2"]);
     }
 
     #[test]
     fn uneven_times_are_resampled_by_straight_lines() {
         let clock = Clock::Times { column: "t".into(), unit_s: 1e-3 };
-        let table = CsvTable::parse(b"t,x,y\n0,0,0\n10,1,0\n20,2,0\n40,4,0\n").unwrap();
-        let found = table.trials("oak_1", &form(clock.clone())).unwrap();
+        let table = CsvTable::parse(b"t,x,y\n0,0,0\n10,1,0\n20,2,0\n40,4,0\n", false).unwrap();
+        let (trials, uneven_hz) = table.trials("oak_1", &form(clock.clone())).unwrap();
         let expected: Vec<f32> =
             [0.0, 1.0, 2.0, 3.0, 4.0].into_iter().flat_map(|x| [x, 0.0]).collect();
-        let got = series(&found.trials[0]);
+        let got = series(&trials[0]);
         assert_eq!(got.rate_hz(), 100.0);
         assert!(got.samples().iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-5), "{got:?}");
-        assert!((found.uneven_hz.unwrap() - 75.0).abs() < 1e-9);
-        let back = CsvTable::parse(b"t,x,y\n0,0,0\n10,1,0\n5,2,0\n").unwrap();
+        assert!((uneven_hz.unwrap() - 75.0).abs() < 1e-9);
+        let back = CsvTable::parse(b"t,x,y\n0,0,0\n10,1,0\n5,2,0\n", false).unwrap();
         let error = back.trials("oak_1", &form(clock)).unwrap_err();
         assert!(error.contains("line 4") && error.contains("does not rise"), "{error}");
     }
@@ -368,11 +376,12 @@ mod tests {
         let labels = ["s", "u", "n"].map(|name| Some(name.to_string()));
         let form = CsvForm { labels, ..form(Clock::Rate(10.0)) };
         let text = "s,u,n,x,y\noak,anna,1,1,2\nash,ben,1,5,6\noak,anna,1,3,4\nash,ben,1,7,8\n";
-        let found = CsvTable::parse(text.as_bytes()).unwrap().trials("all", &form).unwrap().trials;
+        let found =
+            CsvTable::parse(text.as_bytes(), false).unwrap().trials("all", &form).unwrap().0;
         assert_eq!(found.len(), 2);
         assert_eq!(found[0].key, TrialKey::new("oak", "anna", 1));
         assert_eq!(series(&found[0]).samples(), [1.0, 2.0, 3.0, 4.0]);
-        let bad = CsvTable::parse(text.replace("3,4", "3,nan").as_bytes()).unwrap();
+        let bad = CsvTable::parse(text.replace("3,4", "3,nan").as_bytes(), false).unwrap();
         let error = bad.trials("all", &form).unwrap_err();
         assert!(error.contains("line 4, column `y`: `nan`"), "{error}");
     }

@@ -1,7 +1,7 @@
-//! The LMT108 surface materials database (Strese et al. 2017), in its own layout (method.md §7).
+//! Reads the surface materials database LMT108 (Strese et al. 2017; method.md §7).
 //!
-//! Training trials are by the expert, Testing trial u is by `user{u}`. Any subset of the database
-//! can be opened; the library's remarks say what was found.
+//! Training trials are by the expert; Testing trial u is by `user{u}`. Any part of the database can
+//! be opened; a remark says which one.
 
 mod name;
 
@@ -12,14 +12,14 @@ use std::path::{Path, PathBuf};
 use name::NamePart;
 
 use crate::library::files::{self, Listed};
-use crate::library::loader::{Headers, SourceFiles, channels as counted};
+use crate::library::loader::{Headers, Seen, SourceFiles};
 use crate::library::recording;
-use crate::library::seen::Seen;
 use crate::library::{Library, LibraryError, Opened};
+use crate::printable::counted;
 use crate::scene::{Declared, Domain, Scene, SourceId, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};
 
-/// Folders of the database, any one of which identifies it.
+/// Names of the database's folders. One such folder is enough to recognise the database.
 pub(super) const FOLDERS: [&str; 6] = [
     "AccelScansComponents",
     "SoundScans",
@@ -29,22 +29,22 @@ pub(super) const FOLDERS: [&str; 6] = [
     "ImageScans",
 ];
 
-/// Rate of all series except sound.
+/// Rate in Hz of all sources in text files; only sounds have another rate.
 const TEXT_RATE_HZ: f64 = 10_000.0;
 
-/// Most levels of folders that are read: one more than `FricScans/FSR1/Training` has.
+/// Most levels of nested folders that are read; `FricScans/FSR1/Training` has three.
 const DEEPEST: usize = 4;
 
-/// Whether a folder with this content is the database's root.
+/// Whether a folder that holds the items `listed` is the root of the LMT108 database.
 pub(super) fn is_root(listed: &[Listed]) -> bool {
     listed.iter().any(|item| is_scans(item) && holds_recordings(item))
 }
 
-/// Whether a folder named like one of [`FOLDERS`] holds recordings of the database, or no files at
-/// all. Otherwise it may be a surface of that name in another library.
+/// Whether a folder with one of the names in [`FOLDERS`] holds recordings of the database, or no
+/// files. A folder with other files may be a surface with this name in another library.
 fn holds_recordings(folder: &Listed) -> bool {
     let mut found = FoundFiles::default();
-    // Counts a folder that cannot be listed as the database's: reading it will report the error.
+    // True for a folder that cannot be listed: reading it will report the error.
     found.walk(folder, &mut Vec::new()).is_err()
         || !found.trials.is_empty()
         || found.passed.is_empty()
@@ -54,10 +54,6 @@ fn is_scans(item: &Listed) -> bool {
     item.is_dir && FOLDERS.iter().any(|name| item.name.eq_ignore_ascii_case(name))
 }
 
-/// Opens the database at its root.
-///
-/// # Errors
-/// If a folder cannot be read, the scene contradicts the database, or no recording can be used.
 pub(super) fn open(
     root: &Path,
     listed: &[Listed],
@@ -90,7 +86,7 @@ pub(super) fn open(
             entries.push(recording::entry(key, sources, None));
         }
     }
-    for (path, what) in headers.remarks() {
+    for (path, what) in headers.remarks {
         let place = path.strip_prefix(root).unwrap_or(&path).display().to_string();
         Seen::count(&mut passed, what, place);
     }
@@ -108,11 +104,8 @@ pub(super) fn open(
                            names such as SoundScans/Movement/Training/\
                            G1EpoxyRasterPlate_Sound_Movement_train1.wav"
             .to_string();
-        for remark in &remarks {
-            problem.push_str("\n  ");
-            problem.push_str(remark);
-        }
-        return Err(LibraryError::NothingFound { path: root.to_path_buf(), problem });
+        remarks.iter().for_each(|remark| problem += &format!("\n  {remark}"));
+        return Err(LibraryError::file(root, problem));
     }
     let (name, scene) = ("LMT108".into(), defaults.clone());
     Ok(Opened { library: Library { name, scene, entries, synthetic: false, remarks }, bad })
@@ -127,7 +120,7 @@ struct FoundFiles {
 }
 
 impl FoundFiles {
-    /// Adds all files below `folder`; `above` names the folders above it, in lower case.
+    /// Adds all files below `folder`; `above` holds the names of its parent folders, in lower case.
     fn walk(&mut self, folder: &Listed, above: &mut Vec<String>) -> Result<(), LibraryError> {
         above.push(folder.name.to_ascii_lowercase());
         for item in files::list(&folder.path)? {
@@ -169,7 +162,7 @@ impl FoundFiles {
         if contradicts {
             self.pass_over(
                 &item,
-                "its folder and its name disagree on whether this is training; the folder counts",
+                "its folder and its name disagree whether it is for training; the folder decides",
             );
         }
         let channels = self.trials.entry(key).or_default().entry(source).or_default();
@@ -185,10 +178,10 @@ impl FoundFiles {
     }
 }
 
-/// The files of a source, one for each channel, or a text that says which are missing.
+/// The files of a source, one for each channel, or a text that names the missing files.
 ///
 /// # Errors
-/// If the scene gives the source another number of channels than the database does.
+/// If `scene` and database disagree about the source's number of channels.
 fn complete(
     spec: &SourceSpec,
     channels: Channels,
@@ -204,7 +197,7 @@ fn complete(
         let path = channels.into_values().next().unwrap_or_default();
         let problem = format!(
             "the database has {} for source `{}`; correct its description in the configuration",
-            if is_image { "an image".into() } else { counted(names.len()) },
+            if is_image { "an image".into() } else { counted(names.len(), "channel") },
             spec.id,
         );
         return Err(LibraryError::file(&path, problem));
@@ -224,7 +217,7 @@ fn source_files(
     mut paths: Vec<PathBuf>,
 ) -> Result<SourceFiles, LibraryError> {
     Ok(match spec.id.as_str() {
-        // One file each at least: `complete` saw to it.
+        // Indexing is safe: `complete` has checked that there is a file.
         "mi1" | "mi2" => headers.series(
             spec,
             Declared { band: true, ..Declared::default() },
@@ -239,7 +232,7 @@ fn source_files(
     })
 }
 
-/// Lists the sources found and those missing, a line each.
+/// Up to three lines of text that say which sources were found and which are missing.
 fn summary(entries: &[(&TrialKey, &[SourceId])], scene: &Scene) -> Vec<String> {
     let surfaces: BTreeSet<_> = entries.iter().map(|(key, _)| key.surface.as_str()).collect();
     let experts = entries.iter().filter(|(key, _)| key.user == EXPERT).count();
@@ -262,9 +255,8 @@ fn summary(entries: &[(&TrialKey, &[SourceId])], scene: &Scene) -> Vec<String> {
         }
     }
     let mut remarks = vec![format!(
-        "found: {} surface{}, trials: {experts} of the expert, {} of users; {}",
-        surfaces.len(),
-        if surfaces.len() == 1 { "" } else { "s" },
+        "found: {}, trials: {experts} of the expert, {} of users; {}",
+        counted(surfaces.len(), "surface"),
         entries.len() - experts,
         found.join(", "),
     )];

@@ -1,4 +1,4 @@
-//! Reads collections of recordings in formats other than the project's, and makes synthetic ones.
+//! Reads recordings in formats of other projects, and generates synthetic recordings.
 
 pub(crate) mod csv;
 mod lmt108;
@@ -12,52 +12,52 @@ use crate::library::recording::{self, DESCRIPTION};
 use crate::library::{Library, LibraryError, Opened};
 use crate::scene::Scene;
 
-/// Whether the LMT108 database, in one of its two layouts, has folders of this name.
+/// Whether the LMT108 database has a folder of this name, in either of its two layouts.
 pub(crate) fn is_layout_name(name: &str) -> bool {
     lmt108::FOLDERS.iter().chain(&PROCESSED).any(|folder| folder.eq_ignore_ascii_case(name))
 }
 
-/// Whether a folder, or a folder in it, holds the LMT108 database in one of its own layouts. Trials
-/// in the project's recording format would not be read from there.
+/// Whether a folder, or a folder in it, is a copy of the LMT108 database. A trial written there in
+/// the project's recording format would never be read.
 pub(crate) fn is_foreign(path: &Path) -> bool {
     !copies(path, files::list(path).unwrap_or_default()).is_empty()
 }
 
-/// The copies of the LMT108 database, with the files and folders in each: `path` itself, or else
-/// folders in it.
+/// The copies of the LMT108 database, each with its files and folders: `path` itself if it is a
+/// copy, otherwise those folders in it that are copies.
 fn copies(path: &Path, listed: Vec<Listed>) -> Vec<(PathBuf, Vec<Listed>)> {
     let is_copy = |listed: &[Listed]| lmt108::is_root(listed) || is_processed(listed);
     if is_copy(&listed) {
         return vec![(path.to_path_buf(), listed)];
     }
-    // A folder with a `library.toml` is a library in the recording format.
+    // A folder with a `library.toml` is a library in the project's recording format.
     if listed.iter().any(|item| item.name == DESCRIPTION) {
         return Vec::new();
     }
     let folders = listed.into_iter().filter(|item| item.is_dir && !item.is_hidden());
-    // A folder that cannot be listed is reported when it is read.
+    // A folder that cannot be listed counts as empty here; reading it later reports the error.
     let inner = folders.map(|item| (files::list(&item.path).unwrap_or_default(), item.path));
     inner.filter(|(inner, _)| is_copy(inner)).map(|(inner, path)| (path, inner)).collect()
 }
 
 /// Opens the recordings at `path`, in any of these formats:
 ///
-/// - the LMT108 database (a folder that holds `SoundScans/`, `AccelScansComponents/` or another of
-///   its folders, here or one folder further down),
+/// - the LMT108 database (`path`, or a folder in it, holds `SoundScans/`, `AccelScansComponents/` or
+///   another folder of the database),
 /// - a single WAV or FLAC file: one trial of an unknown surface,
 /// - otherwise the recording format, version 1 (see [`recording`]).
 ///
-/// The sources are those of `defaults`, and those that the library itself describes. Data are read
-/// when an entry is loaded; [`Library::remarks`] says what was found and what is missing.
+/// The sources are those of `defaults`, and those that the library itself describes. Samples are
+/// read when an entry is loaded; [`Library::remarks`] says what was found and what is missing.
 ///
 /// # Errors
 /// If the folder cannot be read, holds no recordings, or holds recordings that contradict their
-/// description; if it holds LMT108 in its authors' processed form, which a script converts.
+/// description; also if it holds LMT108 in its authors' processed form, which a script converts.
 pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
     open_usable(path, defaults)?.whole()
 }
 
-/// Like [`open`], but lists files and trials that cannot be used beside the library.
+/// Like [`open`], but [`Opened::bad`] lists the files and trials that cannot be used.
 ///
 /// # Errors
 /// If the folder cannot be read, or nothing in it can be used.
@@ -83,11 +83,11 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
     }
 }
 
-/// Folders of the authors' processed form of LMT108.
+/// Folders of the processed form in which the authors of LMT108 published it.
 const PROCESSED: [&str; 3] = ["DataLMT108", "Library", "TestingSet"];
 
 /// Whether `listed` is the content of the root of the authors' processed form of LMT108, or of its
-/// `DataLMT108`. A surface may have such a name too, but then its folder holds trial folders.
+/// `DataLMT108`. A surface may be called `Library`, too, but its folder holds trial folders.
 fn is_processed(listed: &[Listed]) -> bool {
     let called = |item: &Listed, name: &str| item.name.eq_ignore_ascii_case(name);
     let holds_only = |name: &str, folders: &[&str]| {

@@ -1,9 +1,9 @@
-//! The camera: upright pictures of 320 × 480 pixels, without and with flash.
+//! A camera, which makes upright pictures of 320 × 480 pixels, without and with flash.
 //!
-//! Reading may block for ever if the camera hangs. So a separate thread reads, and the device's
-//! thread watches over it, judges the light of each frame, and makes pictures. While the reader
-//! hangs, the state is "stalled"; nothing waits for it to end. The trait `Video` hides V4L2, whose
-//! implementation comes with the crate's feature `camera`.
+//! Reading blocks forever if a camera hangs, so a separate thread (the reader) reads the frames.
+//! The device's thread watches the reader, judges the light of each frame, and makes pictures.
+//! While the reader hangs, the state is "stalled", and nothing waits for it. The trait `Video`
+//! hides V4L2 (video for Linux); the crate's feature `camera` adds the implementation.
 
 mod flash;
 mod frame;
@@ -18,32 +18,31 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
 use self::flash::{Cycle, FrameLight};
-use super::open::{LONGEST_RETRY, OpenError, RETRY, Retry};
+use self::upright::compared;
+use super::link::{Disconnected, LONGEST_RETRY, OpenError, keep_connected};
 use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
 use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
 
-pub use frame::Rgb;
 pub use upright::Turn;
 pub use viewfinder::{FlashState, Viewfinder};
 
-pub(crate) use flash::{Flash, FlashControl, FlashLine, Shutter};
-pub(crate) use frame::{Frame, FrameError};
-pub(crate) use upright::upright;
+pub(crate) use flash::{Flash, FlashControl, Shutter};
+pub(crate) use frame::Frame;
 #[cfg(feature = "camera")]
 pub(crate) use v4l::{V4l, cameras};
 pub(crate) use viewfinder::CameraView;
 
-/// The longest time that the device's thread waits for news of the reader.
+/// The longest time that the device's thread waits for a message of the reader thread.
 const LOOK: Duration = Duration::from_millis(50);
-/// No picture for this long is a stall; cameras take their time to start.
+/// Time without a picture after which the state is "stalled"; long, since cameras start slowly.
 const STALLED: Duration = Duration::from_secs(2);
-/// The time that the reader has to close the camera at a stop.
+/// How long a stop waits for the reader thread to close the camera.
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
-/// Least time between two reports of damaged frames.
+/// Shortest time between two reports of damaged frames.
 const SUM_UP: Duration = Duration::from_secs(10);
 
-/// A camera, as one stream of pictures, and a second one with flash if it has a flash.
+/// A camera as a device: a stream of pictures and, if it has a flash, a stream of flash pictures.
 pub struct Camera {
     plain: SourceId,
     flash: Option<(SourceId, Flash)>,
@@ -56,60 +55,40 @@ pub struct Camera {
     name: String,
 }
 
-/// The reason why a reader has ended.
-enum CameraEnd {
-    Stop,
-    Failed(OpenError),
-    Lost(String),
-}
-
-/// The state that lasts from one reader to the next.
+/// The state that survives when the camera is reopened with a new reader.
 struct CameraWatch<'a> {
     camera: &'a mut Camera,
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
     cycle: Cycle,
-    /// Whether a usable frame has ever come.
-    seen: bool,
-    /// When the last plain picture was pushed.
+    /// Time at which the last picture without flash was pushed; `None` before the first one.
     pushed: Option<Instant>,
     damaged: u64,
     summed_up: Option<Instant>,
 }
 
 impl Camera {
-    /// The camera that `video` opens, as the stream `plain` of five pictures a second.
-    pub fn new(plain: SourceId, video: Arc<dyn Video>) -> Self {
+    /// A camera that `video` opens. Its stream `plain` gets one picture in each period `every`;
+    /// other frames are dropped. `turn` makes the pictures upright.
+    pub fn new(plain: SourceId, video: Arc<dyn Video>, turn: Turn, every: Duration) -> Self {
         let name = format!("camera {}", video.device());
         let viewfinder = Viewfinder::new(plain.clone());
         Self {
             plain,
             flash: None,
             video,
-            turn: Turn::None,
-            every: Duration::from_millis(200),
-            settle: Duration::from_millis(300),
+            turn,
+            every,
+            settle: Duration::ZERO,
             shutter: Shutter::default(),
             viewfinder,
             name,
         }
     }
 
-    /// Sets how the picture is turned to stand upright.
-    pub fn turn(mut self, turn: Turn) -> Self {
-        self.turn = turn;
-        self
-    }
-
-    /// Sets the time between two plain pictures; what the camera delivers in between is dropped.
-    pub fn every(mut self, every: Duration) -> Self {
-        self.every = every;
-        self
-    }
-
-    /// Adds the stream `stream` of pictures with flash, one each time that [`Camera::shutter`] is
-    /// released. `settle` is the time from switching the light until frames show it, with the
-    /// camera's own exposure control; while it passes, frames are dropped.
+    /// Adds the stream `stream` of pictures with flash; [`Camera::shutter`] requests each picture.
+    /// Frames are dropped for the time `settle` after a switch of the light, until light and
+    /// exposure are stable.
     pub fn flash(mut self, stream: SourceId, flash: Flash, settle: Duration) -> Self {
         self.flash = Some((stream, flash));
         self.settle = settle;
@@ -117,12 +96,10 @@ impl Camera {
         self
     }
 
-    /// Requests pictures with flash, from any thread.
     pub fn shutter(&self) -> Shutter {
         self.shutter.clone()
     }
 
-    /// Shows what the camera sees, to any thread.
     pub fn viewfinder(&self) -> Viewfinder {
         self.viewfinder.clone()
     }
@@ -147,59 +124,49 @@ impl Device for Camera {
             sinks,
             link,
             cycle,
-            seen: false,
             pushed: None,
             damaged: 0,
             summed_up: None,
         };
-        let mut retry = Retry::new(LONGEST_RETRY);
-        while !link.stopped() {
+        keep_connected(link, LONGEST_RETRY, || {
             let stop = Stop::default();
             let (orders, news) = start_reader(watch.camera.video.clone(), stop.clone())?;
             let end = watch.follow(&orders, &news);
             watch.light_off(&orders);
             stop.request();
             drop(orders);
-            // The reader closes the camera at its next frame. One that hangs is not waited for.
+            // Waits until the reader has closed the camera, at its next frame; a hanging reader
+            // only costs `STOP_TIMEOUT`.
             let until = Instant::now() + STOP_TIMEOUT;
             while news.recv_deadline(until).is_ok() {}
-            match end {
-                CameraEnd::Stop => break,
-                CameraEnd::Failed(error) => {
-                    retry.failed(error, watch.seen, link)?;
-                }
-                CameraEnd::Lost(why) => {
-                    retry.opened();
-                    link.state(DeviceState::Lost, why);
-                    link.sleep_until(Instant::now() + RETRY);
-                }
-            }
-        }
-        Ok(())
+            end
+        })
     }
 }
 
 impl CameraWatch<'_> {
-    /// Makes pictures of the reader's frames, until the reader ends or a stop is requested.
-    fn follow(&mut self, orders: &Sender<ControlRequest>, news: &Receiver<News>) -> CameraEnd {
+    /// Makes pictures from frames until the reader ends or a stop is requested.
+    fn follow(
+        &mut self,
+        orders: &Sender<Order>,
+        news: &Receiver<News>,
+    ) -> Result<(), Disconnected> {
         let mut last = Instant::now();
         while !self.link.stopped() {
             match news.recv_timeout(LOOK) {
                 Ok(News::Opened) => last = Instant::now(),
-                Ok(News::Failed(error)) => return CameraEnd::Failed(error),
-                Ok(News::Ended(why)) => return CameraEnd::Lost(why),
-                Ok(News::Obeyed(Ok(()))) => {}
-                Ok(News::Obeyed(Err(why))) => self.no_light(&why),
+                Ok(News::Ended(why)) => return Err(why),
+                Ok(News::Disobeyed(why)) => self.no_light(&why),
                 Ok(News::Frame(frame, at)) => {
                     if self.frame(&frame, at, orders) {
                         last = Instant::now();
-                        self.seen = true;
                         self.link.state(DeviceState::Streaming, "");
                     }
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
-                    return CameraEnd::Lost("the thread that reads it has ended".into());
+                    let why = "the thread that reads it has ended";
+                    return Err(Disconnected::Lost(why.into()));
                 }
             }
             if last.elapsed() > STALLED {
@@ -208,16 +175,16 @@ impl CameraWatch<'_> {
                 self.link.state(DeviceState::Stalled, why);
             }
         }
-        CameraEnd::Stop
+        Ok(())
     }
 
-    /// Handles a frame. False if it was damaged.
-    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<ControlRequest>) -> bool {
+    /// Makes a picture from a frame if one is due. Returns false if the frame is damaged.
+    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<Order>) -> bool {
         let has_flash = self.camera.flash.is_some();
         let shutter = &self.camera.shutter;
-        let verdict = self.cycle.judge(at, || has_flash && shutter.take());
+        let (light, switch) = self.cycle.judge(at, || has_flash && shutter.take());
         let due = self.pushed.is_none_or(|pushed| at >= pushed + self.camera.every);
-        let sink = match verdict.light {
+        let sink = match light {
             FrameLight::Plain if due => Some(0),
             FrameLight::Flash => Some(1),
             FrameLight::Plain | FrameLight::Between => None,
@@ -229,11 +196,11 @@ impl CameraWatch<'_> {
                 self.pushed = Some(at);
             }
             if index == 1 && !good {
-                // The frame with flash was damaged: take another one.
+                // Requests another picture with flash, since this one's frame was damaged.
                 self.camera.shutter.flash();
             }
         }
-        if let Some(on) = verdict.switch {
+        if let Some(on) = switch {
             self.switch(on, orders);
         }
         good
@@ -247,17 +214,18 @@ impl CameraWatch<'_> {
                 return false;
             }
         };
-        let Some(picture) = upright(&rgb, self.camera.turn) else { return false };
+        let upright = self.camera.turn.turn(rgb);
+        let Some(picture) = compared(&upright) else { return false };
         if index == 0 {
-            self.camera.viewfinder.show(rgb, self.camera.turn);
+            self.camera.viewfinder.show(upright);
         }
         if let Some(sink) = self.sinks.get_mut(index).and_then(Sink::images) {
-            sink.push(Arc::new(picture));
+            sink.push(&[Arc::new(picture)]);
         }
         true
     }
 
-    fn damaged(&mut self, error: &FrameError) {
+    fn damaged(&mut self, error: &str) {
         self.damaged += 1;
         if self.summed_up.is_none_or(|at| at.elapsed() >= SUM_UP) {
             let count = self.damaged;
@@ -266,13 +234,12 @@ impl CameraWatch<'_> {
         }
     }
 
-    fn switch(&mut self, on: bool, orders: &Sender<ControlRequest>) {
+    fn switch(&mut self, on: bool, orders: &Sender<Order>) {
         let switched = match &mut self.camera.flash {
             None => Ok(()),
-            Some((_, Flash::Line(line))) => line.switch(on),
+            Some((_, Flash::Line(switch))) => switch(on),
             Some((_, Flash::Control(control))) => {
-                let value = if on { control.on } else { control.off };
-                let order = ControlRequest { control: control.id, value };
+                let order = (control.id, if on { control.on } else { control.off });
                 orders.try_send(order).map_err(|_| "the camera does not take orders".into())
             }
         };
@@ -289,8 +256,7 @@ impl CameraWatch<'_> {
         self.link.warn(format!("the flash cannot be switched: {why}"));
     }
 
-    /// Switches the light off, if it is on.
-    fn light_off(&mut self, orders: &Sender<ControlRequest>) {
+    fn light_off(&mut self, orders: &Sender<Order>) {
         if self.cycle.lit() {
             self.switch(false, orders);
             self.cycle.cancel();
@@ -301,51 +267,38 @@ impl CameraWatch<'_> {
 #[cfg(test)]
 mod tests;
 
-/// A camera that can be opened, again and again.
+/// A camera that can be opened any number of times.
 pub trait Video: Send + Sync {
-    /// The name of the camera that it opens.
     fn device(&self) -> String;
 
-    /// Opens the camera, and starts its stream. Called on the thread that reads.
-    ///
-    /// # Errors
-    /// If it cannot be opened.
+    /// Opens the camera and starts its stream. Runs on the reader's thread.
     fn open(&self) -> Result<Box<dyn Frames>, OpenError>;
 }
 
+/// An open camera that delivers frames. Its errors are messages for users.
 pub trait Frames {
-    /// The next frame; waits for it without limit.
-    ///
-    /// # Errors
-    /// If there will be no more frames: the reason, for people.
+    /// Waits for the next frame, without a time limit. Fails if no more frames will come.
     fn next(&mut self) -> Result<Frame, String>;
 
-    /// Sets a control of the camera.
-    ///
-    /// # Errors
-    /// If the camera has no such control, or refuses the value: the reason, for people.
+    /// Sets one of the camera's controls. Fails if the camera lacks it or refuses the value.
     fn control(&mut self, id: u32, value: i64) -> Result<(), String>;
 }
 
 enum News {
     Opened,
-    Failed(OpenError),
-    /// A frame, and when it came.
     Frame(Frame, Instant),
-    Obeyed(Result<(), String>),
-    Ended(String),
+    Disobeyed(String),
+    Ended(Disconnected),
 }
 
-struct ControlRequest {
-    pub control: u32,
-    pub value: i64,
-}
+/// A request to set a control of the camera: the control's id, and the value.
+type Order = (u32, i64);
 
-/// Starts the reader. Frames that cannot be taken at once are dropped: the next one is fresher.
+/// Starts the reader thread. It drops a frame that is not taken at once, since a newer one follows.
 fn start_reader(
     video: Arc<dyn Video>,
     stop: Stop,
-) -> Result<(Sender<ControlRequest>, Receiver<News>), DeviceError> {
+) -> Result<(Sender<Order>, Receiver<News>), OpenError> {
     let (orders, ordered) = crossbeam_channel::bounded(4);
     let (send, news) = crossbeam_channel::bounded(1);
     std::thread::Builder::new()
@@ -353,39 +306,40 @@ fn start_reader(
         .spawn(move || {
             let last = match video.open() {
                 Ok(frames) => read(frames, &stop, &ordered, &send),
-                Err(error) => Some(News::Failed(error)),
+                Err(error) => Some(News::Ended(error.into())),
             };
             if let Some(last) = last {
                 let _ = send.send(last);
             }
         })
         .map_err(|error| {
-            DeviceError::Failed(format!("cannot start a thread to read the camera: {error}"))
+            OpenError::Unfit(format!("cannot start a thread to read the camera: {error}"))
         })?;
     Ok((orders, news))
 }
 
-/// Reads until the camera ends, and returns the last news; `None` after a request to stop, or if
-/// nobody receives any more.
+/// Reads frames until the camera ends, and returns the last message to send. Returns `None` after a
+/// request to stop, or if nobody receives the messages.
 fn read(
     mut frames: Box<dyn Frames>,
     stop: &Stop,
-    ordered: &Receiver<ControlRequest>,
+    ordered: &Receiver<Order>,
     send: &Sender<News>,
 ) -> Option<News> {
     send.send(News::Opened).ok()?;
     loop {
-        // Orders come first, and also after a request to stop: the last one switches the light off.
-        for ControlRequest { control, value } in ordered.try_iter() {
-            let obeyed = frames.control(control, value);
-            let _ = send.send(News::Obeyed(obeyed));
+        // Orders come first, even after a request to stop: the last order switches the light off.
+        for (control, value) in ordered.try_iter() {
+            if let Err(why) = frames.control(control, value) {
+                let _ = send.send(News::Disobeyed(why));
+            }
         }
         if stop.requested() {
             return None;
         }
         match frames.next() {
             Ok(frame) => drop(send.try_send(News::Frame(frame, Instant::now()))),
-            Err(why) => return Some(News::Ended(why)),
+            Err(why) => return Some(News::Ended(Disconnected::Lost(why))),
         }
     }
 }

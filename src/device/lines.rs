@@ -1,80 +1,70 @@
-//! Any sensor that prints lines of numbers: on a serial port, by TCP or UDP, or on standard input.
+//! Drivers for sensors that print lines of numbers: on a serial port, TCP, UDP or standard input.
 //!
-//! [`LineParser`] turns bytes into rows and [`LinesIntake`] rows into frames, without I/O;
-//! [`Survey`] learns rate, scale and columns from what comes; [`LinesAddress`] is where the bytes
-//! come from, and [`Lines`] the device that joins them.
+//! `LineParser` parses bytes into rows, and `LinesIntake` turns rows into frames, both without I/O.
+//! A [`Survey`] finds rate, scale and columns from the data. [`LinesAddress`] says where the bytes
+//! come from. [`Lines`] is the device made of these parts.
 
 mod address;
 mod intake;
 mod parser;
 mod survey;
 
+use std::io::Read;
 use std::time::{Duration, Instant};
 
-use super::serial::{
-    BUFFER, ConnectionEnd, OpenPort, Port, REPORT_EVERY, STALLED, keep_open, read_some, warn_of,
-};
+use super::link::{Disconnected, RETRY, keep_connected};
+use super::serial::{BUFFER, REPORT_EVERY, STALLED, lost, read_some, warn_of};
 use super::{Device, DeviceError, DeviceLink, DeviceState, OpenError, StreamKind, StreamSpec};
 use crate::ring::Sink;
 
 use address::StandardInput;
 
 pub use address::LinesAddress;
-pub use intake::{Column, Count, LineCounts, LinesEvent, LinesIntake, LinesStream};
-pub use parser::{LONGEST_LINE, Line, LineParser};
+pub use intake::{Column, Count, LinesStream};
 pub use survey::{ColumnSurvey, SURVEY_S, Survey};
 
-/// A pause after each read, so that a program that sends each line by itself costs one read for
-/// many of them.
+use intake::{LinesEvent, LinesIntake};
+
+/// Pause after each read, so that one read takes many lines, even if each line is sent by itself.
 const GATHER: Duration = Duration::from_millis(4);
-/// The ring of a device whose rate is yet to be measured is as long as for this one, in Hz.
+/// Rate in Hz for which a device's ring is sized while the device's rate is not known.
 const UNKNOWN_HZ: f64 = 20_000.0;
-/// The time from one look at the rate to the next, in seconds, and the least change that is said.
+/// Seconds between two checks of the rate, and the least relative error that is reported.
 const PACE_S: f64 = 10.0;
 const PACE: f64 = 0.02;
 
-/// A sensor that prints lines of numbers.
-pub struct Lines {
-    name: String,
-    address: LinesAddress,
-    streams: Vec<LinesStream>,
-    count: Option<Count>,
-    rate_hz: Option<f64>,
+/// A sensor that prints lines of numbers. A rate or scale of `None` is measured in the first
+/// seconds, whose lines are then dropped.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinesConfig {
+    pub address: LinesAddress,
+    pub rate_hz: Option<f64>,
+    pub count: Option<Count>,
+    pub streams: Vec<LinesStream>,
 }
 
-/// The lines at work.
+pub struct Lines {
+    name: String,
+    config: LinesConfig,
+}
+
 struct Work<'a> {
+    config: &'a LinesConfig,
+    /// `None` until the values that the configuration leaves open are measured.
     intake: Option<LinesIntake>,
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
-    rate_hz: f64,
-    counts: Counted,
-    /// Rows since the rate was last looked at, and when that was.
+    begin: Instant,
+    /// Number of frames since the last report that did not fit into a ring.
+    overflowed: u64,
+    /// Number of rows since the last check of the rate, and the time of that check.
     pace: (u64, Instant),
     off_pace: bool,
 }
 
-#[derive(Default)]
-struct Counted {
-    lines: LineCounts,
-    overflowed: u64,
-}
-
 impl Lines {
-    /// Lines from `address` as these streams, at least one; rate and scales that are not given are
-    /// measured over the first seconds, which are not passed on.
-    pub fn new(
-        address: LinesAddress,
-        streams: Vec<LinesStream>,
-        count: Option<Count>,
-        rate_hz: Option<f64>,
-    ) -> Self {
-        Self { name: address.name(), address, streams, count, rate_hz }
-    }
-
-    /// Whether rate or a scale is to be measured.
-    fn measures(&self) -> bool {
-        self.rate_hz.is_none() || self.streams.iter().any(|stream| stream.scale.is_none())
+    pub fn new(config: LinesConfig) -> Self {
+        Self { name: config.address.name(), config }
     }
 }
 
@@ -86,82 +76,50 @@ impl Device for Lines {
     fn streams(&self) -> Vec<StreamSpec> {
         let kind = |stream: &LinesStream| StreamKind::Series {
             channels: stream.columns.len(),
-            rate_hz: self.rate_hz.unwrap_or(UNKNOWN_HZ),
+            rate_hz: self.config.rate_hz.unwrap_or(UNKNOWN_HZ),
         };
         let spec = |stream: &LinesStream| StreamSpec { id: stream.id.clone(), kind: kind(stream) };
-        self.streams.iter().map(spec).collect()
+        self.config.streams.iter().map(spec).collect()
     }
 
     fn waits(&self) -> bool {
-        // The program at the other end of a pipe waits for its reader.
-        self.address == LinesAddress::Stdin
+        // Only a pipe can wait: the program that writes to it blocks until lines are read.
+        self.config.address == LinesAddress::Stdin
     }
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
-        let begin = Instant::now();
-        let intake = (!self.measures())
-            .then(|| self.intake(&self.streams, self.rate_hz.unwrap_or(UNKNOWN_HZ)));
-        let mut work = Work {
-            intake,
-            sinks,
-            link,
-            rate_hz: self.rate_hz.unwrap_or(UNKNOWN_HZ),
-            counts: Counted::default(),
-            pace: (0, begin),
-            off_pace: false,
-        };
-        let mut address = self.address.clone();
-        let mut failed = Ok(());
-        keep_open(&mut address, link, |mut port, path| {
-            if work.intake.is_none() {
-                match self.measure(port.as_mut(), link) {
-                    Ok(Some((intake, rate_hz))) => {
-                        link.rate(rate_hz);
-                        (work.intake, work.rate_hz) = (Some(intake), rate_hz);
-                    }
-                    Ok(None) => return ConnectionEnd::Stop,
-                    Err(SurveyError::Unfit(why)) => {
-                        failed = Err(DeviceError::Failed(why));
-                        return ConnectionEnd::Stop;
-                    }
-                    Err(SurveyError::Lost(why)) => {
-                        return self.lost(&path, &why);
-                    }
-                }
-            } else if let Some(intake) = &mut work.intake {
-                intake.reopened(self.address.begins_half());
+        let (config, begin) = (&self.config, Instant::now());
+        let LinesConfig { address, rate_hz, count, streams } = config;
+        let scaled = streams.iter().all(|stream| stream.scale.is_some());
+        let intake = |rate_hz| LinesIntake::new(streams.clone(), count.clone(), rate_hz);
+        let intake = rate_hz.filter(|_| scaled).map(intake);
+        let (overflowed, pace, off_pace) = (0, (0, begin), false);
+        let mut work = Work { config, intake, sinks, link, begin, overflowed, pace, off_pace };
+        keep_connected(link, RETRY, || {
+            let (mut line, path) = address.open()?;
+            link.state(DeviceState::Opening, path.clone());
+            match work.follow(&mut line) {
+                // The device ends with its pipe, which cannot be reopened.
+                Err(Disconnected::Lost(_)) if *address == LinesAddress::Stdin => Ok(()),
+                Err(Disconnected::Lost(why)) => Err(lost(&path, &why)),
+                end => end,
             }
-            let end = work.follow(port.as_mut(), begin, &self.address);
-            work.report();
-            end.map_or(ConnectionEnd::Stop, |why| self.lost(&path, &why))
-        })?;
-        failed
+        })
     }
 }
 
-/// Why nothing was learnt of a device.
-pub enum SurveyError {
-    /// It is lost.
-    Lost(String),
-    /// What comes cannot be used.
-    Unfit(String),
-}
-
-/// Learns what comes from a line that was opened within a line if `half`, until enough came or
-/// `stopped` says so; gives the bytes, too.
-///
-/// # Errors
-/// If the line is lost.
-pub fn survey(
-    port: &mut dyn Port,
+/// Surveys a line until the survey is complete or `stopped` is true; returns survey and bytes read.
+/// `half`: the bytes may begin within a row. An error says why the line is lost.
+fn survey(
+    line: &mut dyn Read,
     half: bool,
     mut stopped: impl FnMut(&Survey) -> bool,
 ) -> Result<(Survey, Vec<u8>), String> {
     let (begin, mut survey, mut all) = (Instant::now(), Survey::new(half), Vec::new());
     let mut buffer = vec![0; BUFFER + 1];
     while !survey.is_complete() && !stopped(&survey) {
-        let n = match read_some(port, &mut buffer) {
-            // A file that ends is a survey, too.
+        let n = match read_some(line, &mut buffer) {
+            // The end of a file is no error if enough was read, and completes the survey.
             Err(_) if survey.rate_hz().is_ok() || !all.is_empty() && !half => break,
             read => read?,
         };
@@ -172,99 +130,82 @@ pub fn survey(
     Ok((survey, all))
 }
 
-/// Opens `address` for a survey, and waits until enough came, for at most `patience`. What was read
-/// from standard input is there to be read again.
-///
-/// # Errors
-/// If it cannot be opened, is lost, or no lines of numbers come: what to do.
+/// Opens `address` and surveys its lines; gives up if no row comes within `patience`. The bytes
+/// read from standard input can be read again afterwards. An error says what to do.
 pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, String> {
-    let (mut port, path) = address.clone().open().map_err(|error: OpenError| error.to_string())?;
+    let (mut line, path) = address.open().map_err(|error| error.to_string())?;
     let until = Instant::now() + patience;
-    // Once rows come, their survey is waited for.
+    // Gives up only before the first row; later, this waits until the survey is complete.
     let stopped = |survey: &Survey| !survey.has_rows() && Instant::now() >= until;
-    let (survey, bytes) = survey(port.as_mut(), address.begins_half(), stopped)
+    let (survey, bytes) = survey(&mut line, address.begins_half(), stopped)
         .map_err(|why| format!("{path}: {why}"))?;
     if *address == LinesAddress::Stdin {
         StandardInput::put_back(bytes);
     }
     if !survey.has_rows() {
         return Err(match survey.is_garbage() {
-            true => {
-                format!("{path}: bytes come, but no lines of numbers; {}", address.garbage_hint())
-            }
+            true => format!("{path}: {}", address.no_numbers()),
             false => format!("{path}: nothing comes; check that the device sends by itself"),
         });
     }
     Ok(survey)
 }
 
-impl Lines {
-    fn intake(&self, streams: &[LinesStream], rate_hz: f64) -> LinesIntake {
-        LinesIntake::new(streams.to_vec(), self.count.clone(), rate_hz)
-    }
-
-    fn lost(&self, path: &str, why: &str) -> ConnectionEnd {
-        // A pipe that has ended does not come back.
-        match self.address {
-            LinesAddress::Stdin => ConnectionEnd::Stop,
-            _ => ConnectionEnd::Lost(format!("{path}: {why}; waiting for it to come back")),
-        }
-    }
-
-    /// Measures what is not given; `None` at a stop.
-    fn measure(
-        &self,
-        port: &mut dyn Port,
-        link: &DeviceLink,
-    ) -> Result<Option<(LinesIntake, f64)>, SurveyError> {
-        let mut silent = Some(Instant::now());
-        let stopped = |survey: &Survey| {
-            if survey.is_garbage() && silent.is_some_and(|since| since.elapsed() >= STALLED * 4) {
-                let hint = self.address.garbage_hint();
-                link.state(DeviceState::Stalled, format!("no lines of numbers come; {hint}"));
-                silent = None;
-            }
-            link.stopped()
-        };
-        let half = self.address.begins_half();
-        let (survey, _) = survey(port, half, stopped).map_err(SurveyError::Lost)?;
-        if link.stopped() {
-            return Ok(None);
-        }
-        let rate_hz = match self.rate_hz {
-            Some(rate_hz) => rate_hz,
-            None => survey.rate_hz().map_err(SurveyError::Unfit)?,
-        };
-        let mut intake = self.intake(&survey.scaled(&self.streams), rate_hz);
-        intake.set_names(survey.names());
-        Ok(Some((intake, rate_hz)))
-    }
-}
-
 impl Work<'_> {
-    /// Takes lines until a stop, or until the line is lost: then why.
-    fn follow(
-        &mut self,
-        port: &mut dyn Port,
-        begin: Instant,
-        address: &LinesAddress,
-    ) -> Option<String> {
+    /// Takes rows from a line that was just opened, until a stop is requested.
+    fn follow(&mut self, line: &mut dyn Read) -> Result<(), Disconnected> {
+        match &mut self.intake {
+            Some(intake) => intake.reopened(self.config.address.begins_half()),
+            None => {
+                let survey = self.survey(line).map_err(Disconnected::Lost)?;
+                if self.link.stopped() {
+                    return Ok(());
+                }
+                let intake = self.measured(&survey).map_err(OpenError::Unfit)?;
+                self.link.rate(intake.rate_hz);
+                self.intake = Some(intake);
+            }
+        }
+        let end = self.take_all(line);
+        self.report();
+        end.map_err(Disconnected::Lost)
+    }
+
+    fn survey(&self, line: &mut dyn Read) -> Result<Survey, String> {
+        let (begin, address) = (Instant::now(), &self.config.address);
+        let stopped = |survey: &Survey| {
+            if survey.is_garbage() && begin.elapsed() >= STALLED * 4 {
+                self.link.state(DeviceState::Stalled, address.no_numbers());
+            }
+            self.link.stopped()
+        };
+        survey(line, address.begins_half(), stopped).map(|(survey, _)| survey)
+    }
+
+    /// The intake, with measured values where the configuration gives none, or why that fails.
+    fn measured(&self, survey: &Survey) -> Result<LinesIntake, String> {
+        let LinesConfig { rate_hz, count, streams, .. } = self.config;
+        let rate_hz = rate_hz.map_or_else(|| survey.rate_hz(), Ok)?;
+        let mut intake = LinesIntake::new(survey.scaled(streams), count.clone(), rate_hz);
+        intake.names = survey.names().to_vec();
+        Ok(intake)
+    }
+
+    /// Takes rows until a stop. An error says why the line was lost.
+    fn take_all(&mut self, line: &mut dyn Read) -> Result<(), String> {
         let mut buffer = vec![0; BUFFER + 1];
-        let waits = *address == LinesAddress::Stdin;
+        let waits = self.config.address == LinesAddress::Stdin;
         let (mut rows_at, mut reported_at) = (Instant::now(), Instant::now());
         self.pace = (0, rows_at);
         while !self.link.stopped() {
-            let n = match read_some(port, &mut buffer) {
-                Ok(n) => n,
-                Err(why) => return Some(why),
-            };
+            let n = read_some(line, &mut buffer)?;
             let now = Instant::now();
-            if self.take(&buffer[..n], (now - begin).as_secs_f64(), waits) {
+            if self.take(&buffer[..n], (now - self.begin).as_secs_f64(), waits) {
                 rows_at = now;
                 self.link.state(DeviceState::Streaming, "");
             } else if now - rows_at >= STALLED {
                 self.pace = (0, now);
-                self.link.state(DeviceState::Stalled, self.why_silent(address));
+                self.link.state(DeviceState::Stalled, self.why_silent());
             }
             self.look_at_pace(now);
             if now - reported_at >= REPORT_EVERY {
@@ -275,46 +216,42 @@ impl Work<'_> {
                 std::thread::sleep(GATHER);
             }
         }
-        None
+        Ok(())
     }
 
-    /// Takes bytes; whether there were frames.
+    /// Takes bytes. Returns whether they completed any frames.
     fn take(&mut self, bytes: &[u8], now_s: f64, waits: bool) -> bool {
-        let Self { intake: Some(intake), sinks, counts, link, pace, .. } = self else {
+        let Self { intake: Some(intake), sinks, overflowed, link, pace, .. } = self else {
             return false;
         };
-        let any = intake.feed(bytes, now_s, |event| match event {
+        let rows = intake.feed(bytes, now_s, |event| match event {
             LinesEvent::Frames { stream, samples } => {
                 let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) else { return };
                 match waits {
-                    // Fails at a stop alone, after which nothing counts.
+                    // Pushing fails only after a stop, when data no longer count.
                     true => drop(sink.push_waiting(samples, link.stop())),
-                    false => counts.overflowed += sink.push(samples),
+                    false => *overflowed += sink.push(samples),
                 }
             }
             LinesEvent::Missing(frames) => {
                 sinks.iter_mut().filter_map(Sink::series).for_each(|sink| sink.skip(frames));
             }
         });
-        let new = intake.take_counts();
-        pace.0 += new.rows;
-        counts.lines.add(&new);
-        any
+        pace.0 += rows;
+        rows > 0
     }
 
-    fn why_silent(&self, address: &LinesAddress) -> String {
-        let refused = self.intake.as_ref().and_then(LinesIntake::refused);
-        match refused {
-            Some(why) => why.to_string(),
-            None if self.counts.lines.garbage > 0 => {
-                format!("no lines of numbers come; {}", address.garbage_hint())
-            }
-            None => format!("no lines come from {address}; check that the device sends by itself"),
+    fn why_silent(&self) -> String {
+        let address = &self.config.address;
+        match &self.intake {
+            Some(LinesIntake { refused: Some(why), .. }) => why.clone(),
+            Some(intake) if intake.counts.garbage > 0 => address.no_numbers(),
+            _ => format!("no lines come from {address}; check that the device sends by itself"),
         }
     }
 
-    /// Says where the lines come at another rate than the one that is held; smaller differences
-    /// are drift, which the scans' clock follows.
+    /// Warns if the rate of the lines differs from the configured or first measured one. Small
+    /// differences are clock drift, which the scan's clock follows, and need no warning.
     fn look_at_pace(&mut self, now: Instant) {
         let (rows, since) = self.pace;
         let passed_s = (now - since).as_secs_f64();
@@ -323,19 +260,20 @@ impl Work<'_> {
         }
         self.pace = (0, now);
         let seen_hz = rows as f64 / passed_s;
-        let off = (seen_hz / self.rate_hz - 1.0).abs() > PACE;
+        let rate_hz = self.intake.as_ref().map_or(seen_hz, |intake| intake.rate_hz);
+        let off = (seen_hz / rate_hz - 1.0).abs() > PACE;
         if off && !self.off_pace {
             self.link.warn(format!(
-                "{seen_hz:.0} lines come a second, but {} are expected; correct rate_hz of its \
-                 [[lines]] in the configuration",
-                self.rate_hz
+                "{seen_hz:.0} lines come a second, but {rate_hz} are expected; correct rate_hz of \
+                 its [[lines]] in the configuration"
             ));
         }
         self.off_pace = off;
     }
 
     fn report(&mut self) {
-        let Counted { lines, overflowed } = std::mem::take(&mut self.counts);
+        let Some(intake) = &mut self.intake else { return };
+        let lines = std::mem::take(&mut intake.counts);
         let counts = [
             (lines.garbage, "lines held no numbers"),
             (lines.too_long, "lines were too long"),
@@ -345,7 +283,7 @@ impl Work<'_> {
             (lines.gaps, "gaps in the lines"),
             (lines.missing, "lines are missing in the longest gap"),
             (lines.restarts, "restarts of the device"),
-            (overflowed, "frames did not fit into a ring"),
+            (std::mem::take(&mut self.overflowed), "frames did not fit into a ring"),
         ];
         warn_of(&counts, self.link);
     }

@@ -1,5 +1,5 @@
-//! The link of a device to its session: the request to stop, and reports of states, marks and
-//! warnings.
+//! The link between a device and its session: it carries stop requests to the device, and states,
+//! marks and warnings to the session. Also repeats attempts to open hardware.
 
 use std::cell::RefCell;
 use std::fmt;
@@ -11,64 +11,51 @@ use crate::ring::{Stop, Stopped};
 use crate::scene::{Phase, SourceId};
 use crate::trial::TrialKey;
 
-/// The state of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DeviceState {
-    /// Not found so far.
+    /// The device has not been found yet.
     Absent,
-    /// Found, and being set up.
+    /// The device was found, and is being set up.
     Opening,
-    /// Its data arrive.
+    /// The device delivers data.
     Streaming,
-    /// There, but its data do not arrive.
+    /// The device is connected, but delivers no data.
     Stalled,
-    /// It was there, and is gone.
+    /// The device was connected, and is gone.
     Lost,
 }
 
 impl fmt::Display for DeviceState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Absent => "absent",
-            Self::Opening => "opening",
-            Self::Streaming => "streaming",
-            Self::Stalled => "stalled",
-            Self::Lost => "lost",
-        })
+        // Writes the state's name in JSON.
+        serde::Serialize::serialize(self, f)
     }
 }
 
-/// A report of a device to its session.
 #[derive(Debug)]
 pub struct DeviceReport {
-    /// Number of the device, counted from 0 in the order in which the session got them.
+    /// Number of the device in its session, from 0.
     pub device: usize,
-    /// The report.
     pub kind: DeviceReportKind,
 }
 
-/// The kinds of report.
 #[derive(Debug)]
 pub enum DeviceReportKind {
-    /// It has changed its state.
     State {
-        /// its new state
         state: DeviceState,
-        /// the reason, and what to do
+        /// the reason for the state, and what to do
         detail: String,
     },
-    /// A mark of a scan.
     Mark(Mark),
-    /// The rate of its streams in Hz, where it had to be measured; before the first frame.
+    /// The rate in Hz measured for all streams of the device; sent before the first frame.
     Rate(f64),
-    /// A warning: something was wrong, and the device continues.
+    /// A problem that did not stop the device.
     Warning(String),
-    /// Its thread has ended; sent by the session.
+    /// The result of the device's thread, which has ended; sent by the session.
     Ended(Result<(), DeviceError>),
 }
 
-/// The link of a device to its session.
 #[derive(Debug)]
 pub struct DeviceLink {
     device: usize,
@@ -78,22 +65,19 @@ pub struct DeviceLink {
 }
 
 impl DeviceLink {
-    /// A link for device number `device`.
     pub fn new(device: usize, stop: Stop, reports: Sender<DeviceReport>) -> Self {
         Self { device, stop, reports, last: RefCell::new(None) }
     }
 
-    /// Whether a stop was requested.
     pub fn stopped(&self) -> bool {
         self.stop.requested()
     }
 
-    /// The request to stop, for functions that wait.
     pub fn stop(&self) -> &Stop {
         &self.stop
     }
 
-    /// Sleeps until `instant`, or until a stop is requested. False if it is time to stop.
+    /// Sleeps until `instant`, or until a stop is requested. Returns false after a stop.
     pub fn sleep_until(&self, instant: Instant) -> bool {
         const LOOK: Duration = Duration::from_millis(20);
         while !self.stopped() {
@@ -106,30 +90,29 @@ impl DeviceLink {
         false
     }
 
-    /// Reports a state; only changes are sent.
+    /// Reports a state, unless the last report had the same state.
     pub fn state(&self, state: DeviceState, detail: impl Into<String>) {
         if self.last.replace(Some(state)) != Some(state) {
             self.send(DeviceReportKind::State { state, detail: detail.into() });
         }
     }
 
-    /// Reports a mark.
     pub fn mark(&self, mark: Mark) {
         self.send(DeviceReportKind::Mark(mark));
     }
 
-    /// Reports something that was wrong but does not end the device. A device must sum up problems
-    /// that may occur a thousand times a second.
+    /// Reports a problem that does not stop the device. Frequent problems must be summed up, since
+    /// they may occur a thousand times a second.
     pub fn warn(&self, text: impl Into<String>) {
         self.send(DeviceReportKind::Warning(text.into()));
     }
 
-    /// Reports the rate of all its streams, in Hz, which it had to measure.
+    /// Reports the rate that the device has measured for all its streams, in Hz.
     pub fn rate(&self, rate_hz: f64) {
         self.send(DeviceReportKind::Rate(rate_hz));
     }
 
-    /// Sends what must arrive, waiting for room unless it is time to stop.
+    /// Sends a report that must arrive: waits for room in the channel until a stop is requested.
     fn send(&self, kind: DeviceReportKind) {
         let mut report = DeviceReport { device: self.device, kind };
         loop {
@@ -143,73 +126,159 @@ impl DeviceLink {
     }
 }
 
-/// A mark in the streams: where a scan or one of its sources begins or ends.
+/// A position in the streams, where a scan or one of its sources begins or ends.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Mark {
-    /// A scan begins.
     Begin(Begin),
-    /// A source of the scan begins.
     Open(Open),
-    /// A source of the scan has ended.
     Close {
-        /// the source
         source: SourceId,
-        /// index of the first frame after it
+        /// index of the first frame after the source's last frame
         end: u64,
     },
-    /// The scan continues, but should not be trusted.
+    /// The scan goes on, but its result should not be trusted.
     Spoil {
-        /// for people
         why: String,
     },
-    /// This is no scan; forget it.
+    /// The marked part was no scan, so its data are dropped.
     GiveUp {
-        /// for people
         why: String,
     },
-    /// The scan has ended; sources that are still open end with the frames pushed so far.
+    /// The scan has ended. Sources without an end of their own end with the last frame pushed.
     End {
-        /// when its last sample was taken
+        /// time at which the scan's last sample was taken
         at: Instant,
     },
 }
 
-/// The begin of a scan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Begin {
-    /// The true label of the scan, where it is known. It is reported beside the answer and never
-    /// used for it.
+    /// The true label of the scan, if known. It is reported with the answer, but never used for it.
     pub truth: Option<TrialKey>,
-    /// Made by a generator, not measured.
+    /// Whether a generator made the scan (synthetic data).
     pub synthetic: bool,
 }
 
-/// The begin of a source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Open {
-    /// The source: one stream may serve several, such as the sound of a tap and of a drag.
-    pub source: SourceId,
-    /// The stream that it is cut from.
-    pub stream: SourceId,
-    /// Index of its first frame, or of its picture.
+    pub cut: CutFrom,
+    /// Index of the source's first frame, or of its picture.
     pub start: u64,
-    /// The part of the scan that it belongs to.
-    pub phase: Phase,
-    /// Frames a second; of no meaning for pictures.
+    /// Frames per second; of no meaning for pictures.
     pub rate_hz: f64,
-    /// The number of the stream's channels, from the first one, that belong to the source.
+}
+
+/// A source of a scan, and the stream that contains the source. One stream may contain several
+/// sources, such as the sound of a tap and the sound of a drag.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CutFrom {
+    pub source: SourceId,
+    pub stream: SourceId,
+    /// The part of the scan that belongs to the source: tap, drag or picture.
+    pub phase: Phase,
+    /// Number of the stream's channels, counted from the first, that the source has.
     pub channels: usize,
 }
 
-/// Errors that end a device.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages say it.
 pub enum DeviceError {
-    /// A stop was requested while it waited; this is no failure.
+    /// A stop was requested while the device waited; not a failure.
     #[error(transparent)]
     Stopped(#[from] Stopped),
     #[error("{0}")]
     Failed(String),
+}
+
+/// Shortest time from a failed attempt to open hardware until the next attempt.
+pub(super) const RETRY: Duration = Duration::from_millis(300);
+
+/// Longest time between two attempts to open hardware, if each attempt searches all hardware.
+pub(super) const LONGEST_RETRY: Duration = Duration::from_secs(5);
+
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum OpenError {
+    #[error("{0} is not there; plug it in, or look for its name with `surfaced devices`")]
+    Absent(String),
+    #[error("{0} is in use; end the program that has it")]
+    Busy(String),
+    #[error("permission denied on {device}; {hint}")]
+    Denied { device: String, hint: String },
+    /// The hardware is unsuitable, so another attempt is useless.
+    #[error("{0}")]
+    Unfit(String),
+    #[error("{0}")]
+    Failed(String),
+}
+
+/// The reason why hardware is not connected: it was lost, or could not be opened.
+pub(super) enum Disconnected {
+    Lost(String),
+    NotOpened(OpenError),
+}
+
+impl From<OpenError> for Disconnected {
+    fn from(error: OpenError) -> Self {
+        Self::NotOpened(error)
+    }
+}
+
+/// Calls `connect`, which opens hardware and works with it, again and again until a stop. Waits
+/// longer after each failure to open, up to `longest`. Fails if another attempt is useless.
+pub(super) fn keep_connected(
+    link: &DeviceLink,
+    longest: Duration,
+    mut connect: impl FnMut() -> Result<(), Disconnected>,
+) -> Result<(), DeviceError> {
+    let (mut was_there, mut retry) = (false, Retry::new(longest));
+    while !link.stopped() {
+        match connect() {
+            Ok(()) => break,
+            Err(Disconnected::Lost(why)) => {
+                (was_there, retry) = (true, Retry::new(longest));
+                link.state(DeviceState::Lost, why);
+                link.sleep_until(Instant::now() + RETRY);
+            }
+            Err(Disconnected::NotOpened(error)) => retry.failed(error, was_there, link)?,
+        }
+    }
+    Ok(())
+}
+
+struct Retry {
+    /// The last failure to open the hardware; `None` if there was none.
+    reported: Option<OpenError>,
+    wait: Duration,
+    longest: Duration,
+}
+
+impl Retry {
+    /// The first wait is [`RETRY`]; each further wait is twice as long, up to `longest`.
+    fn new(longest: Duration) -> Self {
+        Self { reported: None, wait: RETRY, longest }
+    }
+
+    /// Reports a failure to open hardware, and waits. Fails if another attempt is useless.
+    fn failed(
+        &mut self,
+        error: OpenError,
+        was_there: bool,
+        link: &DeviceLink,
+    ) -> Result<(), DeviceError> {
+        if matches!(error, OpenError::Unfit(_)) {
+            return Err(DeviceError::Failed(error.to_string()));
+        }
+        let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
+        link.state(state, error.to_string());
+        // Warns of a new reason, such as busy instead of absent, even if the state is the same.
+        if self.reported.as_ref().is_some_and(|before| *before != error) {
+            link.warn(error.to_string());
+        }
+        self.reported = Some(error);
+        let wait = self.wait;
+        self.wait = (2 * wait).min(self.longest.max(RETRY));
+        link.sleep_until(Instant::now() + wait);
+        Ok(())
+    }
 }
 
 #[cfg(test)]
@@ -233,5 +302,27 @@ mod tests {
         let link = DeviceLink::new(0, Stop::default(), sender);
         link.mark(Mark::End { at: Instant::now() });
         assert!(link.stopped());
+    }
+
+    #[test]
+    fn what_is_dear_to_open_is_tried_ever_more_rarely() {
+        let (send, reports) = crossbeam_channel::unbounded();
+        // Requests a stop first, so that the attempts do not wait.
+        let stop = Stop::default();
+        stop.request();
+        let link = DeviceLink::new(0, stop, send);
+        let waits = |retry: &mut Retry| -> Vec<u64> {
+            let wait = |_| {
+                let wait = retry.wait.as_millis() as u64;
+                retry.failed(OpenError::Absent("it".into()), false, &link).unwrap();
+                wait
+            };
+            (0..6).map(wait).collect()
+        };
+        let dear = &mut Retry::new(LONGEST_RETRY);
+        assert_eq!(waits(dear), [300, 600, 1200, 2400, 4800, 5000]);
+        assert_eq!(waits(&mut Retry::new(RETRY)), [300; 6]);
+        // All failures above make one report.
+        assert_eq!(reports.try_iter().count(), 1);
     }
 }

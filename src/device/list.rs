@@ -1,6 +1,6 @@
-//! Lists the devices of this machine, with permanent names and the problems of each.
+//! Lists the devices of this machine, with their permanent names and their problems.
 //!
-//! Serial ports are listed without opening them, since that resets some boards.
+//! Serial ports are not opened for this, since opening a port resets some boards.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -12,31 +12,25 @@ use serialport::SerialPortType;
 use super::OpenError;
 use crate::system::{device_holder, may_use};
 
-/// One device of this machine.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct ListedDevice {
-    /// The device's name in a configuration. It stays the same when something else is plugged in,
+    /// The device's name in a configuration. It stays the same when other devices are plugged in,
     /// unless `problem` says otherwise.
     pub id: String,
-    /// A description of the device.
     pub name: String,
-    /// The device node that it has now, if it has one.
+    /// The path of the device's present node, such as `/dev/ttyUSB0`; `None` if there is none.
     pub node: Option<String>,
-    /// The reason why it cannot be used, and what to do; `None` if it can be used.
+    /// The reason why the device cannot be used, and what to do; `None` if it can be used.
     pub problem: Option<String>,
 }
 
-/// The serial ports of this machine.
-///
-/// # Errors
-/// If the system refuses the list.
 pub fn serial_ports() -> Result<Vec<ListedDevice>, serialport::Error> {
     let mut ports: Vec<ListedDevice> = available_ports()?.iter().map(serial_port).collect();
     ports.sort_by(|a, b| a.id.cmp(&b.id));
     Ok(ports)
 }
 
-/// What the crate lists: nothing where the folder is not there that it relies on, as in a container.
+/// All serial ports; none if the folder `/sys/class/tty` is missing, as in a container.
 pub(super) fn available_ports() -> Result<Vec<serialport::SerialPortInfo>, serialport::Error> {
     if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
         return Ok(Vec::new());
@@ -52,7 +46,7 @@ fn serial_port(port: &serialport::SerialPortInfo) -> ListedDevice {
             let words: Vec<_> = words.into_iter().flatten().map(String::as_str).collect();
             let name = format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, words.join(" "));
             let alias = alias(Path::new("/dev/serial/by-id"), node);
-            // Windows keeps the number of a device.
+            // On Windows, a device keeps its port number, so the name is permanent.
             let stays = alias.is_some() || cfg!(windows);
             (alias.unwrap_or_else(|| node.into()), name, stays)
         }
@@ -72,14 +66,14 @@ fn serial_port(port: &serialport::SerialPortInfo) -> ListedDevice {
     }
 }
 
-/// The link in `folder` that leads to `node`: the first by name, if there are several.
+/// The link in `folder` that leads to `node`; the first by name if there are several.
 pub(super) fn alias(folder: &Path, node: &Path) -> Option<PathBuf> {
     let node = node.canonicalize().ok()?;
     let links = fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
     links.filter(|link| link.canonicalize().is_ok_and(|target| target == node)).min()
 }
 
-/// The reason why this user cannot use a device node: it is gone, not permitted, or in use.
+/// Why the user cannot use a device node (gone, forbidden, in use); `None` if it can be used.
 pub(super) fn node_problem(node: &Path, group: &str) -> Option<String> {
     match may_use(node) {
         Ok(()) => device_holder(node)
@@ -91,7 +85,7 @@ pub(super) fn node_problem(node: &Path, group: &str) -> Option<String> {
     }
 }
 
-/// Says how a user gets the right to use a device node. `group` is the group that usually has it.
+/// Tells a user how to get access to a device node. `group` is the group that usually has access.
 pub fn permission_hint(node: &Path, group: &str) -> String {
     let subsystem = if group == "video" { "video4linux" } else { "tty" };
     let name = node.file_name().and_then(OsStr::to_str).unwrap_or("ttyACM0");
@@ -104,19 +98,16 @@ pub fn permission_hint(node: &Path, group: &str) -> String {
     )
 }
 
-/// Folders in which udev keeps links to cameras that stay: by model, or by the socket.
+/// Folders below `/dev` with udev's permanent links to cameras, by model and by USB socket.
 #[cfg(any(feature = "camera", test))]
 const CAMERA_FOLDERS: [&str; 2] = ["v4l/by-id", "v4l/by-path"];
 
-/// The number N of `/dev/videoN` that `id` means: a link in `/dev/v4l/by-id` or `by-path`, with or
-/// without the folder, or a node itself. `dev` is `/dev`.
-///
-/// # Errors
-/// If there is no such camera, or the name is that of something else.
+/// The number N in `/dev/videoN`, for the camera `id`: a link in `/dev/v4l/by-id` or `by-path`
+/// (with or without its folder), or the node itself. `dev` is `/dev`, except in tests.
 #[cfg(any(feature = "camera", test))]
 pub(super) fn camera_number(dev: &Path, id: &str) -> Result<u32, OpenError> {
     let places = CAMERA_FOLDERS.map(|folder| dev.join(folder).join(id));
-    // An absolute path replaces what it is joined to.
+    // `id` may be a whole path, too, since `join` returns an absolute path unchanged.
     let node = places.iter().chain([&dev.join(id)]).find_map(|path| path.canonicalize().ok());
     let Some(node) = node else { return Err(OpenError::Absent(format!("camera {id}"))) };
     video_number(&node).ok_or_else(|| {
@@ -125,13 +116,12 @@ pub(super) fn camera_number(dev: &Path, id: &str) -> Result<u32, OpenError> {
     })
 }
 
-/// The number N of a node `/dev/videoN`.
 #[cfg(any(feature = "camera", test))]
 fn video_number(node: &Path) -> Option<u32> {
     node.file_name()?.to_str()?.strip_prefix("video")?.parse().ok()
 }
 
-/// The permanent name of a node, if it has one: by model rather than by socket.
+/// The permanent link to a camera's node, by model or else by USB socket; `None` without links.
 #[cfg(any(feature = "camera", test))]
 pub(super) fn camera_alias(dev: &Path, node: &Path) -> Option<PathBuf> {
     CAMERA_FOLDERS.iter().find_map(|folder| alias(&dev.join(folder), node))
@@ -139,7 +129,6 @@ pub(super) fn camera_alias(dev: &Path, node: &Path) -> Option<PathBuf> {
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
     use std::os::unix::fs::symlink;
 
     use super::*;
@@ -153,7 +142,7 @@ mod tests {
         fs::write(&node, "").unwrap();
         assert_eq!(alias(&links, &node), None);
         for (name, to) in [("usb-b", "../ttyACM0"), ("usb-a", "../ttyACM0"), ("other", "../gone")] {
-            std::os::unix::fs::symlink(to, links.join(name)).unwrap();
+            symlink(to, links.join(name)).unwrap();
         }
         assert_eq!(alias(&links, &node), Some(links.join("usb-a")));
         assert_eq!(alias(&dir.path().join("none"), &node), None);
@@ -176,7 +165,7 @@ mod tests {
     #[test]
     fn a_camera_is_found_by_any_of_its_names() {
         let dir = tempfile::tempdir().unwrap();
-        // Without links, as the system reports paths.
+        // Resolves links in the path, like `canonicalize` in the code under test.
         let dev = dir.path().canonicalize().unwrap();
         for folder in CAMERA_FOLDERS {
             fs::create_dir_all(dev.join(folder)).unwrap();

@@ -1,19 +1,18 @@
-//! The microphone: 44.1 kHz and one channel, from any sound device.
+//! The microphone: one channel at 44.1 kHz, from any sound device.
 //!
-//! The sound system calls back on its own thread, which must never wait: it mixes to one channel
-//! and puts that into a ring, where lost samples keep their place. The device's thread carries the
-//! sound on to the session, watches level and pace, and reopens the stream when it is lost. The
-//! trait [`Sound`] hides the sound system, whose implementation comes with the crate's feature
-//! `microphone`.
+//! The sound system calls back on its own thread, which must never wait. This callback mixes the sound
+//! to one channel and puts it into a ring, where lost samples keep their place. The device's thread
+//! passes the sound on to the session, watches its level and rate, and reopens a lost stream. The
+//! trait [`Sound`] hides the sound system; the feature `microphone` adds the implementation.
 
 #[cfg(feature = "microphone")]
 mod alsa;
-mod callback_sink;
 mod level;
 mod lost_sound;
-mod pace;
 
 use std::any::Any;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender};
@@ -23,47 +22,38 @@ pub use alsa::Alsa;
 
 #[cfg(feature = "microphone")]
 pub(crate) use alsa::microphones;
-pub(crate) use callback_sink::{CallbackSink, Pick};
-pub(crate) use level::{LevelWatch, SoundLevel};
-
+pub use level::RATE_HZ;
+use level::SoundLevel;
 use lost_sound::Listening;
 
-use super::open::{LONGEST_RETRY, OpenError, Retry};
+use super::link::{Disconnected, LONGEST_RETRY, OpenError, keep_connected};
 use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
-use crate::ring::{SeriesTap, Sink, Waker, series};
+use crate::ring::{SeriesSink, SeriesTap, Sink, Waker, series};
 use crate::scene::SourceId;
 
-/// The rate of every microphone in Hz, which is that of LMT108.
-pub const RATE_HZ: u32 = 44_100;
-
-/// Length of the ring between the callback and the device's thread, in seconds: this thread may be
-/// held up for so long without a loss. A sound server that was held up sends less at once.
+/// Length in seconds of the ring between the callback and the device's thread: the longest delay of
+/// the thread without a loss. A delayed sound server sends less than this at once.
 const BUFFER_S: f64 = 5.0;
-/// The longest time that the device's thread waits for sound.
+/// Longest time that the device's thread waits for sound.
 const LOOK: Duration = Duration::from_millis(20);
-/// No sound for this long is a stall, in seconds.
+/// Seconds without sound after which the state is "stalled".
 const STALLED_S: f64 = 0.7;
-/// After this long without sound, in seconds, the stream is reopened.
+/// Seconds without sound after which the stream is reopened.
 const GIVE_UP_S: f64 = 4.0;
 
-/// Errors of a stream that is open.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StreamError {
-    /// Samples were lost before they could be read; the stream continues.
+    /// Samples were lost before they were read; the stream goes on.
     Overrun,
-    /// The stream has ended, or its data can no longer be used: the reason.
+    /// The stream has ended, or its data cannot be used; the text says why.
     Gone(String),
 }
 
 pub trait Sound: Send {
-    /// The name of the microphone that it opens.
     fn device(&self) -> String;
 
-    /// Opens the microphone at [`RATE_HZ`]. Until the returned value is dropped, a callback feeds
-    /// `sink` and sends to `errors` (by `try_send`, since it must not wait).
-    ///
-    /// # Errors
-    /// If the microphone cannot be opened.
+    /// Opens the microphone at [`RATE_HZ`]. A callback feeds `sink` and sends errors to `errors`
+    /// (by `try_send`, since it must not wait) until the returned value is dropped.
     fn open(
         &mut self,
         sink: CallbackSink,
@@ -71,7 +61,7 @@ pub trait Sound: Send {
     ) -> Result<Box<dyn Any>, OpenError>;
 }
 
-/// A microphone, as one stream of one channel in which full scale is ±1.
+/// A microphone as a device: one stream of one channel, with full scale ±1.
 pub struct Microphone {
     stream: SourceId,
     pick: Pick,
@@ -79,32 +69,10 @@ pub struct Microphone {
     name: String,
 }
 
-/// The reason why a stream has ended.
-enum StreamEnd {
-    Stop,
-    Lost(String),
-    /// It ended, and reopening it is useless: the reason.
-    Unfit(String),
-}
-
-/// A stream that is open, as the device's thread sees it.
-struct OpenStream {
-    tap: SeriesTap,
-    woken: Receiver<()>,
-    errors: Receiver<StreamError>,
-}
-
 impl Microphone {
-    /// The microphone that `sound` opens, as the stream `stream`.
-    pub fn new(stream: SourceId, sound: Box<dyn Sound>) -> Self {
+    pub fn new(stream: SourceId, pick: Pick, sound: Box<dyn Sound>) -> Self {
         let name = format!("microphone {}", sound.device());
-        Self { stream, pick: Pick::Mean, sound, name }
-    }
-
-    /// Sets which channel is the microphone; the mean of all unless this is called.
-    pub fn pick(mut self, pick: Pick) -> Self {
-        self.pick = pick;
-        self
+        Self { stream, pick, sound, name }
     }
 }
 
@@ -124,90 +92,72 @@ impl Device for Microphone {
         };
         link.state(DeviceState::Opening, "");
         let (begin, mut listening) = (Instant::now(), Listening::new(sink));
-        let mut retry = Retry::new(LONGEST_RETRY);
-        while !link.stopped() {
+        keep_connected(link, LONGEST_RETRY, || {
             let (waker, woken) = Waker::new();
             let buffer = (BUFFER_S * f64::from(RATE_HZ)) as usize;
             let (enter, tap) = series(1, buffer, waker.clone());
             let (trouble, errors) = crossbeam_channel::bounded(16);
             let sink = CallbackSink::new(enter, waker, self.pick);
-            let broken = sink.broken();
-            let open = match self.sound.open(sink, trouble) {
-                Ok(open) => open,
-                Err(error) => match retry.failed(error, listening.received(), link)? {
-                    true => continue,
-                    false => break,
-                },
-            };
-            retry.opened();
-            let end = OpenStream { tap, woken, errors }.follow(&mut listening, begin, link);
+            let broken = sink.broken.clone();
+            let open = self.sound.open(sink, trouble)?;
+            let end = follow(tap, &woken, &errors, &mut listening, begin, link);
             drop(open);
-            if broken.get() > 0 {
-                let count = broken.get();
+            let count = broken.load(Ordering::Relaxed);
+            if count > 0 {
                 link.warn(format!("{count} samples were not numbers and became silence"));
             }
-            match end {
-                StreamEnd::Stop => break,
-                StreamEnd::Unfit(why) => return Err(DeviceError::Failed(why)),
-                StreamEnd::Lost(why) => {
-                    link.state(DeviceState::Lost, why);
-                    link.sleep_until(Instant::now() + Duration::from_millis(250));
-                }
-            }
-        }
-        Ok(())
+            end
+        })
     }
 }
 
-impl OpenStream {
-    /// Carries its sound to the session until it ends. Times are in seconds since `begin`.
-    fn follow(
-        &mut self,
-        listening: &mut Listening,
-        begin: Instant,
-        link: &DeviceLink,
-    ) -> StreamEnd {
-        let now_s = || begin.elapsed().as_secs_f64();
-        listening.opened(now_s());
-        while !link.stopped() {
-            let _ = self.woken.recv_timeout(LOOK);
-            // Before the ring is read, since sound that follows an overrun enters it after the
-            // report.
-            let mut gone = None;
-            for trouble in self.errors.try_iter() {
-                match trouble {
-                    StreamError::Overrun => listening.overrun(),
-                    StreamError::Gone(why) => gone = gone.or(Some(why)),
-                }
-            }
-            let carried = listening.look(&mut self.tap, gone.is_some(), now_s);
-            if carried.sound {
-                link.state(DeviceState::Streaming, "");
-            }
-            if let Some(level) = carried.level {
-                link.warn(said_of(level));
-            }
-            if let Some(why) = gone {
-                return StreamEnd::Lost(why);
-            }
-            if listening.unpaced(now_s()) {
-                return StreamEnd::Unfit(
-                    "the microphone delivers much faster than in real time, as a device without \
-                     hardware does; choose another one from `surfaced devices`"
-                        .into(),
-                );
-            }
-            let silent_s = listening.silent_s(now_s());
-            if silent_s > GIVE_UP_S {
-                return StreamEnd::Lost("no sound arrives; reopening it".into());
-            }
-            if silent_s > STALLED_S {
-                let why = "open, but no sound arrives; check that nothing has suspended it";
-                link.state(DeviceState::Stalled, why);
+/// Passes sound on to the session until a stop. Times are in seconds since `begin`.
+fn follow(
+    mut tap: SeriesTap,
+    woken: &Receiver<()>,
+    errors: &Receiver<StreamError>,
+    listening: &mut Listening,
+    begin: Instant,
+    link: &DeviceLink,
+) -> Result<(), Disconnected> {
+    let now_s = || begin.elapsed().as_secs_f64();
+    listening.opened(now_s());
+    while !link.stopped() {
+        let _ = woken.recv_timeout(LOOK);
+        // Reads errors before the ring: an overrun is reported before the sound after it enters the
+        // ring.
+        let mut gone = None;
+        for trouble in errors.try_iter() {
+            match trouble {
+                StreamError::Overrun => listening.overrun(),
+                StreamError::Gone(why) => gone = gone.or(Some(why)),
             }
         }
-        StreamEnd::Stop
+        let carried = listening.look(&mut tap, gone.is_some(), now_s);
+        if carried.sound {
+            link.state(DeviceState::Streaming, "");
+        }
+        if let Some(level) = carried.level {
+            link.warn(said_of(level));
+        }
+        if let Some(why) = gone {
+            return Err(Disconnected::Lost(why));
+        }
+        if listening.unpaced(now_s()) {
+            let why = "the microphone delivers much faster than in real time, as a device \
+                       without hardware does; choose another one from `surfaced devices`";
+            return Err(OpenError::Unfit(why.into()).into());
+        }
+        let silent_s = listening.silent_s(now_s());
+        if silent_s > GIVE_UP_S {
+            return Err(Disconnected::Lost("no sound arrives; reopening it".into()));
+        }
+        if silent_s > STALLED_S {
+            let why = "open, but no sound arrives; check that nothing has suspended it";
+            link.state(DeviceState::Stalled, why);
+        }
     }
+    Ok(())
 }
 
 fn said_of(level: SoundLevel) -> &'static str {
@@ -219,6 +169,68 @@ fn said_of(level: SoundLevel) -> &'static str {
         }
         SoundLevel::Clipped => "the microphone is clipped; lower its gain, or press less",
     }
+}
+
+/// Number of frames mixed at once. Few callbacks have more; these are mixed in parts.
+const PART: usize = 4096;
+
+/// Takes samples in a callback, without waiting or allocating. Samples that do not fit into the
+/// ring count as lost, and keep their place.
+pub struct CallbackSink {
+    ring: SeriesSink,
+    waker: Waker,
+    pick: Pick,
+    mono: Vec<f32>,
+    /// Number of samples that were NaN or infinite, and were replaced by 0.
+    broken: Arc<AtomicU64>,
+}
+
+impl CallbackSink {
+    /// A sink that mixes samples to one channel, pushes them into `ring`, and wakes `waker`.
+    pub fn new(ring: SeriesSink, waker: Waker, pick: Pick) -> Self {
+        Self { ring, waker, pick, mono: Vec::with_capacity(PART), broken: Arc::default() }
+    }
+
+    /// Takes interleaved samples. `unit` scales a sample so that full scale is ±1 and silence is 0.
+    pub fn take<T: Copy>(&mut self, interleaved: &[T], channels: usize, unit: fn(T) -> f32) {
+        let channels = channels.max(1);
+        for part in interleaved.chunks(PART * channels) {
+            self.mono.clear();
+            let broken = mix(part, channels, unit, self.pick, &mut self.mono);
+            self.broken.fetch_add(broken, Ordering::Relaxed);
+            self.ring.push(&self.mono);
+        }
+        self.waker.wake();
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pick {
+    Mean,
+    /// The channel with this number, from 0; the last channel if there are fewer.
+    One(usize),
+}
+
+/// Mixes each whole frame of `channels` interleaved samples to one value, appended to `mono`.
+/// Values that are not finite become 0; returns their number. Drops an incomplete frame. Allocates
+/// only if `mono` has too little room.
+fn mix<T: Copy>(
+    interleaved: &[T],
+    channels: usize,
+    unit: fn(T) -> f32,
+    pick: Pick,
+    mono: &mut Vec<f32>,
+) -> u64 {
+    let mut broken = 0;
+    for frame in interleaved.chunks_exact(channels) {
+        let value = match pick {
+            Pick::Mean => frame.iter().copied().map(unit).sum::<f32>() / channels as f32,
+            Pick::One(channel) => unit(frame[channel.min(channels - 1)]),
+        };
+        broken += u64::from(!value.is_finite());
+        mono.push(if value.is_finite() { value } else { 0.0 });
+    }
+    broken
 }
 
 #[cfg(test)]

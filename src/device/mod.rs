@@ -1,9 +1,11 @@
-//! Devices, which produce streams: the stylus, lines of numbers, a microphone, a camera, or a
-//! recording that is played.
+//! Devices produce streams of samples. They are the stylus, lines of numbers, microphones, cameras,
+//! and played recordings.
 //!
-//! Each is a [`Device`]: it declares its streams, then runs on its own thread, pushes into one ring
-//! per stream, and reports its state, and the marks where scans begin and end, through its
-//! [`DeviceLink`]. Nothing downstream can distinguish a recording from a sensor.
+//! A [`Device`] declares its streams, runs on its own thread, and pushes samples into one ring
+//! buffer per stream. Through its [`DeviceLink`], it reports its state, and the marks where scans
+//! begin and end. Nothing downstream can tell a recording from a sensor.
+
+#![allow(missing_docs)] // Names that say everything need no comment.
 
 #[doc(hidden)]
 pub mod camera;
@@ -13,63 +15,58 @@ mod link;
 pub(crate) mod list;
 #[doc(hidden)]
 pub mod microphone;
-mod open;
 mod replay;
 #[doc(hidden)]
 pub mod serial;
 
 pub use link::{
-    Begin, DeviceError, DeviceLink, DeviceReport, DeviceReportKind, DeviceState, Mark, Open,
+    Begin, CutFrom, DeviceError, DeviceLink, DeviceReport, DeviceReportKind, DeviceState, Mark,
+    Open, OpenError,
 };
-pub use open::OpenError;
 pub use replay::{Replay, Speed};
 
 use crate::ring::Sink;
 use crate::scene::SourceId;
 
-/// A source of streams.
+/// A source of data streams, such as a sensor or a played recording.
 pub trait Device: Send {
-    /// The name of the device, for messages.
     fn name(&self) -> &str;
 
-    /// The streams that it will push, in the order of the sinks that [`Device::run`] gets. Called
-    /// once, before it runs; names are unique in a session.
+    /// The streams that the device will push, in the order of the sinks of [`Device::run`]. Called
+    /// once, before `run`. Names are unique among all devices of a session.
     fn streams(&self) -> Vec<StreamSpec>;
 
-    /// Whether it can wait for its reader. A device that cannot loses data that do not fit; when
-    /// all can, nothing in the session is lost or dropped anywhere.
+    /// Whether the device can wait until its data are read. A device that cannot wait loses data
+    /// that do not fit into a ring. If all devices can wait, the session loses and drops nothing.
     fn waits(&self) -> bool {
         false
     }
 
-    /// Pushes data until there are no more, or `link` says stop, which it must check every 50 ms or
-    /// so. `sinks` holds one sink per stream. Losing the hardware is no reason to return: a driver
-    /// reports its state and tries again.
-    ///
+    /// Pushes data until there are none left, or until `link` asks to stop (check about every 50
+    /// ms). `sinks` holds one sink per stream. A driver that loses its hardware reports this state
+    /// and tries again; it does not return.
     /// # Errors
-    /// If it cannot continue at all.
+    /// If the device cannot continue at all.
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError>;
 }
 
-/// One stream of a device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StreamSpec {
-    /// Its name.
     pub id: SourceId,
-    /// The kind of data.
     pub kind: StreamKind,
 }
 
-/// The kind of data of a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StreamKind {
-    /// Samples in time.
     Series {
-        /// samples per frame
+        /// number of samples per frame
         channels: usize,
-        /// nominal rate in Hz, which sizes the ring; the marks of each scan give the actual one
+        /// nominal rate in Hz, for the size of the ring; a scan's marks give its actual rate
         rate_hz: f64,
     },
-    /// Pictures.
     Images,
 }
+
+#[cfg(test)]
+#[path = "../../tests/common/running.rs"]
+mod running;

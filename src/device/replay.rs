@@ -1,7 +1,7 @@
-//! Plays recorded trials as if their sensors were there: same rings, same marks, same pace.
+//! Plays recorded trials as if their sensors were connected: with the same rings, marks and pace.
 //!
-//! A trial is played picture first, then its taps, then its drags; the sources of one phase
-//! progress together in time. A recording has its own marks of scans, which override detection.
+//! Plays the pictures of a trial first, then its taps, then its drags. Sources of one phase play at
+//! the same time. Each trial is marked as one scan, without a scan detector.
 
 use std::ops::RangeInclusive;
 use std::panic::AssertUnwindSafe;
@@ -11,14 +11,15 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::Receiver;
 
 use super::{
-    Begin, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamKind, StreamSpec,
+    Begin, CutFrom, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamKind,
+    StreamSpec,
 };
-use crate::library::{Entry, LibraryError};
-use crate::ring::{Sink, Stopped};
+use crate::library::Entry;
+use crate::ring::{RingSink, Sink, Stop, Stopped};
 use crate::scene::{Domain, Phase, Scene, SourceSpec};
 use crate::trial::{Image, Series, Signal, Trial};
 
-/// The rate that sizes the ring of a source whose rate the scene leaves open.
+/// Rate in Hz for which a source's ring is sized if the scene gives no rate.
 const ANY_RATE_HZ: f64 = 44_100.0;
 
 /// Plays trials, one after the other.
@@ -27,70 +28,53 @@ pub struct Replay {
     specs: Vec<SourceSpec>,
     entries: Vec<Entry>,
     speed: Speed,
-    /// Length of signal pushed at a time, in seconds of the recording.
+    /// Length of the parts in which a recording is pushed, in seconds.
     chunk_s: f64,
-    /// Silence after each trial, in seconds of the recording.
-    pause_s: f64,
     synthetic: bool,
 }
 
 impl Replay {
-    /// Plays `entries` in their order, as fast as they are taken: one stream for each source of
-    /// `scene`, in the order of their names; sources that the scene does not have are left out.
-    /// A trial is read while the one before it plays.
+    /// Plays `entries` in this order, as fast as the session takes the data. Each source of `scene`
+    /// gets one stream, sorted by name; other sources are left out. Each trial is read from disk
+    /// while the previous trial plays.
     pub fn new(scene: &Scene, entries: Vec<Entry>) -> Self {
         Self {
             specs: scene.sources().cloned().collect(),
             entries,
             speed: Speed::Max,
             chunk_s: 0.01,
-            pause_s: 0.0,
             synthetic: false,
         }
     }
 
-    /// Sets the speed.
     pub fn speed(mut self, speed: Speed) -> Self {
         self.speed = speed;
         self
     }
 
-    /// Sets how much is pushed at a time, in seconds of the recording.
+    /// Sets the length of the parts in which a recording is pushed, in seconds.
     pub fn chunk_s(mut self, seconds: f64) -> Self {
         self.chunk_s = seconds;
         self
     }
 
-    /// Sets the silence after each trial, in seconds of the recording; none at [`Speed::Max`].
-    pub fn pause_s(mut self, seconds: f64) -> Self {
-        self.pause_s = seconds;
-        self
-    }
-
-    /// Sets whether the trials were made by a generator.
     pub fn synthetic(mut self, synthetic: bool) -> Self {
         self.synthetic = synthetic;
         self
     }
 
     fn check(&self) -> Result<(), DeviceError> {
-        let fail = |what: &str, value: f64| {
-            Err(DeviceError::Failed(format!("{what} = {value}; expected a positive number")))
+        let problem = match self.speed {
+            Speed::RealTime(x) if !SPEEDS.contains(&x) => {
+                let (slowest, fastest) = (SPEEDS.start(), SPEEDS.end());
+                format!("speed = {x}; expected a number from {slowest} to {fastest}")
+            }
+            _ if !(self.chunk_s.is_finite() && self.chunk_s > 0.0) => {
+                format!("chunk_s = {}; expected a positive number", self.chunk_s)
+            }
+            _ => return Ok(()),
         };
-        if let Speed::RealTime(x) = self.speed
-            && !SPEEDS.contains(&x)
-        {
-            let (slowest, fastest) = (SPEEDS.start(), SPEEDS.end());
-            let problem = format!("speed = {x}; expected a number from {slowest} to {fastest}");
-            return Err(DeviceError::Failed(problem));
-        }
-        if !(self.chunk_s.is_finite() && self.chunk_s > 0.0) {
-            return fail("chunk_s", self.chunk_s);
-        }
-        if !(self.pause_s.is_finite() && self.pause_s >= 0.0) {
-            return fail("pause_s", self.pause_s);
-        }
-        Ok(())
+        Err(DeviceError::Failed(problem))
     }
 }
 
@@ -135,15 +119,17 @@ impl Device for Replay {
 
 type LoadedTrial = Result<Trial, String>;
 
-/// Reads one entry ahead. The thread ends by itself once its receiver is gone.
+/// Reads trials on a new thread, one ahead. The thread ends once the receiver is dropped.
 fn load_ahead(entries: Vec<Entry>) -> Result<Receiver<LoadedTrial>, DeviceError> {
     let (sender, receiver) = crossbeam_channel::bounded(0);
     let work = move || {
         for entry in entries {
-            // A decoder that panics on a damaged file must not take the other trials with it.
-            let trial = std::panic::catch_unwind(AssertUnwindSafe(|| entry.load()))
-                .unwrap_or_else(|_| Err(panicked(&entry)))
-                .map_err(|error| error.to_string());
+            // A decoder may panic on a damaged file; the replay goes on with the next trial.
+            let loaded = std::panic::catch_unwind(AssertUnwindSafe(|| entry.load()));
+            let trial = match loaded {
+                Ok(trial) => trial.map_err(|error| error.to_string()),
+                Err(_) => Err("its decoder gave up; the file is damaged, record it again".into()),
+            };
             if sender.send(trial).is_err() {
                 return;
             }
@@ -155,12 +141,6 @@ fn load_ahead(entries: Vec<Entry>) -> Result<Receiver<LoadedTrial>, DeviceError>
     Ok(receiver)
 }
 
-fn panicked(entry: &Entry) -> LibraryError {
-    let problem = "its decoder gave up; the file is damaged, record it again".into();
-    LibraryError::File { path: entry.key.to_string().into(), problem }
-}
-
-/// The next trial, once it is read.
 fn next(loaded: &Receiver<LoadedTrial>, link: &DeviceLink) -> Result<LoadedTrial, DeviceError> {
     use crossbeam_channel::RecvTimeoutError::{Disconnected, Timeout};
     loop {
@@ -175,16 +155,29 @@ fn next(loaded: &Receiver<LoadedTrial>, link: &DeviceLink) -> Result<LoadedTrial
     }
 }
 
-/// The allowed speeds.
 const SPEEDS: RangeInclusive<f64> = 1e-3..=1e4;
 
-/// The speed at which a recording is played.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
-    /// This many times as fast as recorded, from 0.001 to 10 000; data that do not fit are lost.
+    /// Factor on the recorded speed, from 0.001 to 10 000; data that do not fit a ring are lost.
     RealTime(f64),
-    /// As fast as the session takes it; nothing is lost.
+    /// As fast as the session takes the data, so that nothing is lost.
     Max,
+}
+
+impl Speed {
+    fn push<T: Clone>(
+        self,
+        sink: &mut RingSink<T>,
+        samples: &[T],
+        stop: &Stop,
+    ) -> Result<(), Stopped> {
+        match self {
+            Self::Max => sink.push_waiting(samples, stop)?,
+            Self::RealTime(_) => drop(sink.push(samples)),
+        }
+        Ok(())
+    }
 }
 
 impl FromStr for Speed {
@@ -203,45 +196,33 @@ impl FromStr for Speed {
     }
 }
 
-/// One trial on its way into the rings.
 struct Player<'a> {
     replay: &'a Replay,
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
-    /// When the part played so far is due to end, at the set speed.
+    /// Time at which the part pushed last should end, at the set speed.
     due: Instant,
 }
 
-/// A series on its way into its ring.
 struct Track {
-    /// Index of its source and its sink.
+    /// Index of the source, and of the sink that gets its samples.
     index: usize,
     series: Series,
-    /// Frames that were pushed.
     played: usize,
 }
 
 impl Player<'_> {
-    /// Plays the trial, with its marks.
-    ///
-    /// # Errors
-    /// If a stop was requested.
+    /// Plays the trial, with its marks, until a stop is requested.
     pub fn play(mut self, mut trial: Trial) -> Result<(), DeviceError> {
         let begin = Begin { truth: Some(trial.key.clone()), synthetic: self.replay.synthetic };
         self.link.mark(Mark::Begin(begin));
         for phase in [Phase::Still, Phase::Tap, Phase::Drag] {
             let mut tracks = Vec::new();
-            for index in 0..self.replay.specs.len() {
-                let spec = &self.replay.specs[index];
-                let signal = match spec.phase == phase {
-                    true => trial.signals.remove(&spec.id),
-                    false => None,
-                };
-                match (signal, &self.sinks[index]) {
+            let specs = self.replay.specs.iter().enumerate();
+            for (index, spec) in specs.filter(|(_, spec)| spec.phase == phase) {
+                match (trial.signals.remove(&spec.id), &self.sinks[index]) {
                     (None, _) => {}
-                    (Some(Signal::Image(image)), Sink::Images(_)) => {
-                        self.picture(index, image)?;
-                    }
+                    (Some(Signal::Image(image)), Sink::Images(_)) => self.picture(index, image)?,
                     (Some(Signal::Series(series)), Sink::Series(sink))
                         if series.channels() <= sink.channels() =>
                     {
@@ -253,12 +234,6 @@ impl Player<'_> {
             self.series(tracks)?;
         }
         self.link.mark(Mark::End { at: Instant::now() });
-        if let Speed::RealTime(factor) = self.replay.speed {
-            let pause = Duration::from_secs_f64(self.replay.pause_s / factor);
-            if !self.link.sleep_until(self.due + pause) {
-                return Err(Stopped.into());
-            }
-        }
         Ok(())
     }
 
@@ -275,9 +250,9 @@ impl Player<'_> {
 
     fn open(&self, index: usize, start: u64, rate_hz: f64, channels: usize) {
         let spec = &self.replay.specs[index];
-        let (source, stream) = (spec.id.clone(), spec.id.clone());
-        let open = Open { source, stream, start, phase: spec.phase, rate_hz, channels };
-        self.link.mark(Mark::Open(open));
+        let (source, stream, phase) = (spec.id.clone(), spec.id.clone(), spec.phase);
+        let cut = CutFrom { source, stream, phase, channels };
+        self.link.mark(Mark::Open(Open { cut, start, rate_hz }));
     }
 
     fn close(&self, index: usize) {
@@ -288,17 +263,12 @@ impl Player<'_> {
     fn picture(&mut self, index: usize, image: Image) -> Result<(), DeviceError> {
         self.open(index, self.sinks[index].position(), 1.0, 3);
         if let Some(sink) = self.sinks[index].images() {
-            if self.replay.speed == Speed::Max {
-                sink.push_waiting(image.into(), self.link.stop())?;
-            } else {
-                sink.push(image.into());
-            }
+            self.replay.speed.push(sink, &[image.into()], self.link.stop())?;
         }
         self.close(index);
         Ok(())
     }
 
-    /// Plays series side by side.
     fn series(&mut self, mut tracks: Vec<Track>) -> Result<(), DeviceError> {
         for Track { index, series, .. } in &tracks {
             let start = self.sinks[*index].position();
@@ -338,51 +308,17 @@ impl Player<'_> {
 
     fn push(&mut self, track: &Track, until: usize) -> Result<(), Stopped> {
         let channels = track.series.channels();
-        let samples = &track.series.samples()[track.played * channels..until * channels];
+        let mut samples = &track.series.samples()[track.played * channels..until * channels];
         let Some(sink) = self.sinks[track.index].series() else { return Ok(()) };
-        if channels == sink.channels() {
-            return self.push_frames(track.index, samples);
-        }
-        // A stream is as wide as the scene says; a narrower recording fills its first channels.
-        let mut wide = vec![0.0; (until - track.played) * sink.channels()];
-        for (to, from) in wide.chunks_mut(sink.channels()).zip(samples.chunks(channels)) {
-            to[..channels].copy_from_slice(from);
-        }
-        self.push_frames(track.index, &wide)
-    }
-
-    fn push_frames(&mut self, index: usize, samples: &[f32]) -> Result<(), Stopped> {
-        let stop = self.link.stop();
-        let Some(sink) = self.sinks[index].series() else { return Ok(()) };
-        match self.replay.speed {
-            Speed::Max => sink.push_waiting(samples, stop),
-            Speed::RealTime(_) => {
-                sink.push(samples);
-                Ok(())
+        let mut wide = Vec::new();
+        if channels != sink.channels() {
+            // The scene sets the stream's channels; a narrower recording fills the first ones.
+            wide.resize((until - track.played) * sink.channels(), 0.0);
+            for (to, from) in wide.chunks_mut(sink.channels()).zip(samples.chunks(channels)) {
+                to[..channels].copy_from_slice(from);
             }
+            samples = &wide;
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_speed_is_a_number_within_reason_or_max() {
-        assert_eq!("max".parse(), Ok(Speed::Max));
-        assert_eq!("2.5".parse(), Ok(Speed::RealTime(2.5)));
-        for text in ["0", "-1", "1e-300", "1e300", "nan", "inf", "fast", ""] {
-            assert!(text.parse::<Speed>().unwrap_err().contains("expected"), "{text}");
-        }
-    }
-
-    #[test]
-    fn every_source_of_the_scene_has_a_stream() {
-        let replay = Replay::new(&Scene::lmt108(), Vec::new());
-        let streams = replay.streams();
-        assert_eq!(streams.len(), 8);
-        assert!(matches!(streams[1].kind, StreamKind::Images));
-        assert!(matches!(streams[0].kind, StreamKind::Series { channels: 3, .. }));
+        self.replay.speed.push(sink, samples, self.link.stop())
     }
 }

@@ -1,93 +1,55 @@
-//! The stylus on its serial line: finds it, starts it, and keeps track of it through resets and
-//! replugs.
+//! The stylus on a serial line: finds it, starts it, and finds it again after a reset or a replug.
 //!
-//! [`Intake`] turns bytes into frames, without I/O; [`OpenPort`] is where the bytes come from, a
-//! real port or a pseudo-terminal; [`Stylus`] is the device that joins them. Commands are repeated
-//! until the stylus answers, since it does not answer a damaged command.
+//! [`Intake`] decodes bytes into frames, without I/O. [`Selector`] chooses the port, real or a
+//! pseudo-terminal. [`Stylus`] is the device made of both. The stylus does not answer a damaged
+//! command, so each command is repeated until the stylus answers.
 //!
-//! Values are fractions of the converter's full scale (see `intake::Value`) except for metal, which
-//! is 0 or 1.
+//! Values are fractions of the converter's full scale (see `intake::Value`), except metal, which is
+//! 0 or 1.
 
-mod connection;
 mod intake;
 mod port;
 
+use std::io::Read;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use self::connection::{Connection, LinkErrors};
-use super::camera::FlashLine;
-use super::open::{RETRY, Retry};
+use serialport::SerialPort;
+use surfaced_wire::{Command, DecodeError, MAX_ENCODED, Message, Status, encode};
+
+use super::link::{Disconnected, RETRY, keep_connected};
 use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
 use crate::ring::Sink;
-use crate::scene::SourceId;
 
 pub use intake::{Intake, IntakeEvent};
-pub use port::{OpenPort, Selector};
+pub use port::Selector;
 
-pub(super) use connection::{BUFFER, ConnectionEnd, REPORT_EVERY, STALLED, read_some, warn_of};
 pub(super) use intake::gap;
 pub(super) use port::WAIT;
 
 pub(crate) use intake::{Value, Wanted};
-pub(crate) use port::Port;
 
-/// Rate of the stylus's sampling clock in Hz.
-pub const RATE_HZ: u32 = 10_000;
-
-/// The streams of a scene that the stylus's channels make: acceleration (`ac`), forces (`fr`),
-/// infrared (`ir`) and metal (`me`).
-pub fn default_streams() -> Vec<Wanted> {
-    let stream = |id: &str, channels: &[&str], value| Wanted {
-        // These four are letters only.
-        id: SourceId::new(id).expect("letters name a source"),
-        channels: channels.iter().map(|name| (*name).to_string()).collect(),
-        value,
-    };
-    vec![
-        stream("ac", &["acc_x", "acc_y", "acc_z"], Value::FullScale),
-        stream("fr", &["fsr_1", "fsr_2"], Value::FullScale),
-        stream("ir", &["ir"], Value::FullScale),
-        stream("me", &["metal"], Value::Unit),
-    ]
+#[derive(Clone, Debug, PartialEq)]
+pub struct StylusConfig {
+    pub port: Selector,
+    pub rate_hz: u32,
+    /// The streams to cut from the stylus's samples; each is a source with at least one channel.
+    pub streams: Vec<Wanted>,
 }
 
-/// The stylus, as one stream for each of its sources.
+/// The stylus as a device, with one stream for each of its sources.
 pub struct Stylus {
     name: String,
-    port: Box<dyn OpenPort>,
-    wanted: Vec<Wanted>,
-    rate_hz: u32,
+    config: StylusConfig,
     light: Light,
 }
 
 impl Stylus {
-    /// The stylus behind `port`, with [`default_streams`] at [`RATE_HZ`].
-    pub fn new(port: impl OpenPort + 'static) -> Self {
-        Self {
-            name: port.name(),
-            port: Box::new(port),
-            wanted: default_streams(),
-            rate_hz: RATE_HZ,
-            light: Light::default(),
-        }
+    pub fn new(config: StylusConfig) -> Self {
+        Self { name: config.port.name(), config, light: Light::default() }
     }
 
-    /// Sets the streams, each of at least one channel.
-    pub fn streams_of(mut self, wanted: Vec<Wanted>) -> Self {
-        self.wanted = wanted;
-        self.wanted.retain(|wanted| !wanted.channels.is_empty());
-        self
-    }
-
-    /// Sets the rate that the stylus must have, in Hz.
-    pub fn rate_hz(mut self, rate_hz: u32) -> Self {
-        self.rate_hz = rate_hz.max(1);
-        self
-    }
-
-    /// The switch of the camera's light.
     pub fn light(&self) -> Light {
         self.light.clone()
     }
@@ -101,16 +63,19 @@ impl Device for Stylus {
     fn streams(&self) -> Vec<StreamSpec> {
         let kind = |wanted: &Wanted| StreamKind::Series {
             channels: wanted.channels.len(),
-            rate_hz: f64::from(self.rate_hz),
+            rate_hz: f64::from(self.config.rate_hz),
         };
         let spec = |wanted: &Wanted| StreamSpec { id: wanted.id.clone(), kind: kind(wanted) };
-        self.wanted.iter().map(spec).collect()
+        self.config.streams.iter().map(spec).collect()
     }
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
-        let mut intake = Intake::new(self.wanted.clone(), self.rate_hz);
+        let StylusConfig { port, rate_hz, streams } = &self.config;
+        let mut intake = Intake::new(streams.clone(), *rate_hz);
         let begin = Instant::now();
-        keep_open(self.port.as_mut(), link, |port, path| {
+        keep_connected(link, RETRY, || {
+            let (port, path) = port.open()?;
+            link.state(DeviceState::Opening, path.clone());
             intake.reopened();
             let now = Instant::now();
             let mut connection = Connection {
@@ -136,53 +101,20 @@ impl Device for Stylus {
     }
 }
 
-/// Opens a line, passes it to `talk`, and opens it again whenever that lost it, until a stop.
-///
-/// # Errors
-/// If trying again is useless.
-pub(super) fn keep_open(
-    line: &mut dyn OpenPort,
-    link: &DeviceLink,
-    mut talk: impl FnMut(Box<dyn Port>, String) -> ConnectionEnd,
-) -> Result<(), DeviceError> {
-    let (mut was_there, mut retry) = (false, Retry::new(RETRY));
-    while !link.stopped() {
-        match line.open() {
-            Ok((port, path)) => {
-                retry.opened();
-                link.state(DeviceState::Opening, path.clone());
-                match talk(port, path) {
-                    ConnectionEnd::Stop => return Ok(()),
-                    ConnectionEnd::Lost(why) => {
-                        was_there = true;
-                        link.state(DeviceState::Lost, why);
-                    }
-                }
-            }
-            Err(error) => {
-                retry.failed(error, was_there, link)?;
-                continue;
-            }
-        }
-        link.sleep_until(Instant::now() + RETRY);
-    }
-    Ok(())
-}
-
-/// The time that the stylus has to confirm a switch of the light.
+/// Longest time in which the stylus must confirm that it switched the light.
 const CONFIRM: Duration = Duration::from_millis(500);
 
-/// Switches the camera's light on the stylus; clones switch the same one.
+/// A switch for the camera's light on the stylus. All clones switch the same light.
 #[derive(Clone, Debug, Default)]
 pub struct Light(Arc<[AtomicBool; 2]>);
 
 impl Light {
-    /// Requests the light on or off; the driver repeats the command until the stylus confirms it.
+    /// Asks for the light on or off. The driver repeats the command until the stylus confirms it.
     pub fn set(&self, on: bool) {
         self.0[0].store(on, Ordering::Release);
     }
 
-    /// Whether the stylus last said that the light is on.
+    /// Whether the light is on, according to the last report of the stylus.
     pub fn is_on(&self) -> bool {
         self.0[1].load(Ordering::Acquire)
     }
@@ -191,14 +123,13 @@ impl Light {
         self.0[0].load(Ordering::Acquire)
     }
 
-    /// Notes the state of the light that the stylus reports.
+    /// Stores the light's state that the stylus reported.
     fn confirm(&self, on: bool) {
         self.0[1].store(on, Ordering::Release);
     }
-}
 
-impl FlashLine for Light {
-    fn switch(&mut self, on: bool) -> Result<(), String> {
+    /// Switches the light, and waits until the stylus confirms it. Fails after 0.5 s.
+    pub fn switch(&self, on: bool) -> Result<(), String> {
         self.set(on);
         let until = Instant::now() + CONFIRM;
         while self.is_on() != on {
@@ -209,5 +140,274 @@ impl FlashLine for Light {
             std::thread::sleep(Duration::from_millis(5));
         }
         Ok(())
+    }
+}
+
+/// Time without samples after which the state is "stalled" and a start command is sent.
+pub(super) const STALLED: Duration = Duration::from_millis(500);
+/// Time without samples after which the line is reopened; the port's path may have changed.
+const GIVE_UP: Duration = Duration::from_secs(5);
+/// Time without an answer after which a command is sent again.
+const REPEAT: Duration = Duration::from_millis(100);
+/// Longest time that a stop waits until the stylus has stopped sampling.
+const STOP_TIMEOUT: Duration = Duration::from_millis(300);
+/// Shortest time between two reports of errors.
+pub(super) const REPORT_EVERY: Duration = Duration::from_secs(1);
+/// Most bytes taken in one read.
+pub(super) const BUFFER: usize = 64 * 1024;
+
+/// Reads the bytes that have arrived, or waits briefly for some. Returns their number, which may be
+/// 0. An error says why the line is lost.
+pub(super) fn read_some(line: &mut dyn Read, buffer: &mut [u8]) -> Result<usize, String> {
+    use std::io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    match line.read(buffer) {
+        Ok(0) => Err("the line was hung up".into()),
+        Ok(n) => Ok(n),
+        Err(error) if matches!(error.kind(), TimedOut | WouldBlock | Interrupted) => Ok(0),
+        Err(error) => Err(format!("the line was lost ({error})")),
+    }
+}
+
+pub(super) fn lost(path: &str, why: &str) -> Disconnected {
+    Disconnected::Lost(format!("{path}: {why}; waiting for it to come back"))
+}
+
+/// Sends one warning that names all counts above 0.
+pub(super) fn warn_of(counts: &[(u64, &str)], link: &DeviceLink) {
+    let some = counts.iter().filter(|(count, _)| *count > 0);
+    let parts: Vec<String> = some.map(|(count, text)| format!("{count} {text}")).collect();
+    if !parts.is_empty() {
+        link.warn(parts.join(", "));
+    }
+}
+
+/// One connection to the stylus, from opening the line to losing it.
+struct Connection<'a> {
+    port: Box<dyn SerialPort>,
+    path: String,
+    intake: &'a mut Intake,
+    sinks: &'a mut [Sink],
+    link: &'a DeviceLink,
+    light: &'a Light,
+    begin: Instant,
+    samples_at: Instant,
+    start_sent_at: Option<Instant>,
+    light_sent_at: Option<Instant>,
+    status: Option<Status>,
+    refused: Option<String>,
+    errors: LinkErrors,
+    reported_at: Instant,
+}
+
+impl Connection<'_> {
+    fn run(&mut self) -> Result<(), Disconnected> {
+        let mut buffer = vec![0; BUFFER];
+        while !self.link.stopped() {
+            self.read(&mut buffer).map_err(|why| lost(&self.path, &why))?;
+            let now = Instant::now();
+            let silent = now - self.samples_at;
+            if (silent >= STALLED || !self.intake.introduced())
+                && self.start_sent_at.is_none_or(|at| now - at >= STALLED.min(2 * REPEAT))
+            {
+                // A repeated start does no harm: a stylus that samples already answers it only with
+                // a hello, its introduction.
+                self.start_sent_at = Some(now);
+                self.send(Command::Start);
+            }
+            if silent >= STALLED {
+                self.link.state(DeviceState::Stalled, self.why_silent());
+            }
+            if silent >= GIVE_UP {
+                let why = format!("{}; reopening the line", self.why_silent());
+                return Err(Disconnected::Lost(why));
+            }
+            self.update_light(now);
+            if now - self.reported_at >= REPORT_EVERY {
+                self.errors.report(self.link);
+                self.reported_at = now;
+            }
+        }
+        self.stop_stylus(&mut buffer);
+        Ok(())
+    }
+
+    /// Reads the bytes that have arrived, or waits briefly for some, and handles their messages.
+    fn read(&mut self, buffer: &mut [u8]) -> Result<(), String> {
+        let n = read_some(&mut self.port, buffer)?;
+        if n == 0 {
+            return Ok(());
+        }
+        let now = Instant::now();
+        let now_s = (now - self.begin).as_secs_f64();
+        let Self { intake, sinks, link, light, status, refused, errors, .. } = self;
+        let any = intake.feed(&buffer[..n], now_s, |event| match event {
+            IntakeEvent::Frames { stream, samples } => {
+                if let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) {
+                    errors.overflowed += sink.push(samples);
+                }
+            }
+            IntakeEvent::Missing { stream, frames } => {
+                if let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) {
+                    sink.skip(frames);
+                }
+                errors.missing = errors.missing.max(frames);
+                errors.gaps += u64::from(stream == 0);
+            }
+            IntakeEvent::Hello { who, lacking, changed } => {
+                *refused = None;
+                if changed {
+                    errors.hello(format!("its channels have changed ({who})"));
+                }
+                for id in lacking {
+                    errors.hello(format!("{who} has no channels for {id}, which is left out"));
+                }
+            }
+            IntakeEvent::Refused(why) => *refused = Some(why),
+            IntakeEvent::Restarted => errors.restarts += 1,
+            IntakeEvent::Status(new) => {
+                light.confirm(new.light);
+                if new.crystal_failed && !status.is_some_and(|old| old.crystal_failed) {
+                    link.warn("its crystal has failed: its rate is accurate to 1 % only");
+                }
+                errors.stylus(status.as_ref(), &new);
+                *status = Some(new);
+            }
+            IntakeEvent::Damaged(DecodeError::Version(version)) => {
+                *refused = Some(format!(
+                    "it speaks version {version} of the wire format, this program version {}; \
+                     install the firmware that belongs to this program",
+                    surfaced_wire::VERSION
+                ));
+            }
+            IntakeEvent::Damaged(_) => errors.damaged += 1,
+        });
+        if any {
+            self.samples_at = now;
+            self.link.state(DeviceState::Streaming, "");
+        }
+        Ok(())
+    }
+
+    fn why_silent(&self) -> String {
+        match &self.refused {
+            Some(why) => why.clone(),
+            None if !self.intake.introduced() && self.intake.damaged > 0 => {
+                format!("no stylus answers on {}; check port and wiring", self.path)
+            }
+            None => format!("no samples come from {}; check that the stylus has power", self.path),
+        }
+    }
+
+    fn update_light(&mut self, now: Instant) {
+        let wanted = self.light.wanted();
+        // A reset switches the light off. The next status shows this, so it is switched on again.
+        let differs = self.status.is_some_and(|status| status.light != wanted);
+        if differs && self.light_sent_at.is_none_or(|at| now - at >= REPEAT) {
+            self.light_sent_at = Some(now);
+            self.send(if wanted { Command::LightOn } else { Command::LightOff });
+        }
+    }
+
+    fn stop_stylus(&mut self, buffer: &mut [u8]) {
+        let until = Instant::now() + STOP_TIMEOUT;
+        let mut sent_at: Option<Instant> = None;
+        self.status = None;
+        while Instant::now() < until && self.status.is_none_or(|status| status.sampling) {
+            if sent_at.is_none_or(|at| at.elapsed() >= REPEAT) {
+                sent_at = Some(Instant::now());
+                self.send(Command::Stop);
+            }
+            if self.read(buffer).is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Sends a command. Errors are ignored, since an unanswered command is repeated.
+    fn send(&mut self, command: Command) {
+        let mut out = [0; MAX_ENCODED + 1];
+        // Sends a zero byte first: it is a delimiter, which ends any noise on the line.
+        if let Ok(n) = encode(&Message::Command(command), &mut out[1..]) {
+            let _ = self.port.write(&out[..=n]);
+        }
+    }
+}
+
+/// Counts of errors on the line since the last report.
+#[derive(Default)]
+struct LinkErrors {
+    damaged: u64,
+    gaps: u64,
+    /// Number of missing frames in the longest gap.
+    missing: u64,
+    restarts: u64,
+    overflowed: u64,
+    overruns: u64,
+    dropped: u64,
+    /// Number of warnings about introductions (hellos) of the stylus, and the last such warning.
+    hellos: u64,
+    last_hello: Option<String>,
+}
+
+impl LinkErrors {
+    /// Adds the losses since the last status; the stylus counts from 0 after each start.
+    fn stylus(&mut self, old: Option<&Status>, new: &Status) {
+        let (overruns, dropped) = old.map_or((0, 0), |old| (old.overruns, old.dropped));
+        self.overruns += u64::from(new.overruns.checked_sub(overruns).unwrap_or(new.overruns));
+        self.dropped += u64::from(new.dropped.checked_sub(dropped).unwrap_or(new.dropped));
+    }
+
+    fn hello(&mut self, warning: String) {
+        self.hellos += 1;
+        self.last_hello = Some(warning);
+    }
+
+    /// Reports the errors so far as a summary, and resets the counts.
+    fn report(&mut self, link: &DeviceLink) {
+        match (self.hellos, self.last_hello.take()) {
+            (2.., Some(last)) => link.warn(format!("{last} (and {} more)", self.hellos - 1)),
+            (_, last) => last.into_iter().for_each(|last| link.warn(last)),
+        }
+        let counts = [
+            (self.damaged, "frames were damaged on the line"),
+            (self.gaps, "gaps in the samples"),
+            (self.missing, "samples are missing in the longest gap"),
+            (self.restarts, "restarts of its sample counter"),
+            (self.overflowed, "frames did not fit into a ring"),
+            (self.overruns, "samples were taken late"),
+            (self.dropped, "samples did not fit into its memory"),
+        ];
+        warn_of(&counts, link);
+        *self = Self::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::DeviceReportKind;
+    use crate::ring::Stop;
+
+    #[test]
+    fn errors_of_the_line_are_summed_up_whatever_their_number() {
+        let (send, reports) = crossbeam_channel::unbounded();
+        let link = DeviceLink::new(0, Stop::default(), send);
+        let mut errors = LinkErrors::default();
+        (0..200_000).for_each(|n| errors.hello(format!("hello {n}")));
+        let status = |overruns| Status { overruns, ..Status::default() };
+        for _ in 0..3 {
+            errors.stylus(None, &status(u32::MAX));
+        }
+        errors.report(&link);
+        let texts: Vec<String> = reports
+            .try_iter()
+            .map(|report| match report.kind {
+                DeviceReportKind::Warning(text) => text,
+                other => panic!("{other:?}"),
+            })
+            .collect();
+        assert_eq!(texts[0], "hello 199999 (and 199999 more)");
+        assert_eq!(texts[1], format!("{} samples were taken late", 3 * u64::from(u32::MAX)));
+        assert_eq!(texts.len(), 2);
     }
 }

@@ -1,11 +1,10 @@
-//! Draws dependence against the lag, with T* marked, and accuracy against scan time.
+//! Draws dependence against the lag, with a mark at T*, and accuracy against scan time.
 
 use plotters::prelude::*;
 
 use super::algorithm1::CurvePoint;
-use super::need::Second;
 use super::pooled::PooledDependence;
-use super::report::{ByRule, PooledRow, SourceDuration};
+use super::report::{ByRule, PooledRow, Second, SourceDuration};
 use crate::draw::{Area, COLOURS, Drawn, FigureError, svg};
 use crate::recognise::AccuracyAt;
 use crate::scene::SourceId;
@@ -14,11 +13,11 @@ const PANEL: (u32, u32) = (640, 380);
 
 type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
 
-/// An SVG with two panels in a row: for `pooled` a panel for each source with all its surfaces, for
-/// Algorithm 1 one for each surface and source, and a last one of accuracy against scan time.
+/// An SVG with two panels a row. `pooled` has a panel for each source, with all surfaces; Algorithm
+/// 1 has one for each surface and source. The last panel has accuracy against scan time.
 ///
 /// # Errors
-/// If there is nothing to draw.
+/// If no surface and source has a curve.
 pub fn figure(
     durations: &[SourceDuration],
     accuracy: Option<&AccuracyCurve>,
@@ -29,7 +28,7 @@ pub fn figure(
             ByRule::Algorithm1 { curve, .. } if curve.len() > 1 => {
                 panels.push(Box::new(move |area| algorithm1_panel(area, row, curve)));
             }
-            // All rows of a source share a panel, which is added at the first of them.
+            // All rows of a source share one panel, which is added at the first of these rows.
             ByRule::Pooled(_) if durations[..i].iter().all(|d| d.source != row.source) => {
                 let rows = rows_of(durations, &row.source);
                 if !rows.is_empty() {
@@ -54,18 +53,16 @@ pub fn figure(
     })
 }
 
-/// Accuracy against scan time, and the scan time read from it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AccuracyCurve {
-    /// Accuracy at each scan time, the shortest first.
+    /// Accuracy at each scan time, in ascending order of scan time.
     pub points: Vec<AccuracyAt>,
-    /// The accuracy to reach, from 0 to 1.
+    /// The wanted accuracy, from 0 to 1.
     pub target: f64,
-    /// The scan time that reaches the target.
     pub enough_s: Option<Second>,
 }
 
-/// Draws accuracy with its confidence band, the target, and how long to drag.
+/// Draws accuracy against scan time, its confidence band, the target, and how long to drag.
 fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
     let colour = COLOURS[2];
     let end = curve.points.last().map_or(1.0, |p| p.scan_s) * 1.05;
@@ -110,11 +107,10 @@ const HSIC: RGBColor = RGBColor(0, 90, 160);
 const KAPPA: RGBColor = RGBColor(200, 70, 0);
 const MARK: RGBColor = RGBColor(30, 30, 30);
 
-/// Draws the panel of one surface and source by Algorithm 1.
 fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint]) -> Drawn {
     let rate_hz = row.rate_hz.unwrap_or(1.0);
     let ms = |lag: usize| lag as f64 / rate_hz * 1e3;
-    // The curve is flat far beyond T*, so it is drawn up to four times T*.
+    // The curve is flat far beyond T*, so it is drawn only up to four times T*.
     let last = curve.last().map_or(1, |p| p.lag);
     let end = row.t_star_samples.map_or(last, |t| last.min((4 * t).max(20)));
     let inside: Vec<&CurvePoint> = curve.iter().filter(|p| p.lag <= end).collect();
@@ -162,7 +158,7 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
         chart
             .draw_series(std::iter::once(PathElement::new([(at, 0.0), (at, 0.55 * top)], style)))?;
         let text = format!("T* = {at:.2} ms");
-        // Near the bottom, below all curves.
+        // Puts the text near the bottom, below all curves.
         let beside = (at + 0.01 * ms(end), 0.1 * top);
         chart.draw_series(std::iter::once(Text::new(text, beside, ("sans-serif", 15))))?;
     } else {
@@ -183,8 +179,8 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
 const GREY: RGBColor = RGBColor(150, 150, 150);
 const FONT: &str = "sans-serif";
 
-/// The rows of a source that have a curve, sorted by T*, then those without T*; but the row with
-/// the longest T* is moved to the end.
+/// The rows of a source that have a curve: in ascending order of T*, then those without T*, and at
+/// the end the row with the longest T*.
 fn rows_of<'a>(
     durations: &'a [SourceDuration],
     source: &SourceId,
@@ -199,7 +195,7 @@ fn rows_of<'a>(
         let length = |d: &SourceDuration| d.t_star_s.unwrap_or(f64::INFINITY);
         length(a).total_cmp(&length(b))
     });
-    // The last row is the one drawn in full, which should have a T* to mark.
+    // The last row is drawn in full, so it should have a T* to mark.
     if let Some(last) = rows.iter().rposition(|(d, _)| d.t_star_s.is_some()) {
         let longest = rows.remove(last);
         rows.push(longest);
@@ -207,7 +203,8 @@ fn rows_of<'a>(
     rows
 }
 
-/// Draws a line for each surface, and the confidence band and T* of the last.
+/// Draws dependence against lag, with a line for each surface. The last surface also gets a
+/// confidence band, the threshold, T* and the upper bound of T*.
 fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> Drawn {
     let Some(((longest, row), others)) = rows.split_last() else { return Ok(()) };
     let ms = |s: f64| 1e3 * s;
@@ -244,32 +241,12 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
     chart.draw_series(fitted)?;
     let measured = line(row, |d| d.dependence);
     chart.draw_series(measured.into_iter().map(|at| Circle::new(at, 2, colour.filled())))?;
-    mark(&mut chart, longest, row, others.len(), first, last)
-}
 
-type DependenceChart<'a, 'b> = ChartContext<
-    'a,
-    SVGBackend<'b>,
-    Cartesian2d<
-        plotters::coord::combinators::LogCoord<f64>,
-        plotters::coord::types::RangedCoordf64,
-    >,
->;
-
-/// Draws the threshold, T* and its upper bound, and labels the lines.
-fn mark(
-    chart: &mut DependenceChart<'_, '_>,
-    longest: &SourceDuration,
-    row: &PooledRow,
-    others: usize,
-    first: f64,
-    last: f64,
-) -> Drawn {
     let threshold = row.threshold;
     let across =
         LineSeries::new([(first, threshold), (last, threshold)], COLOURS[1].stroke_width(1));
     chart.draw_series(across)?;
-    // Text goes to the upper right, where the curves are low; a share of the axis as a time.
+    // Text goes to the upper right, where curves are low; `at` turns a share of the axis into a lag.
     let at = |share: f64| first * (last / first).powf(share);
     let mut put = |text: String, y: f64, colour: RGBColor| -> Drawn {
         let style = (FONT, 16).into_font().color(&colour);
@@ -286,8 +263,8 @@ fn mark(
         _ => put("no T*".into(), 0.90, BLACK)?,
     }
     put(format!("small enough: {threshold}"), 0.83, COLOURS[1])?;
-    if others > 0 {
-        let name = if others == 1 { "the other surface" } else { "the other surfaces" };
+    if !others.is_empty() {
+        let name = if others.len() == 1 { "the other surface" } else { "the other surfaces" };
         put(name.into(), 0.76, GREY)?;
     }
     for (seconds, width) in [(longest.t_star_s, 2), (row.t_star_upper_s, 1)] {
@@ -298,59 +275,8 @@ fn mark(
     Ok(())
 }
 
-/// Milliseconds with three significant digits.
+/// Formats milliseconds with three significant digits.
 fn short(ms: f64) -> String {
     let decimals = (2 - ms.log10().floor() as i32).clamp(0, 4) as usize;
     format!("{ms:.decimals$}")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::duration::report::{Estimator, row_of};
-    use crate::duration::{Algorithm1Settings, PooledSettings, simulate};
-    use crate::kernel::Threshold;
-    use crate::recognise::AccuracyAt;
-
-    fn row(surface: &str, tau: f64, estimator: Estimator) -> SourceDuration {
-        let mut rng = crate::seed::rng(1, &[b"figure"]);
-        let series = simulate::trials(10, 1e4, || simulate::ar1(6000, tau, &mut rng)).unwrap();
-        row_of(surface, series, estimator)
-    }
-
-    #[test]
-    fn a_figure_of_algorithm_1_marks_t_star() {
-        let settings = Algorithm1Settings {
-            draws: 50,
-            threshold: Threshold::Gamma,
-            ..Algorithm1Settings::default()
-        };
-        let row = row("G1 <mesh>", 20.0, Estimator::Algorithm1(settings));
-        let svg = figure(std::slice::from_ref(&row), None).unwrap();
-        assert!(svg.contains("T* =") && svg.contains("&lt;mesh&gt;"), "{svg}");
-    }
-
-    #[test]
-    fn a_figure_of_pooled_has_a_panel_a_source_and_one_of_accuracy_where_it_is_known() {
-        let pooled = Estimator::Pooled(PooledSettings { dependence: 0.1 });
-        let rows = [row("felt", 5.0, pooled), row("mesh", 20.0, pooled)];
-        let svg = figure(&rows, None).unwrap();
-        assert!(svg.contains("width=\"640\"") && svg.contains("mesh"), "{svg}");
-        let points = [0.2, 0.5, 1.0]
-            .map(|scan_s| AccuracyAt {
-                scan_s,
-                accuracy: 0.9,
-                accuracy_low: 0.8,
-                accuracy_high: 0.95,
-            })
-            .to_vec();
-        let curve = AccuracyCurve { points, target: 0.99, enough_s: Some(0.5) };
-        let both = figure(&rows, Some(&curve)).unwrap();
-        assert!(both.contains("width=\"1280\"") && both.contains("drag for 0.5 s"), "{both}");
-    }
-
-    #[test]
-    fn without_a_curve_there_is_no_figure() {
-        assert!(figure(&[], None).is_err());
-    }
 }

@@ -1,73 +1,44 @@
-//! The trials of one surface and source, checked before anything is computed from them.
+//! The trials of one surface and source, with checks of their number, length and values.
 
 use crate::kernel::{FEWEST_PAIRS, HsicError};
 use crate::trial::Series;
 
-/// Share of equal samples at one end of a channel's range above which the channel is refused.
+/// A channel is refused if more than this share of its samples lies at one end of its range.
 const SATURATED: f64 = 0.5;
-/// Share of equal samples at one end of a channel's range above which a remark tells of saturation.
+/// A remark reports saturation if more than this share of samples lies at one end of the range.
 const WORTH_SAYING: f64 = 0.02;
-/// Trials are compared at about this number of frames, to see whether they differ.
+/// Approximate number of frames at which trials are compared to see whether they differ.
 const MOMENTS: usize = 2000;
 
-/// The reason why T* cannot be computed.
 #[derive(Debug, thiserror::Error, PartialEq)]
-#[allow(missing_docs)] // The messages are the documentation.
 pub enum DurationError {
-    #[error("{0} trials; expected at least {FEWEST_PAIRS} of one surface (record more)")]
-    TooFewTrials(usize),
-    #[error("trial {trial} has {rate_hz} Hz and trial 1 has {expected_hz} Hz; expected one rate")]
-    Rates {
-        /// trial, counted from 1
-        trial: usize,
-        rate_hz: f64,
-        expected_hz: f64,
-    },
-    #[error("trial {trial} has {channels} channels and trial 1 has {expected}")]
-    Channels {
-        /// trial, counted from 1
-        trial: usize,
-        channels: usize,
-        expected: usize,
-    },
-    #[error("the shortest trial has {frames} samples; expected at least {expected}")]
-    TooShort { frames: usize, expected: usize },
-    #[error(
-        "the source is constant: nothing moves, so there is no time after which it is independent"
-    )]
-    Constant,
-    #[error(
-        "all trials hold one and the same value {:.0} % of the time, as a metal detector does; \
-         T* has no meaning here", share * 100.0
-    )]
-    MostlyOneValue { share: f64 },
-    #[error(
-        "channel {channel} is saturated: {:.0} % of its samples lie at one end of its range; \
-         lower the gain and record again", share * 100.0
-    )]
-    Saturated {
-        /// channel, counted from 1
-        channel: usize,
-        share: f64,
-    },
+    /// trials that are too few, too short or too different, or that hold no information
+    #[error("{0}")]
+    Trials(String),
     #[error("{0}")]
     Settings(String),
     #[error(transparent)]
     Hsic(#[from] HsicError),
 }
 
-/// Fewest samples of a trial for Algorithm 1.
+/// The reason given for a source that never changes, and so has no T*.
+pub(crate) const CONSTANT: &str =
+    "the source is constant: nothing moves, so there is no time after which it is independent";
+
+/// Fewest samples in a trial for Algorithm 1.
 pub const FEWEST_FRAMES: usize = 100;
-/// Fewest samples of a trial for `pooled`, whose lags reach a quarter of a trial.
+/// Fewest samples in a trial for the rule `pooled`, whose lags reach a quarter of a trial.
 const FEWEST_POOLED: usize = 40;
 
-/// Q trials of one surface and source, with one rate and number of channels, used up to the length
-/// of the shortest.
+/// Q trials of one surface and source, with the same rate and number of channels. Each trial is
+/// used up to the length of the shortest.
 #[derive(Clone, Debug)]
 pub struct Trials {
-    series: Vec<Series>,
-    frames: usize,
-    /// Remarks on how far T* can be trusted, a line each.
+    /// The trials, not cropped; each has at least `frames` frames.
+    pub(crate) series: Vec<Series>,
+    /// Number of frames of the shortest trial.
+    pub(crate) frames: usize,
+    /// Remarks on how far T* can be trusted, one line of text each.
     pub remarks: Vec<String>,
 }
 
@@ -75,76 +46,76 @@ impl Trials {
     /// Trials for Algorithm 1, each an independent recording of the same surface.
     ///
     /// # Errors
-    /// If there are fewer than five, or if they differ in rate or channels, are too short, constant
-    /// or saturated, or have one value most of the time. A [`Series`] holds no NaN or infinity.
+    /// If there are fewer than five trials, or if they differ in rate or channels, are too short,
+    /// constant or saturated, or all hold the same value most of the time.
     pub fn new(series: Vec<Series>) -> Result<Self, DurationError> {
-        if series.len() < FEWEST_PAIRS {
-            return Err(DurationError::TooFewTrials(series.len()));
-        }
-        let mut trials = Self::of_one_shape(series, FEWEST_FRAMES)?;
-        trials.check_values(true)?;
+        let mut trials = Self::checked(series, FEWEST_PAIRS, FEWEST_FRAMES, true)?;
         if trials.count() < 30 {
             trials.remarks.push(format!(
-                "{} trials have little power: a weak dependence is not seen, so T* is rather too \
-                 short than too long",
+                "{} trials are few: weak dependence may be missed, so T* may be too short; record \
+                 more",
                 trials.count()
             ));
         }
         Ok(trials)
     }
 
-    /// Trials for `pooled`, one or more.
+    /// Trials for the rule `pooled`, at least one.
     ///
     /// # Errors
     /// Like [`Self::new`], but one trial suffices, and it may have fewer samples.
     pub(crate) fn pooled(series: Vec<Series>) -> Result<Self, DurationError> {
-        if series.is_empty() {
-            return Err(DurationError::TooFewTrials(0));
-        }
-        let mut trials = Self::of_one_shape(series, FEWEST_POOLED)?;
-        trials.check_values(false)?;
-        Ok(trials)
+        Self::checked(series, 1, FEWEST_POOLED, false)
     }
 
-    fn of_one_shape(series: Vec<Series>, fewest_frames: usize) -> Result<Self, DurationError> {
+    fn checked(
+        series: Vec<Series>,
+        fewest: usize,
+        fewest_frames: usize,
+        has_kappa: bool,
+    ) -> Result<Self, DurationError> {
+        let fail = |problem| Err(DurationError::Trials(problem));
+        let count = series.len();
+        if count < fewest {
+            return fail(format!(
+                "{count} trials; expected at least {FEWEST_PAIRS} of one surface (record more)"
+            ));
+        }
         let (rate_hz, channels) = (series[0].rate_hz(), series[0].channels());
-        for (i, s) in series.iter().enumerate() {
-            let trial = i + 1;
+        for (trial, s) in (1..).zip(&series) {
             if s.channels() != channels {
-                let (channels, expected) = (s.channels(), channels);
-                return Err(DurationError::Channels { trial, channels, expected });
+                let found = s.channels();
+                return fail(format!(
+                    "trial {trial} has {found} channels and trial 1 has {channels}"
+                ));
             }
             if s.rate_hz() != rate_hz {
-                let (rate_hz, expected_hz) = (s.rate_hz(), rate_hz);
-                return Err(DurationError::Rates { trial, rate_hz, expected_hz });
+                let found_hz = s.rate_hz();
+                return fail(format!(
+                    "trial {trial} has {found_hz} Hz and trial 1 has {rate_hz} Hz; expected one rate"
+                ));
             }
         }
         let frames = series.iter().map(Series::frames).min().unwrap_or(0);
         if frames < fewest_frames {
-            return Err(DurationError::TooShort { frames, expected: fewest_frames });
+            return fail(format!(
+                "the shortest trial has {frames} samples; expected at least {fewest_frames}"
+            ));
         }
-        Ok(Self { series, frames, remarks: Vec::new() })
-    }
-
-    /// The trials, not cropped: all have at least [`Self::frames`] frames.
-    pub(crate) fn series(&self) -> &[Series] {
-        &self.series
+        let mut trials = Self { series, frames, remarks: Vec::new() };
+        trials.check_values(has_kappa).map_err(DurationError::Trials)?;
+        Ok(trials)
     }
 
     pub(crate) fn count(&self) -> usize {
         self.series.len()
     }
 
-    /// Samples of the shortest trial.
-    pub(crate) fn frames(&self) -> usize {
-        self.frames
-    }
-
     pub(crate) fn channels(&self) -> usize {
         self.series[0].channels()
     }
 
-    /// Samples a second.
+    /// Sample rate in Hz.
     pub(crate) fn rate_hz(&self) -> f64 {
         self.series[0].rate_hz()
     }
@@ -156,17 +127,21 @@ impl Trials {
         &self.series[trial].samples()[frame * channels..(frame + 1) * channels]
     }
 
-    /// Refuses trials that hold no information, and remarks on those that hold little. With κ, that
-    /// includes channels of two values, whose ties make κ coarse.
-    fn check_values(&mut self, has_kappa: bool) -> Result<(), DurationError> {
+    /// Refuses trials that hold no information, and adds remarks on those that hold little. With
+    /// `has_kappa`, adds a remark on a channel with only two values, since its ties make κ coarse.
+    fn check_values(&mut self, has_kappa: bool) -> Result<(), String> {
         let channels = self.channels();
         let ranges: Vec<_> = (0..channels).map(|c| self.range(c)).collect();
         if ranges.iter().all(|range| range.low == range.high) {
-            return Err(DurationError::Constant);
+            return Err(CONSTANT.into());
         }
         let share = self.agreement();
         if self.count() > 1 && share > 0.5 {
-            return Err(DurationError::MostlyOneValue { share });
+            return Err(format!(
+                "all trials hold one and the same value {:.0} % of the time, as a metal detector \
+                 does; T* has no meaning here",
+                share * 100.0
+            ));
         }
         for (i, range) in ranges.iter().enumerate() {
             let channel = i + 1;
@@ -175,12 +150,16 @@ impl Trials {
             } else if range.binary {
                 if has_kappa {
                     self.remarks.push(format!(
-                        "channel {channel} has two values only: ties make κ coarse, and rare \
-                         changes are easily missed"
+                        "channel {channel} has only two values: κ is coarse, and rare changes may be \
+                         missed"
                     ));
                 }
             } else if range.at_an_end > SATURATED {
-                return Err(DurationError::Saturated { channel, share: range.at_an_end });
+                return Err(format!(
+                    "channel {channel} is saturated: {:.0} % of its samples lie at one end of its \
+                     range; lower the gain and record again",
+                    range.at_an_end * 100.0
+                ));
             } else if range.at_an_end > WORTH_SAYING {
                 self.remarks.push(format!(
                     "channel {channel} is saturated in {:.0} % of its samples",
@@ -244,34 +223,29 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_source_is_refused() {
-        assert_eq!(trials(|_, _| 3.0).unwrap_err(), DurationError::Constant);
-    }
-
-    #[test]
-    fn a_metal_detector_that_rarely_fires_is_refused() {
-        let error = trials(|q, i| f32::from(q == 3 && i > 900)).unwrap_err();
-        assert!(matches!(error, DurationError::MostlyOneValue { .. }), "{error}");
-    }
-
-    #[test]
-    fn a_saturated_channel_is_refused_and_a_partly_saturated_one_remarked() {
-        let error = trials(|q, i| noise(q, i).min(300.0)).unwrap_err();
-        assert!(matches!(error, DurationError::Saturated { channel: 1, .. }), "{error}");
-        let some = trials(|q, i| noise(q, i).min(900.0)).unwrap();
-        assert!(some.remarks.iter().any(|r| r.contains("saturated in 1")), "{:?}", some.remarks);
-    }
-
-    #[test]
-    fn a_binary_channel_is_answered_with_its_limits() {
-        let some = trials(|q, i| f32::from(noise(q, i) > 500.0)).unwrap();
-        assert!(some.remarks.iter().any(|r| r.contains("two values")), "{:?}", some.remarks);
+    fn what_holds_no_information_is_refused_and_what_holds_little_is_remarked() {
+        for (refused, problem) in [
+            (trials(|_, _| 3.0), CONSTANT),
+            (trials(|q, i| f32::from(q == 3 && i > 900)), "all trials hold one and the same value"),
+            (trials(|q, i| noise(q, i).min(300.0)), "channel 1 is saturated: "),
+        ] {
+            let said = refused.unwrap_err().to_string();
+            assert!(said.starts_with(problem), "{said}");
+        }
+        for (some, remark) in [
+            (trials(|q, i| noise(q, i).min(900.0)), "saturated in 1"),
+            (trials(|q, i| f32::from(noise(q, i) > 500.0)), "two values"),
+        ] {
+            let remarks = some.unwrap().remarks;
+            assert!(remarks.iter().any(|said| said.contains(remark)), "{remarks:?}");
+        }
     }
 
     #[test]
     fn four_trials_are_too_few() {
         let one = |q: usize| (0..1000).map(|i| noise(q, i)).collect();
         let four = (0..4).map(|q| Series::new(1e4, 1, one(q)).unwrap()).collect();
-        assert_eq!(Trials::new(four).unwrap_err(), DurationError::TooFewTrials(4));
+        let said = Trials::new(four).unwrap_err().to_string();
+        assert!(said.starts_with("4 trials; expected at least"), "{said}");
     }
 }

@@ -1,5 +1,5 @@
-//! Measures the gain from enrolling a new user: adding one or a few of the user's scans of every
-//! surface to the library.
+//! Measures how much it helps to enroll a new user, that is, to add one or a few of the user's scans of
+//! every surface to the library.
 
 use std::collections::BTreeMap;
 
@@ -10,10 +10,7 @@ use super::{EvaluateError, Fold, Share};
 use crate::trial::TrialKey;
 
 /// Moves the first `count` trials of each surface and user from the queries of each fold to its
-/// library. Folds left without queries are dropped. Meant for folds that are users.
-///
-/// # Errors
-/// If no query remains.
+/// library. Drops folds that then have no queries. Each fold should leave out one user.
 pub fn enrol(folds: &[Fold], keys: &[TrialKey], count: usize) -> Result<Vec<Fold>, EvaluateError> {
     let folds: Vec<Fold> = (folds.iter())
         .map(|fold| enrol_in(fold, keys, count))
@@ -39,29 +36,26 @@ fn enrol_in(fold: &Fold, keys: &[TrialKey], count: usize) -> Fold {
     Fold { name: fold.name.clone(), library, queries }
 }
 
-/// Accuracy from 0 to 1 on the same queries, with and without a user's trials in the library.
+/// Accuracies, from 0 to 1, on the same queries with and without the user's trials in the library.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct EnrolmentOutcome {
-    /// Trials of each surface that the user enrolled.
+    /// Number of trials of each surface that the user enrolled.
     pub trials: usize,
     /// Share of queries named correctly with the user's trials in the library.
     pub accuracy: f64,
     /// Share of the same queries named correctly without the user's trials in the library.
     #[serde(flatten, serialize_with = "without")]
     pub without: Share,
-    /// The first share minus the second.
     pub gain: f64,
 }
 
-// serde prescribes the signature.
-#[allow(clippy::trivially_copy_pass_by_ref)]
 fn without<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
     Share::write(Some(*share), None, "accuracy_without", to)
 }
 
 impl EnrolmentOutcome {
-    /// Names the queries of the run again, without enrolled trials, and compares with the result
-    /// `with` them. `before` are the folds from which `enrol` made the folds of the run.
+    /// Names the queries of the run again without the enrolled trials, and compares the accuracy
+    /// with that of `with`. `before` holds the folds from which `enrol` made the folds of the run.
     ///
     /// # Errors
     /// If a trial cannot be read or compared.
@@ -75,8 +69,8 @@ impl EnrolmentOutcome {
             let library = before.iter().find(|other| other.name == fold.name)?.library.clone();
             Some(Fold { library, ..fold.clone() })
         };
-        let folds: Vec<Fold> = run.on().folds.iter().filter_map(without).collect();
-        let without = run.measure_by(&folds, &[run.on().query_seconds])?.swap_remove(0).outcome;
+        let folds: Vec<Fold> = run.on.folds.iter().filter_map(without).collect();
+        let without = run.measure_by(&folds, &[run.on.query_seconds])?.swap_remove(0).outcome;
         Ok(Self {
             trials: count,
             accuracy: with.outcome.share.value(),
@@ -99,7 +93,7 @@ mod tests {
         let mut keys = Vec::new();
         for surface in ["a", "b"] {
             keys.extend((1..=2).map(|n| TrialKey::new(surface, EXPERT, n)));
-            // Numbers out of order, since `enrol` must sort them.
+            // The trial numbers are out of order, since `enrol` must sort trials by number.
             keys.extend([3, 1, 2].map(|n| TrialKey::new(surface, "user1", n)));
             keys.push(TrialKey::new(surface, "user2", 1));
         }
@@ -118,7 +112,7 @@ mod tests {
         assert_eq!(of(Protocol::AllVsOneUser)[0].library, [0, 1, 3, 5, 6, 7, 9, 11]);
     }
 
-    /// The user's trials of `a` are nearer to the expert's `b`, so only the user's own trials help.
+    /// The user's trials of `a` are nearer to the expert's trials of `b`, so only enrolling helps.
     #[test]
     fn the_gain_is_measured_on_the_same_queries() {
         let value = |key: &TrialKey| {

@@ -21,20 +21,18 @@ use crate::recognise::{
 use crate::scene::Scene;
 use crate::trial::{Trial, TrialKey};
 
-/// Called after each step with the name of the work, the steps done and the steps in total.
+/// A function that is called after each step with the name of the work, the number of steps done, and
+/// their total number.
 pub type ProgressFn<'a> = &'a (dyn Fn(&'static str, usize, usize) + Sync);
 
-/// The trials to evaluate.
 #[derive(Clone, Copy)]
 pub enum EvaluatedTrials<'a> {
-    /// Recordings.
     Recordings(&'a [Entry]),
-    /// Feature tables, without recordings. Changes of queries do not apply to them.
+    /// Feature tables without recordings, which cannot be cut to `query_seconds`.
     Features(&'a [FeatureVector]),
 }
 
 impl<'a> EvaluatedTrials<'a> {
-    /// The key of the trial at an index.
     pub fn key(self, index: usize) -> &'a TrialKey {
         match self {
             Self::Recordings(entries) => &entries[index].key,
@@ -43,40 +41,33 @@ impl<'a> EvaluatedTrials<'a> {
     }
 }
 
-/// The data of an evaluation, and changes to its queries; library trials are not changed.
+/// The data of an evaluation, and the part of each query that is used; library trials stay whole.
 #[derive(Clone, Copy)]
 pub struct Evaluation<'a> {
-    /// The sources that are compared.
     pub scene: &'a Scene,
-    /// The trials that the folds refer to.
     pub trials: EvaluatedTrials<'a>,
-    /// Queries and libraries.
     pub folds: &'a [Fold],
-    /// The part of each query's drag that is used, in seconds; `None` for all of it.
+    /// The part of each query's drag that is used, in seconds; `None` for the whole drag.
     pub query_seconds: Option<f64>,
-    /// Compare sources of a query whose sensor is dead or stuck, instead of leaving them out.
-    pub keep_dead_sources: bool,
-    /// The library's folder, whose cache of prepared trials is used; `None` for no cache.
+    /// Folder of the library, whose cache of prepared trials is used; `None` for no cache.
     pub cache: Option<&'a Path>,
-    /// Receives progress.
     pub progress: ProgressFn<'a>,
 }
 
 impl<'a> Evaluation<'a> {
-    /// An evaluation on whole recordings that leaves out dead sources, without cache and progress.
+    /// An evaluation on whole recordings, without cache and progress.
     pub fn new(scene: &'a Scene, entries: &'a [Entry], folds: &'a [Fold]) -> Self {
         Self {
             scene,
             trials: EvaluatedTrials::Recordings(entries),
             folds,
             query_seconds: None,
-            keep_dead_sources: false,
             cache: None,
             progress: &|_, _, _| (),
         }
     }
 
-    /// Prepares the libraries of all folds, each trial once.
+    /// Prepares the libraries of all folds; each trial is prepared only once.
     ///
     /// # Errors
     /// If a trial cannot be read or does not fit the scene.
@@ -100,16 +91,16 @@ impl<'a> Evaluation<'a> {
     }
 }
 
-/// Trials that are in the library of some fold.
+/// Indices of the trials that are in the library of at least one fold.
 fn in_libraries(folds: &[Fold]) -> BTreeSet<usize> {
     folds.iter().flat_map(|fold| fold.library.iter().copied()).collect()
 }
 
-/// A method with the libraries of all folds prepared.
+/// A method, and the library trials of all folds, prepared for it.
 pub struct Run<'a, 'm> {
-    on: Evaluation<'a>,
-    method: &'m dyn Method,
-    library: PreparedLibrary,
+    pub on: Evaluation<'a>,
+    pub(crate) method: &'m dyn Method,
+    pub(crate) library: PreparedLibrary,
 }
 
 /// A query, ready to be compared.
@@ -125,34 +116,15 @@ pub struct Query {
 /// The reasons why sources were left out of queries, each with the queries concerned.
 pub type LeftOutSources = BTreeMap<String, BTreeSet<TrialKey>>;
 
-/// The result of naming all queries.
 #[derive(Clone, Debug)]
 pub struct Measured {
-    /// The result over all queries.
     pub outcome: Outcome,
-    /// The answer to each query.
     pub predictions: Vec<Prediction>,
-    /// The sources that were left out.
     pub left_out: LeftOutSources,
 }
 
-impl<'a> Run<'a, '_> {
-    /// The trials to evaluate.
-    pub fn on(&self) -> &Evaluation<'a> {
-        &self.on
-    }
-
-    /// The method.
-    pub(crate) fn method(&self) -> &dyn Method {
-        self.method
-    }
-
-    /// Problems with the cache, a line each.
-    pub fn cache_remarks(&self) -> &[String] {
-        &self.library.remarks
-    }
-
-    /// Prepared library trials, by their indices.
+impl Run<'_, '_> {
+    /// The prepared library trials with the given indices.
     pub(crate) fn prepared<'i>(
         &self,
         trials: impl IntoIterator<Item = &'i usize>,
@@ -160,10 +132,10 @@ impl<'a> Run<'a, '_> {
         trials.into_iter().filter_map(|&i| self.library.trials[i].clone()).collect()
     }
 
-    /// A model of some library trials, by their indices.
+    /// A model of the library trials with the given indices.
     ///
     /// # Errors
-    /// As [`Method::fit`].
+    /// Like [`Method::fit`].
     pub fn fit<'i>(
         &self,
         trials: impl IntoIterator<Item = &'i usize>,
@@ -171,10 +143,6 @@ impl<'a> Run<'a, '_> {
         self.library.fit(self.method, trials)
     }
 
-    /// The recording of a trial.
-    ///
-    /// # Errors
-    /// If it cannot be read, or only its features are known.
     pub(crate) fn recording(&self, index: usize) -> Result<Trial, RecogniseError> {
         match self.on.trials {
             EvaluatedTrials::Recordings(entries) => Ok(entries[index].load()?),
@@ -184,10 +152,10 @@ impl<'a> Run<'a, '_> {
         }
     }
 
-    /// A trial as a query to a model, cut to its first seconds if these are given.
+    /// Prepares a trial as a query to a model, cut to the first `seconds` of its drag if they are given.
     ///
     /// # Errors
-    /// If it cannot be read or compared.
+    /// If the trial cannot be read or compared.
     pub fn query(
         &self,
         model: &Arc<dyn Model>,
@@ -206,11 +174,8 @@ impl<'a> Run<'a, '_> {
         }
     }
 
-    /// Like [`Run::query`], for a recording in memory. Sources with a dead sensor are left out; a
-    /// channel that rests in most trials of the model's library may rest here too.
-    ///
-    /// # Errors
-    /// If it cannot be compared.
+    /// Like [`Run::query`], for a recording in memory. Leaves out sources with a dead sensor. For
+    /// `embedding`, a constant channel is dead only if it varies in most library trials.
     pub(crate) fn query_of(
         &self,
         model: &Arc<dyn Model>,
@@ -222,14 +187,10 @@ impl<'a> Run<'a, '_> {
             Some(seconds) => cut(trial, scene, seconds),
             None => trial,
         };
-        let (trial, left_out) = if self.on.keep_dead_sources {
-            (trial, Vec::new())
-        } else {
-            let embedding = model.clone().embedding();
-            without_flawed(trial, scene, |id, channel| {
-                embedding.as_ref().is_none_or(|embedding| embedding.moves(id, channel))
-            })
-        };
+        let embedding = model.clone().embedding();
+        let (trial, left_out) = without_flawed(trial, scene, |id, channel| {
+            embedding.as_ref().is_none_or(|embedding| embedding.moves(id, channel))
+        });
         let trial = Arc::new(trial);
         let entry = Entry::in_memory(Arc::clone(&trial));
         let started = Instant::now();
@@ -238,21 +199,18 @@ impl<'a> Run<'a, '_> {
 
     /// Names all queries of all folds.
     ///
-    /// They are named one after the other, so that a latency is that of a single query alone on the
-    /// machine: from its raw samples (or its features) in memory to the answer.
+    /// Names one query after the other, so that each has the whole machine. The latency of a query
+    /// is the time from its raw samples (or features) in memory to its answer.
     ///
     /// # Errors
     /// If a trial cannot be read or compared.
     pub fn measure(&self) -> Result<Measured, EvaluateError> {
-        // There is one result, for the one length of queries.
+        // `measure_by` gets one length of queries, so it returns exactly one result.
         Ok(self.measure_by(self.on.folds, &[self.on.query_seconds])?.swap_remove(0))
     }
 
-    /// Like [`Run::measure`], on any folds of the prepared library trials, for each of several
-    /// lengths of queries; one model of a fold serves all lengths.
-    ///
-    /// # Errors
-    /// As [`Run::measure`].
+    /// Like [`Run::measure`], but on the given folds, and once for each length of queries, in
+    /// seconds (`None` for whole drags). One model of a fold serves all lengths.
     pub(crate) fn measure_by(
         &self,
         folds: &[Fold],
@@ -323,14 +281,13 @@ impl<'a> Run<'a, '_> {
     }
 }
 
-/// The entry with its drag cut to the first seconds, if these are given.
+/// The entry, with its drag cut to the first `seconds` if they are given.
 pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
     let Some(seconds) = seconds else { return entry.clone() };
     let scene = scene.clone();
     entry.clone().changed(move |trial| cut(trial, &scene, seconds))
 }
 
-/// The trial with its drag cut to the first seconds.
 fn cut(trial: Trial, scene: &Scene, seconds: f64) -> Trial {
     trial.first_seconds(seconds, |id| scene.is_dragged(id))
 }

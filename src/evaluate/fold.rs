@@ -9,15 +9,16 @@ use crate::seed;
 use crate::trial::{EXPERT, TrialKey};
 
 /// How trials are split into queries and library.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Protocol {
-    /// The expert's trials are the library; each other user is a fold of queries (1 vs 10).
+    /// The library is the expert's trials; each fold names the trials of one other user (1 vs 10)
     ExpertVsUsers,
-    /// Fold k: trial k of every surface, compared with the same person's other trials (1 vs 1).
+    /// Fold k names trial k of every surface; the library is the same person's other trials (1 vs 1)
     LeaveOneTrialOut,
-    /// Each user is a fold; the library is everybody else (10 vs 1).
+    /// Each fold names the trials of one user; the library is everybody else's trials (10 vs 1)
     AllVsOneUser,
-    /// `HALVES` folds, the people in turn: a random half of their trials against the other half.
+    /// Each of 50 folds names a random half of a person's trials of each surface by the other half
     RandomHalves,
 }
 
@@ -25,12 +26,11 @@ pub enum Protocol {
 const HALVES: usize = 50;
 
 impl Protocol {
-    /// All protocols, the preferred one first.
+    /// All protocols, in order of preference.
     pub const ALL: [Self; 4] =
         [Self::ExpertVsUsers, Self::LeaveOneTrialOut, Self::AllVsOneUser, Self::RandomHalves];
 
-    /// The first protocol that fits some trials: users against the expert if there are both, else
-    /// each trial against the same person's other trials, else each user against the others.
+    /// The first of [`Self::ALL`] that fits the trials; [`Self::LeaveOneTrialOut`] if none fits.
     pub(crate) fn natural(keys: &[TrialKey]) -> Self {
         Self::fitting(keys).unwrap_or(Self::LeaveOneTrialOut)
     }
@@ -39,12 +39,10 @@ impl Protocol {
         Self::ALL.into_iter().find(|protocol| enough(&protocol.split(keys), keys))
     }
 
-    /// Whether each fold is a user.
     pub(crate) fn folds_are_users(self) -> bool {
         matches!(self, Self::ExpertVsUsers | Self::AllVsOneUser)
     }
 
-    /// The name, as in options and results.
     pub fn name(self) -> &'static str {
         match self {
             Self::ExpertVsUsers => "expert-vs-users",
@@ -53,20 +51,7 @@ impl Protocol {
             Self::RandomHalves => "random-halves",
         }
     }
-}
 
-/// Queries and the library that they are compared with, as indices of trials.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Fold {
-    /// User or trial that is left out.
-    pub name: String,
-    /// Trials to compare with.
-    pub library: Vec<usize>,
-    /// Trials to name. The library has other trials of their surfaces.
-    pub queries: Vec<usize>,
-}
-
-impl Protocol {
     fn split(self, keys: &[TrialKey]) -> Vec<Fold> {
         let groups = match self {
             Self::ExpertVsUsers => by_user(keys, |key, _| key.user == EXPERT),
@@ -92,15 +77,25 @@ impl Protocol {
     }
 }
 
-/// Whether there are folds, each with two or more surfaces in its library.
+/// Queries, and the library that they are compared with. Trials are given by their indices.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fold {
+    /// Name of the user or trial that is left out.
+    pub name: String,
+    pub library: Vec<usize>,
+    /// The trials to name. The library has other trials of the same surfaces.
+    pub queries: Vec<usize>,
+}
+
+/// Whether there is a fold, and each fold's library has at least two surfaces.
 fn enough(folds: &[Fold], keys: &[TrialKey]) -> bool {
     let surfaces =
         |fold: &Fold| fold.library.iter().map(|&i| &keys[i].surface).collect::<BTreeSet<_>>().len();
     !folds.is_empty() && folds.iter().all(|fold| surfaces(fold) >= 2)
 }
 
-/// Splits trials into folds. A query whose surface is not in the fold's library is left out, since
-/// it could not be named correctly. Folds without queries are left out.
+/// Splits trials into folds. Drops queries of surfaces that the fold's library lacks, since they
+/// could not be named correctly, and then drops folds without queries.
 ///
 /// # Errors
 /// If no fold remains, or a library has fewer than two surfaces.
@@ -129,7 +124,7 @@ fn found(keys: &[TrialKey]) -> String {
     )
 }
 
-/// A key that sorts `user2` before `user10`.
+/// A key for sorting names, by which `user2` comes before `user10`.
 fn natural(name: &str) -> (&str, u64) {
     let digits = name.bytes().rev().take_while(u8::is_ascii_digit).count();
     let (stem, number) = name.split_at(name.len() - digits);

@@ -1,6 +1,6 @@
-//! A negative control, no method for use: names surfaces by the loudness of a trial alone.
+//! A negative control, not a method to use: it names surfaces by the loudness of a trial alone.
 //!
-//! Its right answers may come from the gain of a session or the pressure of a hand.
+//! Its accuracy shows how much the gain of a session or the pressure of a hand reveals.
 
 use std::sync::Arc;
 
@@ -9,30 +9,22 @@ use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{
     Candidate, LibraryShape, Method, Model, Prepared, Ranking, RecogniseError, rank,
 };
-use crate::scene::{Domain, Scene, SourceId};
+use crate::scene::{Scene, SourceId};
 use crate::seed;
 use crate::trial::{Signal, Trial};
 
-/// Root mean square that stands for silence: far below a 16-bit step, with a finite logarithm.
+/// Least root mean square, to keep the logarithm of silence finite; far below a 16-bit step.
 const SILENCE: f64 = 1e-12;
 
-/// Finds the nearest trial by the level of each source with a spectrum: ln of the root mean square
-/// over time and channels, without the mean of each channel. Differences are summed over sources.
+/// Compares trials by the level of each source ([`level_of`]). The nearest library trial has the
+/// smallest sum, over sources, of absolute differences of level.
 #[derive(Clone, Debug)]
 pub struct Loudness {
-    scene: Scene,
+    /// The sources to compare, each with domain `spectrum`.
+    pub scene: Scene,
 }
 
 impl Loudness {
-    /// The control for a scene. `None` if no source has a spectrum.
-    pub fn new(scene: &Scene) -> Option<Self> {
-        let spectra = scene.sources().filter(|spec| matches!(spec.domain, Domain::Spectrum { .. }));
-        let ids: Vec<SourceId> = spectra.map(|spec| spec.id.clone()).collect();
-        // The scene has these sources, so this cannot fail.
-        let scene = scene.clone().only(&ids).ok()?;
-        (!ids.is_empty()).then_some(Self { scene })
-    }
-
     /// The level of each source, as the source's only feature.
     fn levels(&self, entry: &Entry, trial: &Trial) -> Prepared {
         let level = |(id, signal): (&SourceId, &Signal)| {
@@ -45,8 +37,7 @@ impl Loudness {
         Prepared::Features(Arc::new(FeatureVector { key: entry.key.clone(), sources }))
     }
 
-    /// The sources with a spectrum.
-    pub fn sources(&self) -> impl Iterator<Item = &SourceId> {
+    fn sources(&self) -> impl Iterator<Item = &SourceId> {
         self.scene.sources().map(|spec| &spec.id)
     }
 }
@@ -82,7 +73,6 @@ impl Method for Loudness {
     }
 }
 
-/// The levels of a library.
 struct Levels {
     method: Loudness,
     library: Vec<Arc<FeatureVector>>,
@@ -114,7 +104,8 @@ impl Model for Levels {
     }
 }
 
-/// ln of the root mean square over time and channels, without the mean of each channel.
+/// Level of a series: ln of the root mean square over time and channels, after the mean of each
+/// channel was subtracted.
 pub(super) fn level_of(samples: &[f32], channels: usize) -> f64 {
     let power: f64 = (0..channels)
         .map(|channel| {
@@ -135,17 +126,8 @@ mod tests {
     fn a_level_is_that_of_the_root_mean_square_without_the_mean() {
         let samples: Vec<f32> =
             (0..1000).flat_map(|i| [5.0 + if i % 2 == 0 { 0.3 } else { -0.3 }, 0.0]).collect();
-        // Of two channels one is silent: 0.3/√2.
+        // One channel has level 0.3 and the other is silent, so the root mean square is 0.3/√2.
         assert!((level_of(&samples, 2).exp() - 0.3 / 2f64.sqrt()).abs() < 1e-6);
         assert_eq!(level_of(&[1.0; 8], 2), SILENCE.ln());
-    }
-
-    #[test]
-    fn a_scene_without_spectra_has_no_loudness() {
-        let scene = Scene::lmt108();
-        let sounds: Vec<_> = Loudness::new(&scene).unwrap().sources().cloned().collect();
-        assert_eq!(sounds.iter().map(SourceId::as_str).collect::<Vec<_>>(), ["ac", "mi1", "mi2"]);
-        let images = scene.only(&[SourceId::new("ca1").unwrap()]).unwrap();
-        assert!(Loudness::new(&images).is_none());
     }
 }

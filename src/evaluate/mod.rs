@@ -1,9 +1,11 @@
 //! Measures how well a method names surfaces: protocols, folds, accuracies.
 //!
-//! Everything here uses [`Evaluation`]: it prepares a method's libraries once and names the queries
-//! of each fold. [`SettledOutcome`], [`UnknownOutcome`] and [`EnrolmentOutcome`] measure early
-//! answers, unknown surfaces and new users; `chart`, `plan`, `stress` and `paper` are studies of
-//! many runs for the command-line program.
+//! All measurements use [`Evaluation`], which prepares a method's libraries once and names the
+//! queries of each fold. [`SettledOutcome`] measures early answers, [`UnknownOutcome`] the
+//! detection of unknown surfaces, and [`EnrolmentOutcome`] the gain from enrolling. `chart`,
+//! `plan`, `stress` and `paper` each combine many runs for a command.
+
+#![allow(missing_docs)] // Names that say everything need no comment.
 
 pub(crate) mod chart;
 mod check;
@@ -18,7 +20,6 @@ mod plain;
 #[doc(hidden)]
 pub mod plan;
 mod settled;
-mod share;
 #[doc(hidden)]
 pub mod stress;
 mod unknown;
@@ -34,19 +35,16 @@ pub use evaluation::{
 };
 pub use fold::{Fold, Protocol, folds};
 pub(crate) use loudness::Loudness;
-pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction};
+pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, Share};
 pub(crate) use outcome::{interval_over_users, is_over_users};
 pub(crate) use plain::better_plain;
 pub use settled::SettledOutcome;
-pub use share::Share;
 pub use unknown::UnknownOutcome;
 
 use crate::recognise::{RecogniseError, RejectionError};
 use crate::scene::SceneError;
 
-/// The reason why an evaluation cannot be done.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages are the documentation.
 pub enum EvaluateError {
     #[error("the protocol {protocol} needs {needs}; the data hold {found}{fits}")]
     Protocol { protocol: &'static str, needs: &'static str, found: String, fits: String },

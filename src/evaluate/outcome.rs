@@ -1,13 +1,73 @@
-//! The result of an evaluation: accuracies, precision, confusion, latencies.
+//! The result of an evaluation: accuracies with intervals, precision, confusion matrix and latencies.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use serde::ser::SerializeStruct;
+use serde::ser::{Serialize, SerializeMap, SerializeStruct, Serializer};
 
-use super::share::Share;
-use crate::recognise::wilson_of_groups;
+use crate::recognise::{wilson_interval, wilson_of_groups};
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
+
+/// A number of queries, and how many of them were named right (or were called unknown).
+///
+/// JSON has the fraction and its 95 % Wilson interval as `accuracy`, `accuracy_low` and
+/// `accuracy_high`; `#[serde(flatten)]` puts them into the surrounding object.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Share {
+    pub right: usize,
+    pub of: usize,
+}
+
+impl Share {
+    pub(crate) fn count(each: impl IntoIterator<Item = bool>) -> Self {
+        let mut share = Self::default();
+        each.into_iter().for_each(|right| share.add(right));
+        share
+    }
+
+    pub(crate) fn add(&mut self, right: bool) {
+        *self = Self { right: self.right + usize::from(right), of: self.of + 1 };
+    }
+
+    pub(crate) fn join(&mut self, other: Self) {
+        *self = Self { right: self.right + other.right, of: self.of + other.of };
+    }
+
+    /// The fraction, from 0 to 1; 0 if there are no queries.
+    pub fn value(self) -> f64 {
+        self.right as f64 / self.of.max(1) as f64
+    }
+
+    /// The 95 % Wilson interval of the fraction.
+    pub fn interval(self) -> (f64, f64) {
+        wilson_interval(self.right, self.of)
+    }
+
+    /// Writes a share as `key`, `key_low` and `key_high`. The number of queries comes first, under
+    /// the name `count`, if that is given. All values are null if there is no share.
+    pub(crate) fn write<S: Serializer>(
+        share: Option<Self>,
+        count: Option<&str>,
+        key: &str,
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
+        let interval = share.map(Self::interval);
+        let mut map = to.serialize_map(None)?;
+        if let Some(count) = count {
+            map.serialize_entry(count, &share.map(|share| share.of))?;
+        }
+        map.serialize_entry(key, &share.map(Self::value))?;
+        map.serialize_entry(&format!("{key}_low"), &interval.map(|(low, _)| low))?;
+        map.serialize_entry(&format!("{key}_high"), &interval.map(|(_, high)| high))?;
+        map.end()
+    }
+}
+
+impl Serialize for Share {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        Self::write(Some(*self), None, "accuracy", to)
+    }
+}
 
 /// The answer to one query.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,34 +76,31 @@ pub struct Prediction {
     pub key: TrialKey,
     /// Index of the query's fold.
     pub fold: usize,
-    /// The answer.
+    /// The answer; empty if the query could not be named.
     pub surface: String,
-    /// ln of the ratio of the second score to the first.
+    /// ln of the ratio of the second-best surface's score to the best surface's score.
     pub margin: f64,
     /// Time from raw samples to the answer, in milliseconds.
     pub query_ms: f64,
-    /// The sources that were compared.
     pub sources: Vec<SourceId>,
 }
 
 impl Prediction {
-    /// Whether the answer is the truth.
     pub fn is_correct(&self) -> bool {
         self.surface == self.key.surface
     }
 }
 
-/// Accuracy within one fold.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoldAccuracy {
-    /// User or trial that was left out.
+    /// Name of the user or trial that was left out.
     pub name: String,
-    /// The fold's queries, and how many of them were named correctly.
+    /// How many of the fold's queries were named correctly.
     pub share: Share,
 }
 
-impl serde::Serialize for FoldAccuracy {
-    fn serialize<S: serde::Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+impl Serialize for FoldAccuracy {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         let mut fields = to.serialize_struct("FoldAccuracy", 3)?;
         fields.serialize_field("name", &self.name)?;
         fields.serialize_field("accuracy", &self.share.value())?;
@@ -52,54 +109,46 @@ impl serde::Serialize for FoldAccuracy {
     }
 }
 
-/// Counts of answers for each surface.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Confusion {
     /// The surfaces, sorted.
     pub labels: Vec<String>,
-    /// `counts[truth][answer]`.
+    /// Numbers of queries, `counts[truth][answer]`; both are indices of `labels`.
     pub counts: Vec<Vec<u32>>,
 }
 
 /// Result of an evaluation. Accuracies are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Outcome {
-    /// All queries, and how many of them were named correctly.
+    /// How many of all queries were named correctly.
     #[serde(flatten)]
     pub share: Share,
     /// Mean over folds of the share of queries named correctly.
     pub accuracy_mean: f64,
-    /// Sample standard deviation over folds (n − 1); 0 for a single fold.
+    /// Sample standard deviation (n − 1) of the folds' accuracies; 0 for a single fold.
     pub accuracy_std: f64,
-    /// Mean over classes of TP/(TP+FP), which is 0 for a class that is never the answer.
+    /// Mean over classes of the precision TP/(TP+FP), taken as 0 for a class that is never the answer.
     pub precision_mean: f64,
     /// Number of surfaces that could be the answer.
     pub classes: usize,
     /// Surfaces that could be the answer, but have no query.
     pub never_queried: Vec<String>,
-    /// Number of queries.
     pub queries: usize,
-    /// Number of trials in the library of the fold with the largest one.
+    /// Number of trials in the largest library of a fold.
     pub library_trials: usize,
     /// Median time from raw samples to the answer, in milliseconds.
     pub query_ms_p50: f64,
     /// 99th percentile of the time from raw samples to the answer, in milliseconds.
     pub query_ms_p99: f64,
-    /// The method.
     pub method: String,
-    /// Sources that were compared.
     pub sources: Vec<SourceId>,
-    /// Accuracy fold by fold.
     pub folds: Vec<FoldAccuracy>,
-    /// Confusion matrix: truth against answer.
     pub confusion: Confusion,
 }
 
 impl Outcome {
-    /// Computes the result from predictions. `fold_names` are indexed by [`Prediction::fold`];
-    /// `labels` are the surfaces that could be the answer, sorted.
-    ///
-    /// Returns `None` without predictions.
+    /// Computes the result from predictions; `None` if there are none. `fold_names` are indexed by
+    /// [`Prediction::fold`]; `labels` are the surfaces that could be the answer, sorted.
     pub(crate) fn new(
         predictions: &[Prediction],
         fold_names: &[String],
@@ -193,18 +242,18 @@ fn mean_and_std(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, f64)>
     Some((mean, if n > 1 { (squares / (n - 1) as f64).sqrt() } else { 0.0 }))
 }
 
-/// Percentile of a sorted list, `share` from 0 to 1, by nearest rank.
+/// The percentile of a sorted list by nearest rank; `share` is from 0 to 1.
 fn percentile(sorted: &[f64], share: f64) -> f64 {
     let rank = (share * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
-/// Fewest users for an interval over users.
+/// Fewest users for a confidence interval over users; with fewer, the interval is over queries.
 const LEAST_USERS: usize = 5;
 
-/// 95 % confidence interval of the share of all queries named correctly: over users if there are at
-/// least five ([`wilson_of_groups`]), since queries by one person are not independent evidence for
-/// another person; else over queries ([`Share::interval`]).
+/// 95 % confidence interval of the share of all queries named correctly. It is over users if there
+/// are at least five ([`wilson_of_groups`]), since one person's queries say little about another
+/// person. Otherwise it is over queries ([`Share::interval`]).
 pub fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
     if is_over_users(users) {
         let counts = users.iter().map(|user| (user.share.right, user.share.of));
@@ -215,7 +264,7 @@ pub fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
     all.interval()
 }
 
-/// Whether [`interval_over_users`] is over users, not over queries.
+/// Whether there are enough users for [`interval_over_users`] to give an interval over users.
 pub fn is_over_users(users: &[FoldAccuracy]) -> bool {
     users.len() >= LEAST_USERS
 }
@@ -223,7 +272,16 @@ pub fn is_over_users(users: &[FoldAccuracy]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recognise::wilson_interval;
+
+    #[test]
+    fn a_share_has_its_keys_in_json() {
+        let json = serde_json::to_value(Share::count([true, true, false, true])).unwrap();
+        let (low, high) = wilson_interval(3, 4);
+        let wanted =
+            serde_json::json!({"accuracy": 0.75, "accuracy_low": low, "accuracy_high": high});
+        assert_eq!(json, wanted);
+        assert_eq!(Share::default().value(), 0.0);
+    }
 
     fn prediction(truth: &str, answer: &str, fold: usize) -> Prediction {
         Prediction {
@@ -245,7 +303,7 @@ mod tests {
         let outcome = Outcome::new(&predictions, &names, labels, 9, "reference").unwrap();
         assert_eq!(outcome.accuracy_mean, 0.75);
         assert!((outcome.accuracy_std - 0.125f64.sqrt()).abs() < 1e-15);
-        // a: 1 of 2, b: never the answer, c: 1 of 1.
+        // Precision: 1 of 2 answers for a, no answer for b, 1 of 1 answer for c.
         assert_eq!(outcome.precision_mean, 0.5);
         assert_eq!(outcome.confusion.counts[1], [1, 0, 0]);
     }

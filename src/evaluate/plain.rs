@@ -5,15 +5,14 @@ use std::collections::BTreeMap;
 use statrs::distribution::{Binomial, DiscreteCDF};
 
 use super::evaluation::Evaluation;
-use super::outcome::Prediction;
-use super::share::Share;
+use super::outcome::{Prediction, Share};
 use crate::recognise::{MethodName, MethodSpec};
 
 /// A difference is reported if its p-value is below this.
 const SIGNIFICANT: f64 = 0.05;
 
-/// Names the queries of an evaluation by `svm` too, and reports in a line if `svm` is significantly
-/// better than `predictions`, the default method's answers. `None` if not, or if `svm` fails.
+/// Names the queries of an evaluation by `svm`, and compares with `predictions` by the default
+/// method. Returns advice if `svm` is significantly better; `None` if not, or if `svm` fails.
 pub fn better_plain(evaluation: Evaluation<'_>, predictions: &[Prediction]) -> Option<String> {
     let plain = MethodName::Svm;
     let method = MethodSpec::from(plain).build(evaluation.scene);
@@ -40,8 +39,8 @@ pub fn better_plain(evaluation: Evaluation<'_>, predictions: &[Prediction]) -> O
 }
 
 /// The two-sided p-value of McNemar's exact test (McNemar 1947, "Note on the sampling error of the
-/// difference between correlated proportions or percentages"). `one` and `other` count the queries
-/// that only the first and only the second of two methods name correctly.
+/// difference between correlated proportions or percentages"). `one` counts queries that only the
+/// first of two methods names correctly, `other` those that only the second does.
 fn mcnemar(one: usize, other: usize) -> f64 {
     match Binomial::new(0.5, (one + other) as u64) {
         Ok(even) if one + other > 0 => (2.0 * even.cdf(one.min(other) as u64)).min(1.0),

@@ -1,5 +1,6 @@
-//! The page of a fleet, and its interface for programs.
+//! The page and the HTTP API of a fleet.
 
+use std::io::{BufWriter, Write};
 use std::sync::Arc;
 
 use axum::Router;
@@ -21,14 +22,14 @@ use crate::serve::api::{FILES, file, guarded};
 use crate::serve::request::{Problem, aside};
 use crate::serve::subscribers::EventStream;
 
-/// Scans of one answer, unless the request says otherwise, and most of them.
+/// How many scans one answer holds by default (`USUAL`) and at most (`MOST`).
 const USUAL: usize = 100;
 const MOST: usize = 1000;
-/// Bytes of a history that are sent at a time, and how many such pieces wait for a reader.
+/// A history is sent in blocks of `PIECE` bytes, of which at most `PIECES` may wait for the reader.
 const PIECE: usize = 64 << 10;
 const PIECES: usize = 4;
 
-/// The files of the page that are its own; the others are those of a station's page.
+/// The files that only this page has; the other files are shared with a station's page.
 const OWN: [(&str, &str, &str); 3] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/fleet.css", "text/css; charset=utf-8", include_str!("page/fleet.css")),
@@ -38,7 +39,7 @@ const SHARED: [&str; 4] = ["/style.css", "/review.css", "/dom.js", "/favicon.svg
 
 type Shared = State<Arc<Fleet>>;
 
-/// All paths, behind the guard.
+/// The routes of all paths, protected by the guard.
 pub(super) fn router(fleet: Arc<Fleet>, settings: &Settings) -> Router {
     let api = Router::new()
         .route("/state", get(state))
@@ -69,11 +70,9 @@ async fn state(State(fleet): Shared) -> Json<Value> {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ScansRequest {
-    /// How many at most.
     limit: Option<usize>,
-    /// Of this station alone.
+    /// Only the scans of this station.
     station: Option<String>,
-    /// Given before this moment.
     before_unix_ms: Option<u64>,
 }
 
@@ -92,33 +91,26 @@ async fn scans(State(fleet): Shared, request: Asked) -> Result<Response, Problem
     Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
 }
 
-/// Sends what is written in pieces, as fast as the reader takes them.
-struct Pieces {
-    send: Sender<Bytes>,
-    piece: Vec<u8>,
-}
+/// A writer that sends blocks to the reader of an HTTP answer, as fast as the reader takes them.
+struct Pieces(Sender<Bytes>);
 
-impl std::io::Write for Pieces {
+impl Write for Pieces {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.piece.extend_from_slice(bytes);
-        if self.piece.len() >= PIECE {
-            self.flush()?;
-        }
-        Ok(bytes.len())
+        let sent = self.0.blocking_send(Bytes::copy_from_slice(bytes));
+        sent.map(|()| bytes.len()).map_err(|_| std::io::ErrorKind::BrokenPipe.into())
     }
 
     fn flush(&mut self) -> std::io::Result<()> {
-        let piece = std::mem::take(&mut self.piece).into();
-        self.send.blocking_send(piece).map_err(|_| std::io::ErrorKind::BrokenPipe.into())
+        Ok(())
     }
 }
 
-/// The history of all stations, or of one, as one text.
+/// The history of all stations, or of one station, as one text.
 fn history(
     fleet: &Fleet,
     request: Asked,
     content_type: &'static str,
-    write: impl FnOnce(&Snapshot, Pieces) -> Result<(), Problem> + Send + 'static,
+    write: impl FnOnce(&Snapshot, BufWriter<Pieces>) -> Result<(), Problem> + Send + 'static,
 ) -> Result<Response, Problem> {
     let ScansRequest { limit, station, before_unix_ms } = asked(request)?;
     if limit.is_some() || before_unix_ms.is_some() {
@@ -126,9 +118,9 @@ fn history(
     }
     let snapshot = fleet.lock().cache.snapshot(station.as_deref())?;
     let (send, pieces) = channel(PIECES);
-    // A reader that goes away ends it, and learns of no other failure.
+    // If the reader disconnects, writing fails and this work stops. Only other failures are logged.
     tokio::task::spawn_blocking(move || {
-        let pieces = Pieces { send, piece: Vec::new() };
+        let pieces = BufWriter::with_capacity(PIECE, Pieces(send));
         if let Err(Problem::Failed(why)) = write(&snapshot, pieces) {
             tracing::warn!("a history was not sent to its end: {why}");
         }
@@ -137,8 +129,7 @@ fn history(
 }
 
 async fn json_lines(State(fleet): Shared, request: Asked) -> Result<Response, Problem> {
-    let write = |snapshot: &Snapshot, mut out: Pieces| {
-        use std::io::Write;
+    let write = |snapshot: &Snapshot, mut out: BufWriter<Pieces>| {
         for text in snapshot.texts() {
             writeln!(out, "{}", text?)?;
         }
@@ -148,12 +139,13 @@ async fn json_lines(State(fleet): Shared, request: Asked) -> Result<Response, Pr
 }
 
 async fn csv(State(fleet): Shared, request: Asked) -> Result<Response, Problem> {
-    let write = |snapshot: &Snapshot, out: Pieces| {
+    let write = |snapshot: &Snapshot, out: BufWriter<Pieces>| {
         let mut csv = CsvWriter::of_stations(out)?;
         for text in snapshot.texts() {
-            csv.scan(&serde_json::from_str(&text?).map_err(std::io::Error::from)?)?;
+            let scan: Value = serde_json::from_str(&text?).map_err(std::io::Error::from)?;
+            csv.scan(&scan)?;
         }
-        Ok(std::io::Write::flush(&mut csv.finish()?)?)
+        Ok(csv.finish()?.flush()?)
     };
     history(&fleet, request, "text/csv; charset=utf-8", write)
 }

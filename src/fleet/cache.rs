@@ -1,30 +1,30 @@
-//! The answers of all stations: on disk a line each, in memory where each stands.
+//! The answers of all stations, with a line each on disk, and an index of the lines in memory.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::path::Path;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::history::HistoryError;
 use crate::history::log::{Log, Span, hold};
 use crate::record::edit::is_plain;
 use crate::station::AnswerState;
+use crate::system::Locked;
 
 const LOG: &str = "answers.jsonl";
-/// Longest name of an answer.
 const LONGEST_ID: usize = 64;
 
-/// The part of an answer that is kept in memory, or read at the start.
-#[derive(Clone, Debug, Deserialize)]
+/// The fields of an answer that are read into memory.
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub(super) struct Head {
+    #[serde(skip_serializing)]
     pub station: String,
     pub id: String,
     pub unix_ms: u64,
     pub state: AnswerState,
-    /// The number that the station's output gave it; none for one from its history.
-    #[serde(default)]
+    /// The number given by the station's output; `None` for an answer from the station's history.
+    #[serde(default, skip_serializing)]
     pub sequence: Option<u64>,
     pub surface: Option<String>,
     pub confidence: Option<f64>,
@@ -35,19 +35,19 @@ struct Line {
     answer: Head,
 }
 
-/// When an answer was given, its name, and its station: the order of the history.
+/// The sort order of the history: time of the answer in milliseconds, id, and station.
 type Key = (u64, String, String);
 
-/// The answers, each once, by the time that they were given.
+/// The answers, without duplicates, in the order in which they were given.
 #[derive(Debug)]
 pub(super) struct Cache {
     log: Log,
     entries: BTreeMap<Key, Entry>,
     most: u64,
-    /// Answers from before this time made room for newer ones.
+    /// Answers before this time may be missing, since they were dropped to make room for newer ones.
     floor_ms: u64,
-    /// Held for as long as the cache is in use.
-    _lock: File,
+    /// Keeps the cache locked while it is in use.
+    _lock: Locked,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -56,24 +56,21 @@ struct Entry {
     state: AnswerState,
 }
 
-/// The answers as they are now, for a reader that takes its time.
+/// The answers at one moment, so that a slow reader does not block the cache.
 pub(super) struct Snapshot {
     log: Log,
     spans: Vec<Span>,
 }
 
 impl Snapshot {
-    /// The text of each answer, the oldest first.
+    /// The text of each answer, from the oldest to the newest.
     pub fn texts(&self) -> impl Iterator<Item = Result<String, HistoryError>> + '_ {
         self.spans.iter().map(|span| self.log.answer_text(*span))
     }
 }
 
 impl Cache {
-    /// The cache in a folder, which is made if need be.
-    ///
-    /// # Errors
-    /// If the folder cannot be read or written, or another program uses it.
+    /// Opens the cache in a folder. Creates the folder if necessary.
     pub fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
         let lock = hold(folder, "lock")?;
         let log = Log::open(&folder.join(LOG), false)?;
@@ -86,10 +83,8 @@ impl Cache {
         Ok(cache)
     }
 
-    /// Adds an answer of a station, unless it is there already; gives its head if it is new.
-    ///
-    /// # Errors
-    /// With the reason, if it is not an answer of this station, or it cannot be written.
+    /// Adds an answer of a station, and returns its head; `None` if the answer was known already.
+    /// Refuses an answer that names another station.
     pub fn add(&mut self, station: &str, answer: &Value) -> Result<Option<Head>, String> {
         let head = Head::deserialize(answer).map_err(|error| error.to_string())?;
         if head.station != station || !is_plain(&head.id) || head.id.len() > LONGEST_ID {
@@ -105,18 +100,16 @@ impl Cache {
         Ok(Some(head))
     }
 
-    /// Writes the log anew with the newest three quarters, where it is too long.
+    /// If the log is too long, writes it again with only the newest three quarters.
     fn make_room(&mut self) -> Result<(), HistoryError> {
-        if self.log.bytes() <= self.most {
+        if self.log.bytes <= self.most {
             return Ok(());
         }
         let mut left = self.most / 4 * 3;
-        let fits = |entry: &&Entry| match left.checked_sub(u64::from(entry.span.length) + 1) {
-            Some(rest) => {
-                left = rest;
-                true
-            }
-            None => false,
+        let fits = |entry: &&Entry| {
+            let rest = left.checked_sub(u64::from(entry.span.length) + 1);
+            left = rest.unwrap_or(left);
+            rest.is_some()
         };
         let kept = self.entries.values().rev().take_while(fits).count();
         for _ in kept..self.entries.len() {
@@ -130,19 +123,18 @@ impl Cache {
         self.log.replace(fresh)
     }
 
-    /// How many answers there are.
     pub fn len(&self) -> usize {
         self.entries.len()
     }
 
-    /// The time of each station's answers since a moment, and whether it was unknown.
+    /// The station of each answer given since a moment, and whether the surface was unknown.
     pub fn since(&self, unix_ms: u64) -> impl Iterator<Item = (&str, bool)> {
         let from = (unix_ms, String::new(), String::new());
         let entries = self.entries.range(from..);
         entries.map(|(key, entry)| (key.2.as_str(), entry.state == AnswerState::Unknown))
     }
 
-    /// The head of every answer, the oldest first; one that cannot be read is passed over.
+    /// The head of every answer, the oldest first. Unreadable answers are skipped.
     pub fn heads(&self) -> impl Iterator<Item = Head> + '_ {
         let head = |entry: &Entry| {
             let line = self.log.line(entry.span).ok()?;
@@ -151,10 +143,7 @@ impl Cache {
         self.entries.values().filter_map(head)
     }
 
-    /// The newest answers first, at most `most`, of one station or all, and before a moment.
-    ///
-    /// # Errors
-    /// If one cannot be read.
+    /// The newest answers first. At most `most`, of one station or of all, from before `before_ms`.
     pub fn newest(
         &self,
         most: usize,
@@ -167,10 +156,7 @@ impl Cache {
         wanted.take(most).map(|(_, entry)| self.log.answer_text(entry.span)).collect()
     }
 
-    /// All answers as they are now, of one station or all.
-    ///
-    /// # Errors
-    /// If the system gives no second reader.
+    /// All answers at this moment, of one station or of all.
     pub fn snapshot(&self, station: Option<&str>) -> Result<Snapshot, HistoryError> {
         let wanted =
             self.entries.iter().filter(|(key, _)| station.is_none_or(|name| key.2 == name));
@@ -241,7 +227,7 @@ mod tests {
         let mut cache = Cache::open(dir.path(), most).unwrap();
         for scan in 1..=900 {
             cache.add("a", &row("a", scan)).unwrap();
-            assert!(cache.log.bytes() <= most);
+            assert!(cache.log.bytes <= most);
         }
         let kept = scans(&cache);
         assert_eq!(kept.last().unwrap().1, 900);

@@ -1,4 +1,4 @@
-//! Reads answers that did not come by the broker from the stations' own histories.
+//! Reads from the stations' histories the answers that the broker did not deliver.
 
 use std::time::Duration;
 
@@ -9,17 +9,17 @@ use serde_json::Value;
 use tokio::time::{sleep, timeout};
 
 use super::Fleet;
-use crate::outputs::client;
+use crate::outputs::http;
 use crate::station::config::HttpAddress;
 
-/// How often it is looked whether a station misses answers.
+/// Interval at which stations with missing answers are looked for.
 const EVERY: Duration = Duration::from_secs(1);
-/// Answers of one request, and the most bytes of them.
+/// How many answers one request asks for. The reply may have at most `LARGEST` bytes.
 const A_REQUEST: usize = 200;
 const LARGEST: usize = 32 << 20;
-/// Most requests to one station.
+/// How many requests one refill may send to a station.
 const MOST: usize = 500;
-/// How long a station may take to answer.
+/// How long a station may take to reply.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 #[derive(Deserialize)]
@@ -27,7 +27,7 @@ struct Scans {
     scans: Vec<Value>,
 }
 
-/// Reads what is missing, one station after the other, for ever.
+/// Reads missing answers, one station after the other, without end.
 pub(super) async fn refill(fleet: &Fleet) {
     loop {
         sleep(EVERY).await;
@@ -40,7 +40,7 @@ pub(super) async fn refill(fleet: &Fleet) {
     }
 }
 
-/// Reads the history of a station back to a moment.
+/// Reads the history of a station, from the newest scan back to the time `from_ms`.
 async fn read(fleet: &Fleet, station: &str, page: &str, from_ms: u64) -> Result<(), String> {
     let address: HttpAddress = page.parse()?;
     let mut before = String::new();
@@ -63,25 +63,21 @@ async fn read(fleet: &Fleet, station: &str, page: &str, from_ms: u64) -> Result<
 }
 
 fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Result<(), String> {
-    // Programs get no answer to a scan that could not be compared.
+    // Outputs send no answer for a scan that could not be compared, so it is skipped here too.
     let was_compared = scan["state"] != "unnamed";
     let Some(fields) = scan.as_object_mut().filter(|_| was_compared) else { return Ok(()) };
     fields.insert("station".into(), station.into());
-    // What people said of it stays with the station, and changes there.
+    // Corrections belong to the station and may change there, so they are removed.
     for said in ["correction", "became", "kept"] {
         fields.remove(said);
     }
-    let inner = &mut *fleet.lock();
-    if let Some(head) = inner.cache.add(station, &scan)? {
-        inner.stations.answered(&head);
-    }
-    Ok(())
+    fleet.lock().answered(station, &scan)
 }
 
 async fn request(address: &HttpAddress, before: &str) -> Result<Vec<Value>, String> {
     let path = format!("/api/v1/scans?limit={A_REQUEST}{before}");
     let request = Request::get(path).body(Body::empty()).map_err(|error| error.to_string())?;
-    let asked = client::send((&address.host.0, address.host.1), request, LARGEST);
+    let asked = http::send((&address.host.0, address.host.1), request, LARGEST);
     let (status, body) =
         timeout(PATIENCE, asked).await.map_err(|_| "its page gives no answer")??;
     match status {

@@ -1,75 +1,48 @@
-//! The stations of a fleet: their states, their last answers, and which answers are missing.
+//! The stations of a fleet, with their states, their last answers, and times of missing answers.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use serde_json::{Map, Value};
 
 use super::cache::{Cache, Head};
-use crate::record;
-use crate::station::AnswerState;
+use crate::serve::unix_ms;
 
-/// Most stations; names come from the network.
+/// How many stations are kept, at most. Their names come from the network, so there could be many.
 const MOST: usize = 1000;
-/// Last answers that are shown of a station.
+/// How many recent answers are shown for each station.
 const RECENT: usize = 5;
-/// The time over which answers are counted.
+/// Answers of this recent time are counted for each station.
 const COUNTED: Duration = Duration::from_secs(600);
-/// How long answers may be on their way before they count as missing.
+/// How long an answer may be on its way before it counts as missing.
 const ON_THEIR_WAY: Duration = Duration::from_secs(10);
-/// The time after which a page that could not be read is tried again.
+/// The pause before a station whose history could not be read is tried again.
 const AGAIN: Duration = Duration::from_secs(60);
 
-/// The fields of a station's published state that are shown.
-const FIELDS: [&str; 9] = [
-    "state",
-    "version",
-    "page",
-    "devices",
-    "devices_down",
-    "counts",
-    "review",
-    "sequence",
-    "dropped",
-];
+/// The fields of a station's published state that the page shows.
+const FIELDS: &str = "state version page devices devices_down counts review sequence dropped";
 
-fn unix_ms() -> u64 {
-    record::unix_ms(SystemTime::now())
-}
-
-/// All stations, by name.
 #[derive(Debug, Default)]
 pub(super) struct Stations(BTreeMap<String, Station>);
 
-/// One station.
 #[derive(Debug, Default)]
 struct Station {
-    /// The state that it published last.
+    /// The last published state.
     card: Map<String, Value>,
-    /// When it became what it is.
+    /// When the station's `state` last changed, in milliseconds since 1970.
     since_unix_ms: u64,
-    recent: VecDeque<Recent>,
-    /// The number of its newest answer, and when that was given.
+    recent: VecDeque<Head>,
+    /// The number of the newest answer, and the time when it was given, in milliseconds since 1970.
     newest: (u64, u64),
-    /// Since when its state has told of answers that did not come.
+    /// Since when the published state has counted more answers than have arrived.
     behind: Option<Instant>,
-    /// Answers from this time on are to be read from its own history.
+    /// Answers since this time must be read from the station's history; `None` if none is missing.
     missing_from_ms: Option<u64>,
-    /// Not before this moment.
+    /// The history must not be read before this moment.
     not_before: Option<Instant>,
-    /// Why its own history cannot be read, if so.
+    /// The reason why the history could not be read; `None` after a success.
     page_problem: Option<String>,
-}
-
-/// One of the last answers.
-#[derive(Clone, Debug, Serialize)]
-struct Recent {
-    id: String,
-    unix_ms: u64,
-    state: AnswerState,
-    surface: Option<String>,
-    confidence: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -79,19 +52,18 @@ struct StationView<'a> {
     card: &'a Map<String, Value>,
     since_unix_ms: u64,
     page_problem: Option<&'a str>,
-    /// Within the last ten minutes.
+    /// Counts over the last ten minutes.
     scans_10_min: u64,
     unknown_10_min: u64,
-    /// The newest first.
-    answers: &'a VecDeque<Recent>,
+    answers: &'a VecDeque<Head>,
 }
 
 impl Stations {
-    /// The stations of a cache, as far as it knows them.
+    /// The stations of a cache, with their last answers.
     pub fn of(cache: &Cache) -> Self {
         let mut stations = Self::default();
         cache.heads().for_each(|head| stations.answered(&head));
-        // What made room is not read again.
+        // A gap before the oldest answer (0) comes from dropped answers, which are not read again.
         for station in stations.0.values_mut() {
             station.missing_from_ms = station.missing_from_ms.filter(|from_ms| *from_ms > 0);
         }
@@ -105,28 +77,27 @@ impl Stations {
         Some(self.0.entry(name.into()).or_default())
     }
 
-    /// Takes in an answer that is new.
+    /// Updates a station with a new answer.
     pub fn answered(&mut self, head: &Head) {
         let Some(station) = self.named(&head.station) else { return };
-        let Head { id, unix_ms, state, surface, confidence, .. } = head.clone();
-        let recent = Recent { id, unix_ms, state, surface, confidence };
+        let unix_ms = head.unix_ms;
         let at = station.recent.iter().position(|other| other.unix_ms <= unix_ms);
-        station.recent.insert(at.unwrap_or(station.recent.len()), recent);
+        station.recent.insert(at.unwrap_or(station.recent.len()), head.clone());
         station.recent.truncate(RECENT);
         let Some(sequence) = head.sequence else { return };
         let (newest, newest_ms) = station.newest;
-        // A station whose outbox is new counts from 1 again.
+        // A station with a new outbox counts from 1 again, so number 1 shows no gap.
         if sequence > newest + 1 || (sequence <= newest && sequence > 1) {
             station.misses(newest_ms);
         }
         station.newest = (sequence, unix_ms);
     }
 
-    /// Takes in the state of a station: a last will has fewer fields, and leaves the others.
+    /// Updates the state of a station. A last will has fewer fields, so the others keep their values.
     pub fn stated(&mut self, name: &str, state: &Map<String, Value>) {
         let Some(station) = self.named(name) else { return };
         let is_new = station.card.get("state") != state.get("state");
-        for field in FIELDS {
+        for field in FIELDS.split(' ') {
             if let Some(value) = state.get(field) {
                 station.card.insert(field.into(), value.clone());
             }
@@ -143,8 +114,8 @@ impl Stations {
         }
     }
 
-    /// A station whose own history is to be read: its name, its page, and from when on. The page of a
-    /// replay is there for longer than its answers come.
+    /// Finds a station whose history must be read. Returns its name, its page, and where to begin.
+    /// The station need not be online, since the page of a replay remains after the last answer.
     pub fn next_to_read(&mut self) -> Option<(String, String, u64)> {
         let now = Instant::now();
         for (name, station) in &mut self.0 {
@@ -162,7 +133,7 @@ impl Stations {
         None
     }
 
-    /// The own history of a station was read, or not, and why.
+    /// Notes that the history of a station was read since `from_ms`, or why it could not be read.
     pub fn was_read(&mut self, name: &str, from_ms: u64, done: Result<(), String>) {
         let Some(station) = self.0.get_mut(name) else { return };
         station.page_problem = done.err();
@@ -175,7 +146,7 @@ impl Stations {
         }
     }
 
-    /// All of them, for programs.
+    /// The view of all stations, for programs.
     pub fn view(&self, cache: &Cache) -> Value {
         let mut counts: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
         for (name, is_unknown) in cache.since(unix_ms().saturating_sub(COUNTED.as_millis() as u64))
@@ -195,7 +166,7 @@ impl Stations {
                 unknown_10_min,
                 answers: &station.recent,
             };
-            // Plain structs, numbers and text: nothing here that JSON cannot express.
+            // The view consists of plain structs, numbers and text, so serialising cannot fail.
             serde_json::to_value(view).unwrap_or_default()
         };
         self.0.iter().map(view).collect()
@@ -216,25 +187,17 @@ mod tests {
     use super::*;
 
     fn answered(stations: &mut Stations, sequence: Option<u64>, unix_ms: u64) {
-        let (station, id) = ("a".into(), format!("x-{unix_ms}"));
-        let (state, surface) = (AnswerState::Named, Some("oak".into()));
-        stations.answered(&Head {
-            station,
-            id,
-            unix_ms,
-            state,
-            sequence,
-            surface,
-            confidence: None,
+        let (station, id) = ("a", format!("x-{unix_ms}"));
+        let head = json!({
+            "station": station, "id": id, "unix_ms": unix_ms, "state": "named", "sequence": sequence,
         });
+        stations.answered(&serde_json::from_value(head).unwrap());
     }
 
     fn online(sequence: u64) -> Map<String, Value> {
         let page = "http://127.0.0.1:1";
-        json!({ "state": "online", "page": page, "sequence": sequence })
-            .as_object()
-            .unwrap()
-            .clone()
+        let state = json!({ "state": "online", "page": page, "sequence": sequence });
+        state.as_object().unwrap().clone()
     }
 
     #[test]
@@ -255,7 +218,7 @@ mod tests {
         answered(&mut stations, None, 40);
         answered(&mut stations, Some(7), 70);
         assert_eq!(stations.next_to_read(), None);
-        // Its outbox is new.
+        // The outbox is new, so number 1 shows no gap.
         answered(&mut stations, Some(1), 80);
         assert_eq!(stations.next_to_read(), None);
         answered(&mut stations, Some(3), 100);

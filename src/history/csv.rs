@@ -1,31 +1,13 @@
-//! Past scans as CSV: a header line, then one line per scan.
+//! Past scans as CSV, with a header line and then one line per scan.
 
 use std::io::Write;
 
+use serde::Serialize;
 use serde_json::Value;
 
-/// The columns: fields of an answer, its correction and its trial. Lists are joined by semicolons.
-const COLUMNS: [&str; 19] = [
-    "id",
-    "unix_ms",
-    "scan",
-    "state",
-    "surface",
-    "nearest",
-    "reasons",
-    "confidence",
-    "fit",
-    "margin",
-    "scan_s",
-    "settled_s",
-    "latency_ms",
-    "lost_samples",
-    "truth",
-    "sources",
-    "spoiled",
-    "correction",
-    "became",
-];
+/// The columns. They are fields of an answer, its correction and its trial; lists have semicolons.
+const COLUMNS: &str = "id unix_ms scan state surface nearest reasons confidence fit margin scan_s \
+                       settled_s latency_ms lost_samples truth sources spoiled correction became";
 
 /// Writes scans as CSV (RFC 4180).
 pub struct CsvWriter<W: Write> {
@@ -35,20 +17,17 @@ pub struct CsvWriter<W: Write> {
 
 impl<W: Write> CsvWriter<W> {
     /// Writes the header line.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn new(out: W) -> std::io::Result<Self> {
-        Self::with(out, COLUMNS.to_vec())
+        Self::with(out, COLUMNS.split(' ').collect())
     }
 
-    /// The same for scans of many stations, without what people said of them.
-    ///
-    /// # Errors
-    /// As [`CsvWriter::new`].
+    /// Like [`CsvWriter::new`], for scans of many stations, with the station and without corrections.
     pub fn of_stations(out: W) -> std::io::Result<Self> {
         let said = |column: &&str| *column != "correction" && *column != "became";
-        Self::with(out, ["station", "sequence"].into_iter().chain(COLUMNS).filter(said).collect())
+        Self::with(
+            out,
+            "station sequence".split(' ').chain(COLUMNS.split(' ')).filter(said).collect(),
+        )
     }
 
     fn with(out: W, columns: Vec<&'static str>) -> std::io::Result<Self> {
@@ -57,19 +36,14 @@ impl<W: Write> CsvWriter<W> {
         Ok(Self { out, columns })
     }
 
-    /// Adds a scan, as [`super::History`] gives it.
-    ///
-    /// # Errors
-    /// If it cannot be written.
-    pub fn scan(&mut self, scan: &Value) -> std::io::Result<()> {
-        self.out.write_record(self.columns.iter().map(|column| cell(scan, column)))?;
+    /// Adds a scan, given as a [`super::HistoryRow`] or as its JSON with the fields of a fleet.
+    pub fn scan(&mut self, scan: &impl Serialize) -> std::io::Result<()> {
+        let scan = serde_json::to_value(scan)?;
+        self.out.write_record(self.columns.iter().map(|column| cell(&scan, column)))?;
         Ok(())
     }
 
-    /// Flushes, and returns the writer that it was made with.
-    ///
-    /// # Errors
-    /// If the last lines cannot be written.
+    /// Flushes, and returns the inner writer.
     pub fn finish(self) -> std::io::Result<W> {
         self.out.into_inner().map_err(::csv::IntoInnerError::into_error)
     }
@@ -85,7 +59,7 @@ fn cell(scan: &Value, column: &str) -> String {
         column => (&scan[column], None),
     };
     let text = text.unwrap_or_else(|| self::text(value));
-    // A spreadsheet would run such a text as a formula.
+    // A quote is put before a text that a spreadsheet would run as a formula.
     match !value.is_number() && text.starts_with(['+', '-', '=', '@', '\t', '\r']) {
         true => format!("'{text}"),
         false => text,

@@ -1,29 +1,49 @@
-//! The answers of a history in memory, in step with its disk.
+//! The answers of a history, held in memory. Each change is also written to the log on disk.
 
 use std::collections::VecDeque;
 
+use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::file::Disk;
-use super::log::{Head, Log, LogLine, Span};
+use super::log::{Head, Log, LogLine, Span, Text};
 use super::{Correction, HistoryError};
+use crate::printable::json_text;
 use crate::record::edit::is_plain;
+
+/// An answer, its correction, and what became of its scan. Only the fields that the program reads have
+/// types; `others` holds the rest as it was written.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub(crate) struct HistoryRow {
+    #[serde(flatten)]
+    pub head: Head,
+    pub scan_s: f64,
+    pub reasons: Vec<String>,
+    pub spoiled: Vec<String>,
+    #[serde(flatten)]
+    pub others: Map<String, Value>,
+    pub correction: Option<Correction>,
+    /// The trial of the library that the scan became, as `SURFACE/TRIAL`.
+    pub became: Option<String>,
+    /// Whether the signals of the scan are on disk.
+    pub kept: bool,
+}
 
 #[derive(Debug)]
 pub(super) struct HistoryEntry {
     pub head: Head,
     pub text: Text,
     pub correction: Option<Correction>,
-    /// The trial of the library that the scan became, as `SURFACE/TRIAL`.
-    pub trial: Option<String>,
-    /// Bytes of its signals on disk; `None` if they are not kept.
+    pub became: Option<String>,
+    /// Bytes of the scan's signals on disk; `None` if they are not kept.
     pub signals: Option<u64>,
 }
 
-#[derive(Debug)]
-pub(super) enum Text {
-    Here(Box<str>),
-    InLog(Span),
+impl HistoryEntry {
+    pub fn new(head: Head, text: Text) -> Self {
+        Self { head, text, correction: None, became: None, signals: None }
+    }
 }
 
 #[derive(Debug, Default)]
@@ -31,28 +51,21 @@ pub(super) struct HistoryState {
     /// The oldest first.
     pub entries: VecDeque<HistoryEntry>,
     pub disk: Option<Disk>,
-    /// Bytes of all signals.
+    /// Bytes of all signals on disk.
     pub signals: u64,
-    /// The last failure to write, until it works again.
+    /// Why the last write failed; `None` once a write succeeds again.
     pub problem: Option<String>,
 }
 
-/// How a line of the log changes an entry.
-type Change = Box<dyn FnOnce(&mut HistoryEntry)>;
-
 impl HistoryState {
-    pub fn write(&mut self, line: &str) -> Result<Option<Span>, HistoryError> {
-        self.disk.as_mut().map(|disk| disk.log.append(line)).transpose()
-    }
-
     /// Writes a change to the log, then applies it.
     pub fn change(&mut self, line: LogLine) -> Result<(), HistoryError> {
-        let span = self.write(&line.to_json())?;
+        let span = self.disk.as_mut().map(|disk| disk.log.append(&json_text(&line))).transpose()?;
         self.take(line, span.unwrap_or_default());
         Ok(())
     }
 
-    /// Takes in the last `most` bytes of a log.
+    /// Applies the lines in the last `most` bytes of a log.
     pub fn take_log(&mut self, log: &Log, most: u64) -> Result<(), HistoryError> {
         for (line, span) in log.read::<LogLine>(most)? {
             if is_plain(line.id()) {
@@ -62,30 +75,26 @@ impl HistoryState {
         Ok(())
     }
 
-    /// Takes in what a line says.
+    /// Applies a line of the log.
     pub fn take(&mut self, line: LogLine, span: Span) {
-        let (id, change): (String, Change) = match line {
-            LogLine::Answer(head) => {
-                let text = Text::InLog(span);
-                let (correction, trial, signals) = (None, None, None);
-                self.entries.push_back(HistoryEntry { head, text, correction, trial, signals });
-                return;
+        if let LogLine::Answer(head) = line {
+            return self.entries.push_back(HistoryEntry::new(head, Text::InLog(span)));
+        }
+        // The search begins at the newest answer, since most changes are to a new answer.
+        let changed = self.entries.iter_mut().rev().find(|entry| entry.head.id == line.id());
+        let Some(entry) = changed else { return };
+        match line {
+            LogLine::Answer(_) => {}
+            LogLine::Signals { bytes, .. } => {
+                self.signals = self.signals + bytes.unwrap_or(0) - entry.signals.unwrap_or(0);
+                entry.signals = bytes;
             }
-            LogLine::Signals { id, bytes } => (id, Box::new(move |entry| entry.signals = bytes)),
-            LogLine::Correction { id, correction } => {
-                (id, Box::new(move |entry| entry.correction = correction))
-            }
-            LogLine::Trial { id, trial } => (id, Box::new(move |entry| entry.trial = trial)),
-        };
-        // Most changes are to one of the newest.
-        if let Some(entry) = self.entries.iter_mut().rev().find(|entry| entry.head.id == id) {
-            let before = entry.signals.unwrap_or(0);
-            change(entry);
-            self.signals = self.signals + entry.signals.unwrap_or(0) - before;
+            LogLine::Correction { correction, .. } => entry.correction = correction,
+            LogLine::Trial { trial, .. } => entry.became = trial,
         }
     }
 
-    /// The index of the scan with this name, or of the newest one with this number.
+    /// The index of the scan with the id `name` or, if `name` is a number, of the newest so numbered.
     pub fn position(&self, name: &str) -> Option<usize> {
         let number: Option<u32> = name.parse().ok();
         let is = |entry: &HistoryEntry| match number {
@@ -95,23 +104,24 @@ impl HistoryState {
         self.entries.iter().rposition(is)
     }
 
-    pub fn find(&self, id: &str) -> Result<&HistoryEntry, HistoryError> {
-        let at = self.position(id).ok_or_else(|| HistoryError::NoScan(id.into()))?;
+    pub fn find(&self, name: &str) -> Result<&HistoryEntry, HistoryError> {
+        let at = self.position(name).ok_or_else(|| HistoryError::NoScan(name.into()))?;
         Ok(&self.entries[at])
     }
 
-    /// An answer with its correction, its trial, and whether its signals are kept.
-    pub fn json(&self, entry: &HistoryEntry) -> Result<Value, HistoryError> {
-        let mut answer: Map<String, Value> = match (&entry.text, &self.disk) {
-            (Text::Here(text), _) => serde_json::from_str(text).unwrap_or_default(),
-            (Text::InLog(span), Some(disk)) => disk.log.answer(*span)?,
-            (Text::InLog(_), None) => Map::new(),
+    pub fn row(&self, entry: &HistoryEntry) -> Result<HistoryRow, HistoryError> {
+        let text = match (&entry.text, &self.disk) {
+            (text, Some(disk)) => text.read(&disk.log)?,
+            (Text::Here(text), None) => text.clone(),
+            (Text::InLog(_), None) => String::new(),
         };
-        let correction = serde_json::to_value(&entry.correction).unwrap_or_default();
-        answer.insert("correction".into(), correction);
-        answer.insert("became".into(), entry.trial.clone().into());
-        answer.insert("kept".into(), entry.signals.is_some().into());
-        Ok(Value::Object(answer))
+        let damaged = || HistoryRow { head: entry.head.clone(), ..HistoryRow::default() };
+        Ok(HistoryRow {
+            correction: entry.correction.clone(),
+            became: entry.became.clone(),
+            kept: entry.signals.is_some(),
+            ..serde_json::from_str(&text).unwrap_or_else(|_| damaged())
+        })
     }
 
     /// Removes the oldest signals, and then the oldest answers, until the history fits its space
@@ -121,7 +131,7 @@ impl HistoryState {
         self.let_go(lacking)
     }
 
-    /// Makes room likewise, and removes at least `lacking` bytes of signals.
+    /// Like [`Self::make_room`], but removes signals of at least `lacking` bytes, the oldest first.
     pub fn let_go(&mut self, lacking: u64) -> Result<(), HistoryError> {
         let Some(disk) = &mut self.disk else { return Ok(()) };
         let for_answers = disk.for_answers();
@@ -132,10 +142,10 @@ impl HistoryState {
             };
             disk.remove(&entry.head.id)?;
             let id = entry.head.id.clone();
-            disk.log.append(&LogLine::Signals { id, bytes: None }.to_json())?;
+            disk.log.append(&json_text(&LogLine::Signals { id, bytes: None }))?;
             self.signals -= entry.signals.take().unwrap_or(0);
         }
-        if disk.log.bytes() > for_answers {
+        if disk.log.bytes > for_answers {
             self.shorten(for_answers / 2)?;
         }
         Ok(())
@@ -144,20 +154,13 @@ impl HistoryState {
     /// Rewrites the log with as many of the newest answers as fit into `most_bytes`.
     fn shorten(&mut self, most_bytes: u64) -> Result<(), HistoryError> {
         let Some(disk) = &mut self.disk else { return Ok(()) };
-        let length = |entry: &HistoryEntry| match &entry.text {
-            Text::InLog(span) => u64::from(span.length),
-            Text::Here(text) => text.len() as u64,
-        };
-        let mut left = self.entries.len();
         let mut bytes = 0;
-        for entry in self.entries.iter().rev() {
-            bytes += length(entry);
-            if bytes > most_bytes {
-                break;
-            }
-            left -= 1;
-        }
-        for entry in self.entries.drain(..left) {
+        let fits = |entry: &&HistoryEntry| {
+            bytes += entry.text.bytes();
+            bytes <= most_bytes
+        };
+        let kept = self.entries.iter().rev().take_while(fits).count();
+        for entry in self.entries.drain(..self.entries.len() - kept) {
             if let Some(bytes) = entry.signals {
                 disk.remove(&entry.head.id)?;
                 self.signals -= bytes;
@@ -165,23 +168,20 @@ impl HistoryState {
         }
         let mut fresh = disk.log.begin_anew()?;
         for entry in &mut self.entries {
-            let answer = match &entry.text {
-                Text::InLog(span) => disk.log.line(*span)?,
-                Text::Here(text) => format!("{{\"answer\":{text}}}"),
-            };
-            let span = fresh.append(&answer)?;
+            let (text, written) = fresh.append_answer(entry.text.read(&disk.log)?);
+            written?;
+            entry.text = text;
             let id = || entry.head.id.clone();
-            if entry.signals.is_some() {
-                fresh.append(&LogLine::Signals { id: id(), bytes: entry.signals }.to_json())?;
+            let (bytes, correction, trial) =
+                (entry.signals, entry.correction.clone(), entry.became.clone());
+            let changes = [
+                bytes.is_some().then(|| LogLine::Signals { id: id(), bytes }),
+                correction.is_some().then(|| LogLine::Correction { id: id(), correction }),
+                trial.is_some().then(|| LogLine::Trial { id: id(), trial }),
+            ];
+            for line in changes.into_iter().flatten() {
+                fresh.append(&json_text(&line))?;
             }
-            if let Some(correction) = entry.correction.clone() {
-                let correction = Some(correction);
-                fresh.append(&LogLine::Correction { id: id(), correction }.to_json())?;
-            }
-            if let Some(trial) = entry.trial.clone() {
-                fresh.append(&LogLine::Trial { id: id(), trial: Some(trial) }.to_json())?;
-            }
-            entry.text = Text::InLog(span);
         }
         disk.log.replace(fresh)
     }

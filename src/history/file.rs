@@ -1,45 +1,42 @@
-//! The folder of a history: its lock, its log, and a folder for each scan.
+//! The folder of a history (its lock, its log, and a folder for each scan), and the space that it may take.
 
 use std::collections::HashSet;
-use std::fs::{self, File};
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::HistoryError;
 use super::log::Log;
 use crate::library::recording::UNFINISHED;
 use crate::library::{ABOUT_FILE, About};
-use crate::system::open_lock;
+use crate::system::{Locked, open_lock};
 
-/// Answers may take 1/8 of the space; signals take the rest.
+/// The log of answers may take 1/8 of the history's space; signals take the rest.
 const FOR_ANSWERS: u64 = 8;
 pub(super) const SCANS: &str = "scans";
 /// The folder for scans that are missing from the log.
 const ASIDE: &str = "aside";
 const LOG: &str = "answers.jsonl";
-/// Past scans leave 1/10 of the disk free, for trials, which matter more.
+/// Past scans leave 1/10 of the disk free for trials, since trials matter more.
 const FREE: u64 = 10;
 /// Upper limit of that free space, in bytes.
 const MOST_FREE: u64 = 1_000_000_000;
 
-/// The folder of a history.
 #[derive(Debug)]
 pub(super) struct Disk {
-    root: PathBuf,
+    pub root: PathBuf,
     pub log: Log,
     pub most_bytes: u64,
-    /// The lock on the folder, held for as long as it is in use.
-    _lock: Option<File>,
+    /// The lock on the folder; `None` for a folder that is only read.
+    _lock: Option<Locked>,
 }
 
 impl Disk {
-    /// Opens a folder for one program alone.
+    /// Opens a folder for this program alone.
     pub fn open(root: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
         let scans = root.join(SCANS);
         fs::create_dir_all(&scans).map_err(HistoryError::io(&scans))?;
         let lock = open_lock(root).map_err(HistoryError::io(root))?;
-        if lock.try_lock().is_err() {
-            return Err(HistoryError::InUse(root.to_path_buf()));
-        }
+        let lock = Locked::now(lock).ok_or_else(|| HistoryError::InUse(root.to_path_buf()))?;
         let log = Log::open(&root.join(LOG), false)?;
         Ok(Self { root: root.to_path_buf(), log, most_bytes, _lock: Some(lock) })
     }
@@ -54,15 +51,11 @@ impl Disk {
         self.most_bytes / FOR_ANSWERS
     }
 
-    pub fn root(&self) -> &Path {
-        &self.root
-    }
-
     pub fn folder(&self, id: &str) -> PathBuf {
         self.root.join(SCANS).join(id)
     }
 
-    /// Ids of the scans that have a folder; plain files are not the history's, and are ignored.
+    /// Ids of the scans that have a folder. Plain files are ignored, since they are not the history's.
     pub fn scans(&self) -> Result<HashSet<String>, HistoryError> {
         let folder = self.root.join(SCANS);
         let listed = fs::read_dir(&folder).map_err(HistoryError::io(&folder))?;
@@ -109,7 +102,7 @@ impl Disk {
         }
     }
 
-    /// Bytes to remove until the disk has enough free space; 0 where that is not known.
+    /// Bytes to remove until the disk has enough free space; 0 if its free space is unknown.
     pub fn lacks(&self) -> u64 {
         fs4::statvfs(&self.root).map_or(0, |disk| lacks(disk.total_space(), disk.available_space()))
     }
@@ -122,7 +115,7 @@ impl Disk {
         size().map_err(HistoryError::io(&folder))
     }
 
-    /// Writes a label into the `trial.toml` of a scan, where its signals are kept.
+    /// Writes a label into the `trial.toml` of a scan, if its signals are kept.
     pub fn label(&self, id: &str, surface: &str) -> Result<(), HistoryError> {
         let folder = self.folder(id);
         if !folder.is_dir() {
@@ -137,7 +130,7 @@ impl Disk {
     }
 }
 
-/// Bytes to remove from a disk of `size` bytes, of which `free` are free.
+/// Bytes to remove from a disk of `size` bytes with `free` free bytes.
 fn lacks(size: u64, free: u64) -> u64 {
     (size / FREE).min(MOST_FREE).saturating_sub(free)
 }

@@ -9,31 +9,39 @@ use std::time::{Duration, UNIX_EPOCH};
 use crossbeam_channel::{Receiver, Sender, bounded};
 use serde::Serialize;
 
-use super::view::{TrialView, jpeg};
+use super::view::TrialView;
 use super::{History, HistoryError, SCANS};
+use crate::jpeg;
 use crate::library::About;
+use crate::printable::json_text;
 use crate::record::{TrialOptions, utc, write_trial};
 use crate::scene::Scene;
 use crate::station::{AnsweredScan, End, Listener, StationEvent, Why};
 use crate::trial::{Signal, Trial, TrialKey};
 
-/// Most scans that wait to be written, and for their notes: some 50 MB for scans of ten seconds.
+/// How many scans may wait in the queue of each thread. Scans of ten seconds then take some 50 MB.
 const QUEUE: usize = 16;
 
 /// Keeps the scans of a station.
 #[derive(Debug)]
 pub struct Keeper {
     scans: Option<Sender<Arc<AnsweredScan>>>,
-    history: Arc<History>,
-    without_notes: WithoutNotes,
+    work: Arc<Work>,
     end: End,
 }
 
-/// Ids of scans whose signals are written, but whose notes are not yet. The thread that removes an
-/// id reports that scan as kept.
-type WithoutNotes = Arc<Mutex<BTreeSet<String>>>;
+/// The state that the two threads share.
+#[derive(Debug)]
+struct Work {
+    history: Arc<History>,
+    scene: Scene,
+    devices: BTreeMap<String, String>,
+    /// Ids of scans that have their signals on disk, but not their notes yet. The thread that removes
+    /// an id reports that scan as kept.
+    without_notes: Mutex<BTreeSet<String>>,
+}
 
-/// Notes beside the signals of a scan.
+/// The content of `.why.json`, beside the signals of a scan.
 #[derive(Serialize)]
 struct Notes<'a> {
     why: Option<&'a Why>,
@@ -52,55 +60,30 @@ struct NearestView {
 /// A scan, and the folder of its signals.
 type Written = (Arc<AnsweredScan>, PathBuf);
 
-struct HistoryWriter {
-    history: Arc<History>,
-    scene: Scene,
-    devices: BTreeMap<String, String>,
-    /// To the thread that writes notes, which may take as long as naming a scan.
-    notes: Sender<Written>,
-    without_notes: WithoutNotes,
-}
-
-struct Annotator {
-    history: Arc<History>,
-    scene: Scene,
-    without_notes: WithoutNotes,
-    /// Dropped with the annotator: so [`End`] notices that its thread has ended.
-    _working: Sender<Infallible>,
-}
-
 impl Keeper {
-    /// Keeps scans of a scene's sources in a history on disk; `devices` says which device each
-    /// source comes from.
+    /// Starts the threads that write scans into a history. `scene` describes the sources, and `devices`
+    /// names the device of each source.
     ///
     /// # Errors
-    /// If the system gives no thread.
+    /// If a thread cannot be started.
     pub fn start(
         history: Arc<History>,
         scene: Scene,
         devices: BTreeMap<String, String>,
     ) -> std::io::Result<Self> {
         let ((scans, to_keep), (notes, to_note)) = (bounded(QUEUE), bounded(QUEUE));
-        let (working, ended) = bounded(0);
-        let without_notes = WithoutNotes::default();
-        let annotator = Annotator {
-            history: history.clone(),
-            scene: scene.clone(),
-            without_notes: without_notes.clone(),
-            _working: working,
-        };
-        let writer = HistoryWriter {
-            history: history.clone(),
-            scene,
-            devices,
-            notes,
-            without_notes: without_notes.clone(),
-        };
+        let (working, ended) = bounded::<Infallible>(0);
+        let work = Arc::new(Work { history, scene, devices, without_notes: Mutex::default() });
+        let (writer, annotator) = (work.clone(), work.clone());
         let thread = |name: &str| std::thread::Builder::new().name(name.into());
-        thread("history").spawn(move || writer.run(&to_keep))?;
-        // Ends after the writer, which holds the sender of `to_note`.
-        thread("history-notes").spawn(move || annotator.run(&to_note))?;
-        Ok(Self { scans: Some(scans), history, without_notes, end: End::of(ended) })
+        thread("history").spawn(move || writer.write_all(&to_keep, &notes))?;
+        // Notes may take as long as naming a scan, so a second thread writes them. It ends after the
+        // writer drops `notes`. Then `_working` is dropped, by which [`End`] notices the end.
+        thread("history-notes").spawn(move || {
+            let _working = working;
+            annotator.note_all(&to_note);
+        })?;
+        Ok(Self { scans: Some(scans), work, end: End::of(ended) })
     }
 }
 
@@ -123,59 +106,41 @@ impl Drop for Keeper {
     fn drop(&mut self) {
         self.scans = None;
         if !self.end.wait(Duration::MAX) {
-            for id in std::mem::take(&mut *lock(&self.without_notes)) {
-                kept(&self.history, &id);
+            let Work { history, .. } = &*self.work;
+            for id in std::mem::take(&mut *self.work.without_notes()) {
+                history.note(history.kept(&id));
             }
         }
     }
 }
 
-fn lock(without_notes: &WithoutNotes) -> MutexGuard<'_, BTreeSet<String>> {
-    // Each change is one insertion or removal, so a panic leaves a usable set.
-    without_notes.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Notes in the history that the signals of a scan are on disk.
-fn kept(history: &History, id: &str) {
-    say_problem(history, history.kept(id));
-}
-
-/// Notes in the history whether scans can be kept, and warns of the first problem in a row.
-fn say_problem(history: &History, done: Result<(), HistoryError>) {
-    let problem = done.err().map(|error| error.to_string());
-    if history.set_problem(problem.clone())
-        && let Some(problem) = problem
-    {
-        tracing::warn!("scans are not kept in the history: {problem}");
+impl Work {
+    fn without_notes(&self) -> MutexGuard<'_, BTreeSet<String>> {
+        // Each change is one insertion or removal, so the set is usable even after a panic.
+        self.without_notes.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
 
-impl HistoryWriter {
-    fn run(&self, scans: &Receiver<Arc<AnsweredScan>>) {
+    fn write_all(&self, scans: &Receiver<Arc<AnsweredScan>>, notes: &Sender<Written>) {
         for scan in scans {
             let written = self.history.answered(&scan.answer).and_then(|()| self.write(&scan));
-            match written {
-                Ok(Some(folder)) => self.hand_on(scan, folder),
-                Ok(None) => say_problem(&self.history, Ok(())),
-                Err(error) => say_problem(&self.history, Err(error)),
+            let Ok(Some(folder)) = written else {
+                self.history.note(written.map(drop));
+                continue;
+            };
+            let id = scan.answer.id.clone();
+            self.without_notes().insert(id.clone());
+            let too_many_wait = notes.try_send((scan, folder)).is_err();
+            if too_many_wait && self.without_notes().remove(&id) {
+                self.history.note(self.history.kept(&id));
             }
         }
     }
 
-    /// Passes a scan on to have its notes written, unless too many scans wait for theirs.
-    fn hand_on(&self, scan: Arc<AnsweredScan>, folder: PathBuf) {
-        let id = scan.answer.id.clone();
-        lock(&self.without_notes).insert(id.clone());
-        let full = self.notes.try_send((scan, folder)).is_err();
-        if full && lock(&self.without_notes).remove(&id) {
-            kept(&self.history, &id);
-        }
-    }
-
-    /// Writes the signals of a scan; gives their folder, unless the history is in memory.
+    /// Writes the signals of a scan, and returns their folder; `None` if there are no signals, or the
+    /// history is in memory.
     fn write(&self, answered: &AnsweredScan) -> Result<Option<PathBuf>, HistoryError> {
         let AnsweredScan { scan, answer, .. } = answered;
-        // A scan that could not be named may be empty.
+        // A scan that could not be named may have no signals.
         let root = self.history.root().filter(|_| !scan.trial.signals.is_empty());
         let Some(root) = root else { return Ok(None) };
         let began = Duration::from_millis(answer.unix_ms)
@@ -187,31 +152,29 @@ impl HistoryWriter {
             devices: self.devices.clone(),
             ..About::default()
         };
-        // Without waiting for the disk: scans that a power cut may lose are not worth the time.
+        // The trial is not `durable`, since waiting for the disk takes long and power failures are rare.
         let options = TrialOptions { about, durable: false };
         let user = answer.id.rsplit_once('-').map_or(answer.id.as_str(), |(moment, _)| moment);
         let key = TrialKey::new(SCANS, user, answer.scan);
         let trial = Trial { key, signals: scan.trial.signals.clone() };
         Ok(Some(write_trial(&root, &trial, &self.scene, &options)?))
     }
-}
 
-impl Annotator {
-    fn run(&self, written: &Receiver<Written>) {
+    fn note_all(&self, written: &Receiver<Written>) {
         for (scan, folder) in written {
             let noted = self.note(&scan, &folder);
             let id = &scan.answer.id;
-            if lock(&self.without_notes).remove(id) {
+            if self.without_notes().remove(id) {
                 let kept = self.history.kept(id);
-                say_problem(&self.history, noted.and(kept));
+                self.history.note(noted.and(kept));
             }
         }
     }
 
-    /// Writes the reasons for a scan's name, and the outlines of the scan and the nearest trial.
+    /// Writes why a scan got its name, and small views of the scan and of the nearest trial.
     fn note(&self, answered: &AnsweredScan, folder: &Path) -> Result<(), HistoryError> {
         let AnsweredScan { scan, by, .. } = answered;
-        // A method that panics on one scan must not end the history.
+        // A method that panics on one scan must not end the thread, so the panic is caught.
         let explain = std::panic::AssertUnwindSafe(|| by.as_ref()?.explain(scan).ok());
         let why = std::panic::catch_unwind(explain).ok().flatten();
         let nearest = why.as_ref().and_then(|why| by.as_ref()?.trial(&why.nearest)?.load().ok());
@@ -224,17 +187,15 @@ impl Annotator {
         });
         let scan = TrialView::of(&scan.trial, &self.scene);
         let notes = Notes { why: why.as_ref(), scan, nearest };
-        // Plain structs, numbers and text: nothing here that JSON cannot express.
-        let text = serde_json::to_string(&notes).unwrap_or_default();
         let path = folder.join(super::NOTES);
-        std::fs::write(&path, text).map_err(HistoryError::io(&path))
+        std::fs::write(&path, json_text(&notes)).map_err(HistoryError::io(&path))
     }
 }
 
 fn write_pictures(trial: &Trial, folder: &Path) -> Result<(), HistoryError> {
     for (id, signal) in &trial.signals {
         let Signal::Image(image) = signal else { continue };
-        let Some(bytes) = jpeg(image) else { continue };
+        let Ok(bytes) = jpeg::encode(image) else { continue };
         let path = folder.join(super::nearest_picture(id));
         std::fs::write(&path, bytes).map_err(HistoryError::io(&path))?;
     }

@@ -1,11 +1,11 @@
-//! The log of answers: one line of JSON for each, and for each change to it. Lines are only ever
-//! added; the file is replaced as a whole where it has grown too long.
+//! The log of answers, with one line of JSON for each answer and for each change to one. Lines are only
+//! ever added; a file that has grown too long is replaced as a whole.
 //!
 //! ```text
-//! {"answer": {…}}                                        an answer, as programs get it
-//! {"signals": {"id": "…", "bytes": 1500000}}             its signals are on disk; null: no longer
+//! {"answer": {…}}                                        an answer, as clients get it
+//! {"signals": {"id": "…", "bytes": 1500000}}             bytes of the scan's signals; null if removed
 //! {"correction": {"id": "…", "correction": {"was": "surface", "surface": "oak"}}}
-//! {"trial": {"id": "…", "trial": "oak/anna-03"}}         it became a trial of the library
+//! {"trial": {"id": "…", "trial": "oak/anna-03"}}         the scan became this trial of the library
 //! ```
 
 use std::fs::{self, File, OpenOptions};
@@ -14,19 +14,18 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use serde_json::{Map, Value};
 
 use super::{AnswerState, Correction, HistoryError};
 use crate::library::files;
 use crate::station::Answer;
-use crate::system::read_exact_at;
+use crate::system::{Locked, read_exact_at};
 
-/// Longest line that is read, in bytes: an answer that ranks some ten thousand surfaces.
+/// Longest line that is read, in bytes. An answer of this length ranks some ten thousand surfaces.
 const LONGEST: usize = 1 << 20;
 
 /// The part of an answer that is kept in memory.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Head {
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Head {
     pub id: String,
     pub scan: u32,
     pub surface: Option<String>,
@@ -40,7 +39,6 @@ impl Head {
     }
 }
 
-/// One line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum LogLine {
@@ -51,7 +49,7 @@ pub(super) enum LogLine {
 }
 
 impl LogLine {
-    /// The scan that it is about, which names a folder.
+    /// The id of the scan that the line is about, which is also the name of the scan's folder.
     pub fn id(&self) -> &str {
         match self {
             Self::Answer(Head { id, .. })
@@ -60,41 +58,54 @@ impl LogLine {
             | Self::Trial { id, .. } => id,
         }
     }
+}
 
-    pub fn to_json(&self) -> String {
-        // Plain structs, numbers and text: nothing here that JSON cannot express.
-        serde_json::to_string(self).unwrap_or_default()
+/// The JSON text of an answer. It is in the log, or here if it could not be written to disk.
+#[derive(Debug)]
+pub(crate) enum Text {
+    InLog(Span),
+    Here(String),
+}
+
+impl Text {
+    pub fn bytes(&self) -> u64 {
+        match self {
+            Self::InLog(span) => u64::from(span.length),
+            Self::Here(text) => text.len() as u64,
+        }
+    }
+
+    /// Returns the text, which is read from `log` if it is there.
+    pub fn read(&self, log: &Log) -> Result<String, HistoryError> {
+        match self {
+            Self::InLog(span) => log.answer_text(*span),
+            Self::Here(text) => Ok(text.clone()),
+        }
     }
 }
 
-/// The place of a line, in bytes.
+/// The place of a line in its file, in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Span {
     pub offset: u64,
     pub length: u32,
 }
 
-/// A file of lines of JSON, to which lines are added; also that of answers that wait for an output,
-/// and of those that a fleet has.
+/// A file of JSON lines that only grows. It holds the answers of a history or of a fleet, or the answers
+/// that wait for an output.
 #[derive(Debug)]
 pub(crate) struct Log {
     path: PathBuf,
     file: File,
-    bytes: u64,
+    pub bytes: u64,
 }
 
-/// Locks a file in a folder, both made if need be, for as long as the file given is open.
-///
-/// # Errors
-/// If they cannot be made, or another program holds the lock.
-pub(crate) fn hold(folder: &Path, name: &str) -> Result<File, HistoryError> {
+/// Creates a folder and a file in it if they are missing, and locks the file against other programs.
+pub(crate) fn hold(folder: &Path, name: &str) -> Result<Locked, HistoryError> {
     fs::create_dir_all(folder).map_err(HistoryError::io(folder))?;
     let path = folder.join(name);
     let lock = File::create(&path).map_err(HistoryError::io(&path))?;
-    match lock.try_lock() {
-        Ok(()) => Ok(lock),
-        Err(_) => Err(HistoryError::InUse(folder.to_path_buf())),
-    }
+    Locked::now(lock).ok_or_else(|| HistoryError::InUse(folder.to_path_buf()))
 }
 
 impl Log {
@@ -106,7 +117,7 @@ impl Log {
         if !read_only {
             options.append(true).create(true);
         }
-        // Only a regular file is opened: opening a named pipe would wait for a writer.
+        // Only a regular file is opened, since opening a named pipe would wait for a writer.
         let is_regular = match files::open(path) {
             Err(error) if read_only || error.kind() != ErrorKind::NotFound => Err(error),
             _ => Ok(()),
@@ -116,11 +127,7 @@ impl Log {
         Ok(Self { path: path.to_path_buf(), file, bytes })
     }
 
-    pub fn bytes(&self) -> u64 {
-        self.bytes
-    }
-
-    /// The lines of the last `most` bytes; what a crash cut short, or is none of ours, is passed over.
+    /// The lines in the last `most` bytes. Skips lines that are cut short, or are no `T` in JSON.
     pub fn read<T: DeserializeOwned>(&self, most: u64) -> Result<Vec<(T, Span)>, HistoryError> {
         self.lines(most).map_err(HistoryError::io(&self.path))
     }
@@ -147,7 +154,7 @@ impl Log {
 
     pub fn append(&mut self, line: &str) -> Result<Span, HistoryError> {
         let mut text = Vec::with_capacity(line.len() + 2);
-        // After a crash the last line may have no end.
+        // After a crash, the last line may lack its line break, so one is written before this line.
         if self.bytes > 0 && !self.ends_well() {
             text.push(b'\n');
         }
@@ -155,13 +162,21 @@ impl Log {
         text.extend_from_slice(line.as_bytes());
         text.push(b'\n');
         let written = self.file.write_all(&text);
-        // A part of the line may be on disk, and counts.
+        // A failed write may have left a part of the line in the file, so the length is read anew.
         self.bytes = match (&written, self.file.metadata()) {
             (Err(_), Ok(about)) => about.len(),
             _ => self.bytes + text.len() as u64,
         };
         written.map_err(HistoryError::io(&self.path))?;
         Ok(span)
+    }
+
+    /// Adds an answer. Returns where its text is now, and whether it was written.
+    pub fn append_answer(&mut self, text: String) -> (Text, Result<(), HistoryError>) {
+        match self.append(&format!("{{\"answer\":{text}}}")) {
+            Ok(span) => (Text::InLog(span), Ok(())),
+            Err(error) => (Text::Here(text), Err(error)),
+        }
     }
 
     fn ends_well(&self) -> bool {
@@ -182,36 +197,25 @@ impl Log {
         Ok(text.unwrap_or("{}").into())
     }
 
-    /// The answer in a line.
-    pub fn answer(&self, span: Span) -> Result<Map<String, Value>, HistoryError> {
-        #[derive(Deserialize)]
-        struct LogAnswer {
-            answer: Map<String, Value>,
-        }
-        let whole: Option<LogAnswer> = serde_json::from_str(&self.line(span)?).ok();
-        Ok(whole.map(|whole| whole.answer).unwrap_or_default())
-    }
-
     /// Another handle to the same file, which reads it even after a new file has taken its place.
     pub fn share(&self) -> Result<Self, HistoryError> {
         let file = self.file.try_clone().map_err(HistoryError::io(&self.path))?;
         Ok(Self { path: self.path.clone(), file, bytes: self.bytes })
     }
 
-    /// An empty log that may take the place of this one.
+    /// Opens an empty log, in a file of its own, that can replace this log.
     pub fn begin_anew(&self) -> Result<Self, HistoryError> {
         let path = self.path.with_extension("jsonl.unfinished");
-        match std::fs::remove_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
                 Err(HistoryError::Io { path, error })
             }
             _ => Self::open(&path, false),
         }
     }
 
-    /// Puts another log in the place of this one.
     pub fn replace(&mut self, other: Self) -> Result<(), HistoryError> {
-        let moved = other.file.sync_all().and_then(|()| std::fs::rename(&other.path, &self.path));
+        let moved = other.file.sync_all().and_then(|()| fs::rename(&other.path, &self.path));
         moved.map_err(HistoryError::io(&self.path))?;
         (self.file, self.bytes) = (other.file, other.bytes);
         Ok(())

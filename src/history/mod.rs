@@ -1,14 +1,14 @@
-//! Past scans: every answer, and the signals of as many scans as fit a bounded space on disk
+//! Past scans. Keeps every answer, and the signals of as many scans as fit a bounded space on disk
 //! (`[history] keep_mb` in `configs/stylus.toml`).
 //!
 //! ```text
 //! HISTORY/
-//!   answers.jsonl                every answer, and what people said of it; see `log`
-//!   scans/ID/                    one scan in the recording format, the newest ones
+//!   answers.jsonl                every answer, and every correction by a person; see `log`
+//!   scans/ID/                    one scan in the recording format; old scans make room for new ones
 //!     trial.toml  ac.wav  ca1.png  …
-//!     .why.json                  reasons for its name, and outlines of it and of the nearest trial
+//!     .why.json                  why the scan got its name; small views of scan and nearest trial
 //!     .nearest-ca1.jpg           pictures of the nearest trial
-//!   aside/ID/                    scans that are missing from the log, which may be damaged
+//!   aside/ID/                    scans that the log does not list, since the log may be damaged
 //! ```
 //! [`Keeper`] listens to a station and writes its scans; the page and the commands read
 //! [`History`]. Nothing here uses the network.
@@ -22,41 +22,40 @@ mod review;
 mod view;
 
 pub(crate) use self::csv::CsvWriter;
+pub(crate) use self::entries::HistoryRow;
 pub use keeper::Keeper;
-pub(crate) use review::precision;
-pub use review::{Correction, Precision};
-pub(crate) use view::{Bands, bands, four_digits, jpeg};
+pub(crate) use review::{Correction, Precision};
+pub(crate) use view::{Bands, bands, four_digits};
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use serde_json::Value;
-
-use self::entries::{HistoryEntry, HistoryState, Text};
+use self::entries::{HistoryEntry, HistoryState};
 use self::file::{Disk, SCANS};
-use self::log::{Head, LogLine};
+use self::log::{Head, LogLine, Text};
+use crate::printable::json_text;
 use crate::record::edit::Move;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
 
 /// Most answers that a history in memory remembers.
 const IN_MEMORY: usize = 1000;
-/// Name of the history's folder, inside the folder of the library that names its scans.
+/// Name of the folder of a history. It lies in the folder of the library that names the scans.
 pub(crate) const FOLDER: &str = ".history";
-/// Name of the file that says why a scan was named as it was, in the scan's folder.
+/// Name of the file, in the scan's folder, that says why the scan got its name.
 pub(crate) const NOTES: &str = ".why.json";
 
-/// Name of the nearest trial's picture of a source, in the scan's folder.
+/// Name of the file, in the scan's folder, with the nearest trial's picture of a source.
 pub(crate) fn nearest_picture(source: &SourceId) -> String {
     format!(".nearest-{source}.jpg")
 }
 
-/// All answers and scans that are kept.
-#[derive(Debug)]
+/// The answers and scans that are kept, in memory or on disk.
+#[derive(Debug, Default)]
 pub struct History {
     inner: Mutex<HistoryState>,
-    /// Locked while a scan becomes a trial, or such a trial is corrected.
+    /// Locked while a scan becomes a trial, or while a trial that was a scan is corrected.
     review: Mutex<()>,
 }
 
@@ -65,30 +64,24 @@ pub struct History {
 pub struct Extent {
     /// Number of answers.
     pub scans: usize,
-    /// Number of answers whose signals are kept.
+    /// Number of answers with signals on disk.
     pub with_signals: usize,
     /// Bytes on disk.
     pub bytes: u64,
     /// Limit of the bytes on disk; `None` for a history in memory.
     pub most_bytes: Option<u64>,
-    /// Why scans cannot be kept now; `None` if they can.
+    /// Why scans cannot be kept now; `None` if they can be kept.
     pub problem: Option<String>,
 }
 
-impl Default for History {
-    fn default() -> Self {
-        Self::in_memory()
-    }
-}
-
 impl History {
-    /// A history in memory: the last thousand answers, without signals, until the program ends.
+    /// Makes a history in memory. It has the last 1000 answers, without signals, until the program ends.
     pub fn in_memory() -> Self {
-        Self { inner: Mutex::default(), review: Mutex::default() }
+        Self::default()
     }
 
     /// Opens the history in a folder, which is created if absent. It takes at most `most_bytes`,
-    /// and less on a full disk: a tenth of the disk stays free, or a gigabyte if that is less.
+    /// and less on a nearly full disk, so that a tenth of the disk or a gigabyte stays free.
     ///
     /// # Errors
     /// If the folder cannot be read or written, or another program uses it.
@@ -100,7 +93,7 @@ impl History {
         disk.tidy(|id| known.contains(id))?;
         let there = disk.scans()?;
         for entry in &mut inner.entries {
-            // After a crash, signals may be on disk without their line in the log.
+            // After a crash, signals may be on disk that the log does not mention, so the disk is asked.
             entry.signals = match there.contains(&entry.head.id) {
                 true => entry.signals.or_else(|| disk.size(&entry.head.id).ok()),
                 false => None,
@@ -125,45 +118,34 @@ impl History {
     }
 
     fn lock(&self) -> MutexGuard<'_, HistoryState> {
-        // Each change is complete in itself, so a panic leaves a usable state.
+        // Each change is complete in itself, so the state is usable even after a panic of a thread.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Locks out others that make scans into trials, or correct these, until the guard is dropped:
-    /// so a scan becomes one trial only, even if several clients ask for it at once.
+    /// Until the guard is dropped, nobody else can turn a scan into a trial, or correct such a trial.
+    /// So a scan becomes only one trial, even if several clients ask at once.
     pub(crate) fn reviewing(&self) -> MutexGuard<'_, ()> {
-        // The lock holds no data that a panic could leave half changed.
+        // The lock holds no data, so it is usable even after a panic of a thread.
         self.review.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether answers are written to disk, by a [`Keeper`].
+    /// Whether this history is on disk, not only in memory.
     pub(crate) fn is_on_disk(&self) -> bool {
         self.lock().disk.is_some()
     }
 
-    /// Adds an answer.
-    ///
-    /// # Errors
-    /// If it cannot be written; it is kept in memory all the same.
+    /// Adds an answer. If it cannot be written, it is kept in memory, and the error is returned.
     pub(crate) fn answered(&self, answer: &Answer) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
-        // Before writing, which a full disk would refuse.
+        // Room is made first, since a full disk would refuse the answer.
         let room = inner.make_room();
         let head = Head::of(answer);
-        // Plain structs, numbers and text: nothing here that JSON cannot express.
-        let text = serde_json::to_string(answer).unwrap_or_default();
-        let written = inner.write(&format!("{{\"answer\":{text}}}"));
-        let text = match &written {
-            Ok(Some(span)) => Text::InLog(*span),
-            Ok(None) | Err(_) => Text::Here(text.into()),
+        let text = json_text(answer);
+        let (text, written) = match &mut inner.disk {
+            Some(disk) => disk.log.append_answer(text),
+            None => (Text::Here(text), Ok(())),
         };
-        inner.entries.push_back(HistoryEntry {
-            head,
-            text,
-            correction: None,
-            trial: None,
-            signals: None,
-        });
+        inner.entries.push_back(HistoryEntry::new(head, text));
         if inner.disk.is_none() && inner.entries.len() > IN_MEMORY {
             inner.entries.pop_front();
         }
@@ -172,10 +154,7 @@ impl History {
     }
 
     /// Notes that the signals of a scan are in its folder on disk, and removes the oldest signals
-    /// where room is short.
-    ///
-    /// # Errors
-    /// If it cannot be written.
+    /// if space is short.
     pub(crate) fn kept(&self, id: &str) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         let Some(bytes) = inner.disk.as_ref().map(|disk| disk.size(id)).transpose()? else {
@@ -186,10 +165,11 @@ impl History {
     }
 
     /// Sets the correction of a scan (what it truly was), or removes it.
-    ///
-    /// # Errors
-    /// If there is no such scan, or it cannot be written.
-    pub fn correct(&self, id: &str, correction: Option<Correction>) -> Result<(), HistoryError> {
+    pub(crate) fn correct(
+        &self,
+        id: &str,
+        correction: Option<Correction>,
+    ) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         inner.find(id)?;
         if let Some(disk) = &inner.disk {
@@ -200,25 +180,19 @@ impl History {
     }
 
     /// Notes which trial of the library a scan became; `None` if it is no longer one.
-    ///
-    /// # Errors
-    /// If there is no such scan, or it cannot be written.
     pub(crate) fn became(&self, id: &str, trial: Option<String>) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         inner.find(id)?;
         inner.change(LogLine::Trial { id: id.into(), trial })
     }
 
-    /// Updates the scans that became trials, after such trials were moved or removed.
-    ///
-    /// # Errors
-    /// If it cannot be written.
+    /// Updates the scans that became trials, after trials of the library were moved or removed.
     pub(crate) fn relocated(&self, moves: &[Move]) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         let went: BTreeMap<&str, &str> =
             moves.iter().map(|one| (one.from.as_str(), one.to.as_str())).collect();
         let of = |entry: &HistoryEntry| {
-            let to = *went.get(entry.trial.as_deref()?)?;
+            let to = *went.get(entry.became.as_deref()?)?;
             let trial = (!to.starts_with('.')).then(|| to.to_string());
             Some(LogLine::Trial { id: entry.head.id.clone(), trial })
         };
@@ -226,75 +200,59 @@ impl History {
         lines.into_iter().try_for_each(|line| inner.change(line))
     }
 
-    /// At most `most` answers, the newest first; with `before`, a name or number, only older ones.
-    ///
-    /// # Errors
-    /// If they cannot be read.
-    pub fn newest(&self, before: Option<&str>, most: usize) -> Result<Vec<Value>, HistoryError> {
+    /// At most `most` answers, the newest first. With `before`, all are older than that scan.
+    pub(crate) fn newest(
+        &self,
+        before: Option<&str>,
+        most: usize,
+    ) -> Result<Vec<HistoryRow>, HistoryError> {
         let inner = &*self.lock();
         let end = match before {
             Some(name) => inner.position(name).unwrap_or(0),
             None => inner.entries.len(),
         };
-        let of = |entry| inner.json(entry);
+        let of = |entry| inner.row(entry);
         inner.entries.range(..end).rev().take(most).map(of).collect()
     }
 
-    /// Passes every answer to `each`, the oldest first.
-    ///
-    /// # Errors
-    /// If one cannot be read, or `each` fails.
-    pub fn each<E: From<HistoryError>>(
-        &self,
-        mut each: impl FnMut(Value) -> Result<(), E>,
-    ) -> Result<(), E> {
-        let count = self.lock().entries.len();
-        (0..count).try_for_each(|at| {
+    /// Every answer, the oldest first. Each step locks anew, so the history may change in between.
+    pub(crate) fn rows(&self) -> impl Iterator<Item = Result<HistoryRow, HistoryError>> + '_ {
+        (0..self.lock().entries.len()).map_while(|at| {
             let inner = self.lock();
-            let json = inner.entries.get(at).map(|entry| inner.json(entry)).transpose()?;
-            drop(inner);
-            json.map_or(Ok(()), &mut each)
+            inner.entries.get(at).map(|entry| inner.row(entry))
         })
     }
 
     /// The answer with this name (its id), or the newest one with this scan number.
-    ///
-    /// # Errors
-    /// If there is no such scan, or it cannot be read.
-    pub fn answer(&self, name: &str) -> Result<Value, HistoryError> {
+    pub(crate) fn answer(&self, name: &str) -> Result<HistoryRow, HistoryError> {
         let inner = &*self.lock();
-        let at = inner.position(name).ok_or_else(|| HistoryError::NoScan(name.into()))?;
-        inner.json(&inner.entries[at])
+        inner.row(inner.find(name)?)
     }
 
     /// The folder of a scan's signals.
-    ///
-    /// # Errors
-    /// If there is no such scan, or its signals are not kept.
-    pub fn folder(&self, name: &str) -> Result<PathBuf, HistoryError> {
+    pub(crate) fn folder(&self, name: &str) -> Result<PathBuf, HistoryError> {
         let inner = &*self.lock();
-        let at = inner.position(name).ok_or_else(|| HistoryError::NoScan(name.into()))?;
-        let HistoryEntry { head: Head { id, .. }, signals, .. } = &inner.entries[at];
+        let HistoryEntry { head: Head { id, .. }, signals, .. } = inner.find(name)?;
         let folder = inner.disk.as_ref().filter(|_| signals.is_some()).map(|disk| disk.folder(id));
         folder.ok_or_else(|| HistoryError::NoSignals(id.clone()))
     }
 
     /// The history's folder, a library into which scans are written as trials; `None` in memory.
     pub(crate) fn root(&self) -> Option<PathBuf> {
-        self.lock().disk.as_ref().map(|disk| disk.root().to_path_buf())
+        self.lock().disk.as_ref().map(|disk| disk.root.clone())
     }
 
-    /// The precision of the answers that somebody corrected, for each surface that was answered.
-    pub fn precision(&self) -> Vec<Precision> {
+    /// The precision of the answers that somebody corrected.
+    pub(crate) fn precision(&self) -> Vec<Precision> {
         let inner = &*self.lock();
         let answered = inner.entries.iter().filter(|e| e.head.state != AnswerState::Unnamed);
         let corrected = answered
             .filter_map(|entry| Some((entry.head.surface.as_deref(), entry.correction.as_ref()?)));
-        precision(corrected)
+        review::precision(corrected)
     }
 
-    /// Answers that are unknown or unsure, and that nobody has corrected.
-    pub fn to_review(&self) -> usize {
+    /// Number of answers that are unknown or unsure, and that nobody has corrected.
+    pub(crate) fn to_review(&self) -> usize {
         let doubtful = |entry: &&HistoryEntry| {
             matches!(entry.head.state, AnswerState::Unknown | AnswerState::Unsure)
                 && entry.correction.is_none()
@@ -302,10 +260,10 @@ impl History {
         self.lock().entries.iter().filter(doubtful).count()
     }
 
-    /// Its size.
+    /// The size of this history.
     pub fn extent(&self) -> Extent {
         let inner = &*self.lock();
-        let log = inner.disk.as_ref().map_or(0, |disk| disk.log.bytes());
+        let log = inner.disk.as_ref().map_or(0, |disk| disk.log.bytes);
         Extent {
             scans: inner.entries.len(),
             with_signals: inner.entries.iter().filter(|entry| entry.signals.is_some()).count(),
@@ -315,18 +273,19 @@ impl History {
         }
     }
 
-    /// Notes why scans cannot be kept now, or `None` if they can; true if a problem is new.
-    fn set_problem(&self, problem: Option<String>) -> bool {
-        let inner = &mut *self.lock();
-        let news = inner.problem.is_none() && problem.is_some();
-        inner.problem = problem;
-        news
+    /// Stores as `problem` why scans cannot be kept now. Warns only if there was no problem before.
+    fn note(&self, done: Result<(), HistoryError>) {
+        let problem = done.err().map(|error| error.to_string());
+        let before = std::mem::replace(&mut self.lock().problem, problem.clone());
+        if let (None, Some(problem)) = (before, problem) {
+            tracing::warn!("scans are not kept in the history: {problem}");
+        }
     }
 }
 
 /// Why scans cannot be kept, read or corrected.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages say it.
+#[allow(missing_docs)] // The messages document the variants.
 pub enum HistoryError {
     #[error("{}: {error}", path.display())]
     Io { path: PathBuf, error: std::io::Error },

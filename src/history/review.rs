@@ -10,19 +10,16 @@ use crate::recognise::wilson_interval;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "was", rename_all = "lowercase")]
 pub enum Correction {
-    /// It was of this surface.
     Surface {
-        /// the label
         surface: String,
     },
-    /// It was of a surface that the library lacks.
+    /// The scan was of a surface that the library lacks.
     Unknown,
-    /// It was a bad scan, which nobody could name.
+    /// The scan was so bad that nobody could name it.
     Bad,
 }
 
 impl Correction {
-    /// The surface, if it was one.
     pub fn surface(&self) -> Option<&str> {
         match self {
             Self::Surface { surface } => Some(surface),
@@ -31,24 +28,21 @@ impl Correction {
     }
 }
 
-/// The precision of one answer, over the scans that somebody corrected. Bad scans do not count.
+/// How often one answer was right, among the scans that somebody corrected. Bad scans are left out.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Precision {
     /// The answer; `None` for unknown.
     pub surface: Option<String>,
-    /// Number of corrected scans with this answer.
     pub corrected: usize,
-    /// Number of those that the answer named right.
+    /// How many of the corrected scans had this answer as their truth.
     pub right: usize,
-    /// Share of `corrected` that were right.
     pub precision: f64,
-    /// Lower end of the 95 % Wilson interval of `precision`.
+    /// Ends of the 95 % Wilson interval.
     pub precision_low: f64,
-    /// Upper end of that interval.
     pub precision_high: f64,
 }
 
-/// The precision of answers with their corrections, by the surface that was answered.
+/// The precision of each answer (a surface or unknown), from pairs of an answer and its correction.
 pub fn precision<'a>(
     corrected: impl Iterator<Item = (Option<&'a str>, &'a Correction)>,
 ) -> Vec<Precision> {

@@ -15,28 +15,10 @@ fn answer(scan: u32, surface: Option<&str>) -> Answer {
         link: format!("/#scan={id}"),
         id,
         unix_ms: 1_790_001_000_000 + u64::from(scan),
-        scan,
         surface: surface.map(Into::into),
         state: if surface.is_some() { AnswerState::Named } else { AnswerState::Unknown },
-        reasons: Vec::new(),
-        truth: None,
-        user: None,
-        trial: None,
-        synthetic: false,
         ranked: vec![RankedSurface { surface: "oak".into(), score: 1.0 }],
-        margin: 1.0,
-        confidence: None,
-        fit: None,
-        unknown: None,
-        latency_ms: 1.0,
-        scan_s: 1.0,
-        settled_s: None,
-        lost_samples: 0,
-        sources: Vec::new(),
-        spoiled: Vec::new(),
-        damage: Vec::new(),
-        needed_s: None,
-        remarks: Vec::new(),
+        ..Answer::of(&Scan::of_signals(scan, BTreeMap::new()), 1.0)
     }
 }
 
@@ -51,9 +33,8 @@ fn keep(history: &History, scan: u32, bytes: usize) -> String {
     answer.id
 }
 
-fn scans(history: &History) -> Vec<u64> {
-    let newest = history.newest(None, 1000).unwrap();
-    newest.iter().map(|scan| scan["scan"].as_u64().unwrap()).collect()
+fn scans(history: &History) -> Vec<u32> {
+    history.newest(None, 1000).unwrap().iter().map(|row| row.head.scan).collect()
 }
 
 #[test]
@@ -76,9 +57,13 @@ fn what_was_answered_kept_and_corrected_is_there_after_a_restart() {
     let history = History::open(dir.path(), 1 << 20).unwrap();
     assert_eq!(scans(&history), [2, 1]);
     let first = history.answer("1").unwrap();
-    assert_eq!(first["id"], id.as_str());
-    assert_eq!(first["correction"], serde_json::to_value(&was).unwrap());
-    assert_eq!((&first["became"], &first["kept"]), (&"ash/anna-01".into(), &true.into()));
+    assert_eq!((&first.head.id, &first.correction), (&id, &Some(was)));
+    assert_eq!((first.became.as_deref(), first.kept), (Some("ash/anna-01"), true));
+    let json = serde_json::to_value(&first).unwrap();
+    assert_eq!(
+        (&json["correction"]["was"], &json["link"]),
+        (&"surface".into(), &format!("/#scan={id}").into())
+    );
     assert!(history.folder(&id).unwrap().join("ir.wav").exists());
     assert!(matches!(history.folder("2"), Err(HistoryError::NoSignals(_))));
     assert!(matches!(history.answer("3"), Err(HistoryError::NoScan(_))));
@@ -111,8 +96,8 @@ fn a_scan_without_a_name_is_kept_with_its_reason_and_its_signals() {
     assert_eq!(scans(&history), [2, 1]);
     for (name, kept) in [("1", true), ("2", false)] {
         let row = history.answer(name).unwrap();
-        assert_eq!((&row["state"], &row["kept"]), (&"unnamed".into(), &kept.into()), "{row}");
-        assert_eq!(row["reasons"][0], "too little to name");
+        assert_eq!((row.head.state, row.kept), (AnswerState::Unnamed, kept));
+        assert_eq!(row.reasons[0], "too little to name");
     }
     assert!(history.folder("1").unwrap().join("ir.wav").exists());
     assert_eq!(history.extent().problem, None);
@@ -159,10 +144,10 @@ fn the_log_is_bounded_and_keeps_the_newest_answers_with_what_was_said_of_them() 
     assert!(log <= most / 8 + 2000, "{log}");
     let newest = history.newest(None, 1000).unwrap();
     assert!(newest.len() > 20 && newest.len() < 1000);
-    assert_eq!(newest[0]["scan"], 1000);
-    assert!(newest.iter().all(|scan| scan["correction"]["was"] == "unknown"));
-    let before = newest[5]["id"].as_str().unwrap();
-    assert_eq!(history.newest(Some(before), 1).unwrap()[0]["scan"], 994);
+    assert_eq!(newest[0].head.scan, 1000);
+    assert!(newest.iter().all(|row| row.correction == Some(Correction::Unknown)));
+    let before = &newest[5].head.id;
+    assert_eq!(history.newest(Some(before), 1).unwrap()[0].head.scan, 994);
 }
 
 #[test]
@@ -171,7 +156,7 @@ fn a_history_in_memory_remembers_a_thousand_answers() {
     (1..=1200).for_each(|scan| history.answered(&answer(scan, None)).unwrap());
     assert_eq!((scans(&history).len(), scans(&history)[0]), (1000, 1200));
     history.correct(&answer(1200, None).id, Some(Correction::Bad)).unwrap();
-    assert_eq!(history.answer("1200").unwrap()["correction"]["was"], "bad");
+    assert_eq!(history.answer("1200").unwrap().correction, Some(Correction::Bad));
 }
 
 #[test]

@@ -1,23 +1,22 @@
-//! Trials reduced for drawing: the extremes in each of 400 stretches of time, and the spectrum.
+//! Small views of trials for drawing: the extremes of a series in up to 400 intervals, and its spectrum.
 
 use serde::Serialize;
 
-use crate::jpeg;
 use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
 use crate::spectrum::amplitude_spectrum;
-use crate::trial::{Image, Series, Signal, Trial};
+use crate::trial::{Series, Signal, Trial};
 
-/// Most stretches of time that a series is divided into for drawing.
+/// Most time intervals that a series is divided into for drawing.
 const BINS: usize = 400;
 /// Frames in each window of the spectrum.
 const WINDOW: usize = 4096;
-/// Samples a second from which a source can be listened to.
+/// Lowest rate of a sound that can be listened to.
 const AUDIBLE_HZ: f64 = 8000.0;
 
 /// A trial, small enough to draw.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrialView {
-    /// The sources that are series, by name.
+    /// The views of all sources that are series, sorted by name.
     pub series: Vec<SeriesView>,
     /// The sources that are pictures.
     pub pictures: Vec<SourceId>,
@@ -26,14 +25,14 @@ pub struct TrialView {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SeriesView {
     pub source: SourceId,
-    /// The part of the scan that it belongs to.
+    /// The part of the scan that the source records, the tap or the drag.
     pub phase: Phase,
     pub rate_hz: f64,
     pub duration_s: f64,
     pub audible: bool,
-    /// Least sample of each stretch of time, one list per channel.
+    /// Least sample in each time interval, one list per channel.
     pub min: Vec<Vec<f32>>,
-    /// Greatest sample of each stretch of time, one list per channel.
+    /// Greatest sample in each time interval, one list per channel.
     pub max: Vec<Vec<f32>>,
     /// The spectrum; `None` for a series that is too short.
     pub spectrum: Option<Bands>,
@@ -64,7 +63,7 @@ impl SeriesView {
             let of_channel = |channel: usize| {
                 let of_stretch = |stretch: &[f32]| {
                     let samples = stretch.iter().skip(channel).step_by(channels).copied();
-                    // A stretch is never empty.
+                    // A time interval is never empty, so the default is not used.
                     four_digits(samples.reduce(pick).unwrap_or(0.0))
                 };
                 series.samples().chunks(width).map(of_stretch).collect()
@@ -84,12 +83,7 @@ impl SeriesView {
     }
 }
 
-/// A picture as JPEG; `None` if there is no memory for it.
-pub fn jpeg(image: &Image) -> Option<Vec<u8>> {
-    jpeg::encode(image).ok()
-}
-
-/// Rounds to about four digits, which print short and are finer than any screen.
+/// Rounds to four digits, which are short to print and finer than any screen; 0 for NaN and infinity.
 pub fn four_digits(x: f32) -> f32 {
     if x == 0.0 || !x.is_finite() {
         return 0.0;
@@ -99,7 +93,7 @@ pub fn four_digits(x: f32) -> f32 {
 }
 
 const BANDS: usize = 96;
-/// The level that silence is shown at, in dB.
+/// The level at which silence is drawn, in dB.
 const FLOOR_DB: f64 = -120.0;
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -108,8 +102,8 @@ pub struct Bands {
     pub from_hz: f64,
     /// The upper edge of the last band, in Hz; the edges between lie at equal ratios.
     pub to_hz: f64,
-    /// Amplitude of each band in dB of one unit: the root of the summed squares over channels,
-    /// without each channel's mean.
+    /// Amplitude of each band in dB relative to 1, from the sum of squares over all channels after
+    /// the mean of each channel is subtracted.
     pub db: Vec<f64>,
 }
 
@@ -129,7 +123,7 @@ pub fn bands(samples: &[f32], channels: usize, rate_hz: f64, window: usize) -> O
         for channel in 0..channels {
             let samples = || window.iter().skip(channel).step_by(channels).map(|&x| f64::from(x));
             let mean = samples().sum::<f64>() / frames as f64;
-            // Hann's window, at twice its height so that a tone keeps its amplitude.
+            // Hann's window is used at twice its height, so that a tone keeps its amplitude.
             let turn = std::f64::consts::TAU / frames as f64;
             let windowed: Vec<f64> = samples()
                 .enumerate()
@@ -143,7 +137,7 @@ pub fn bands(samples: &[f32], channels: usize, rate_hz: f64, window: usize) -> O
     let index = |hz: f64| ((hz / bin_hz).round() as usize).min(power.len() - 1);
     let db = (0..BANDS).map(|band| {
         let first = index(edge(band));
-        // The lowest bands are narrower than a bin, and show the bin that they lie in.
+        // The lowest bands are narrower than a bin, so each takes at least the bin in which it begins.
         let end = index(edge(band + 1)).max(first + 1);
         let sum: f64 = power[first..end].iter().sum();
         let db = (10.0 * sum.log10()).max(FLOOR_DB);

@@ -1,22 +1,21 @@
-//! The Hilbert–Schmidt independence criterion of two sets of paired samples, and the threshold
-//! that separates dependence from chance.
+//! The Hilbert–Schmidt independence criterion (HSIC) of paired samples, and the threshold that
+//! separates dependence from chance.
 //!
-//! HSIC_b = tr(KHLH)/n² (Gretton et al. 2007, "A kernel statistical test of independence", Eq. 4;
-//! the paper's Eq. 9), where K and L are the Gaussian kernel matrices of the two sides, each with a
-//! median length scale of its own, and H = I − 11ᵀ/n is the centring matrix.
+//! HSIC_b = tr(KHLH)/n² (Gretton et al. 2007, "A kernel statistical test of independence", Eq. 4; the
+//! paper's Eq. 9). K and L are the Gaussian kernel matrices of the two sides, each with its own median
+//! length scale. H = I − 11ᵀ/n is the centring matrix.
 
 use ndarray::{Array2, ArrayView1, ArrayView2, CowArray, Ix2};
 use rand::seq::SliceRandom;
 
 use super::length_scale::length_scale_of;
-use super::pearson3::pearson3_test;
-use super::permutation_moments::{CentredMoments, permutation_moments};
+use super::permutation_moments::{CentredMoments, pearson3_test, permutation_moments};
 
-/// Fewest pairs for a test of independence. Four have 4! = 24 permutations, so that the smallest
-/// p-value is 1/24, barely significant at 5 %.
+/// Fewest pairs for a test of independence. Four pairs have only 4! = 24 permutations; the smallest
+/// p-value would be 1/24, barely significant at 5 %.
 pub const FEWEST_PAIRS: usize = 5;
 
-/// Errors of a test of independence.
+/// Why a test of independence is not possible.
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[allow(missing_docs)] // The messages are the documentation.
 pub enum HsicError {
@@ -28,7 +27,7 @@ pub enum HsicError {
         "channel {channel} of side {side} is {value} at sample {sample}; expected finite numbers"
     )]
     NotFinite {
-        /// 1 or 2
+        /// side of the pairs, 1 or 2
         side: usize,
         /// channel, counted from 1
         channel: usize,
@@ -48,18 +47,18 @@ pub enum HsicError {
     Permutations { permutations: usize, alpha: f64, least: usize },
 }
 
-/// How the threshold κ is found.
+/// How to find κ, the value of HSIC above which samples count as dependent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Threshold {
-    /// From this number of random permutations of one side, as in the paper.
+    /// From this number of random permutations of one side of the pairs, as in the paper.
     Permutations(usize),
-    /// From a Pearson III (shifted gamma) distribution with the exact mean, variance and skewness
-    /// of the permutation distribution: no shuffling, no Monte Carlo error.
+    /// From a Pearson III (shifted gamma) distribution with the exact mean, variance and skewness of
+    /// the permutation distribution. It needs no permutations and has no Monte Carlo error.
     Gamma,
 }
 
-/// The paper's number of permutations.
+/// Number of permutations that the paper uses.
 pub const PERMUTATIONS: usize = 100;
 
 /// The result of one test of independence.
@@ -67,29 +66,33 @@ pub const PERMUTATIONS: usize = 100;
 pub struct Dependence {
     /// Number of pairs.
     pub n: usize,
-    /// Length scale of the first side.
+    /// Length scale of the kernel on the first side of the pairs.
     pub sigma_x: f64,
-    /// Length scale of the second side.
+    /// Length scale of the kernel on the second side of the pairs.
     pub sigma_y: f64,
-    /// HSIC_b; a value that rounding made negative becomes 0.
+    /// HSIC_b; a value that is negative from rounding becomes 0.
     pub hsic: f64,
-    /// Threshold at the requested level; a larger HSIC_b means dependence.
+    /// Threshold at the requested significance level; a larger HSIC_b means dependence.
     pub kappa: f64,
     /// Probability of an HSIC_b at least this large if the sides are independent. From S
-    /// permutations, k of them at least as large: (1 + k)/(1 + S).
+    /// permutations it is (1 + k)/(1 + S), where k of them give an HSIC_b at least as large.
     pub p_value: f64,
 }
 
-/// Gaussian kernel matrix of samples of shape (n, channels): shape (n, n).
+/// exp(γ·‖a − b‖²) of two samples a and b.
+pub(super) fn kernel(a: ArrayView1<'_, f64>, b: ArrayView1<'_, f64>, gamma: f64) -> f64 {
+    let squared: f64 = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
+    (gamma * squared).exp()
+}
+
+/// Gaussian kernel matrix, shape (n, n), of samples of shape (n, channels).
 pub fn kernel_matrix(samples: ArrayView2<'_, f64>, sigma: f64) -> Array2<f64> {
     let gamma = -0.5 / (sigma * sigma);
     let n = samples.nrows();
     let mut k = Array2::ones((n, n));
     for i in 0..n {
         for j in 0..i {
-            let d: f64 =
-                samples.row(i).iter().zip(samples.row(j)).map(|(a, b)| (a - b).powi(2)).sum();
-            let value = (gamma * d).exp();
+            let value = kernel(samples.row(i), samples.row(j), gamma);
             k[[i, j]] = value;
             k[[j, i]] = value;
         }
@@ -97,7 +100,7 @@ pub fn kernel_matrix(samples: ArrayView2<'_, f64>, sigma: f64) -> Array2<f64> {
     k
 }
 
-/// HKH: a symmetric matrix of shape (n, n) with the means of its rows and columns subtracted.
+/// HKH for a symmetric matrix K of shape (n, n): subtracts the means of its rows and columns.
 pub fn centred(mut k: Array2<f64>) -> Array2<f64> {
     let n = k.nrows() as f64;
     let means: Vec<f64> = k.rows().into_iter().map(|row| row.sum() / n).collect();
@@ -108,8 +111,8 @@ pub fn centred(mut k: Array2<f64>) -> Array2<f64> {
     k
 }
 
-/// The (1 − α) quantile of some values: as in the authors' program, the value of rank
-/// round((1 − α)·count).
+/// The (1 − α) quantile of `values`: the value of rank round((1 − α)·count), as in the authors'
+/// program.
 ///
 /// # Panics
 /// If `values` is empty.
@@ -124,8 +127,8 @@ pub fn quantile(mut values: Vec<f64>, alpha: f64) -> f64 {
 /// Length scales are medians over all samples. `alpha` is the significance level of κ.
 ///
 /// # Errors
-/// If the sides differ in length, hold fewer than five samples, are constant or not
-/// finite; if `alpha` is not within (0, 0.5]; if there are fewer than 1/α permutations.
+/// If the sides differ in length, hold fewer than five samples, are constant or not finite; if `alpha`
+/// is not within (0, 0.5]; if there are fewer than 1/α permutations.
 pub fn test_independence(
     x: ArrayView2<'_, f64>,
     y: ArrayView2<'_, f64>,
@@ -144,7 +147,7 @@ pub fn test_independence(
     let (kappa, p_value) = match threshold {
         Threshold::Permutations(count) => {
             let null = permuted(&k, &l, count, rng);
-            // A permutation that changes nothing must count as equally large, despite rounding.
+            // The factor allows for rounding: a permutation that changes nothing must count.
             let as_large = null.iter().filter(|&&v| v >= hsic * (1.0 - 1e-12)).count();
             (quantile(null, alpha), (1 + as_large) as f64 / (1 + count) as f64)
         }
@@ -158,8 +161,8 @@ pub fn test_independence(
     Ok(Dependence { n, sigma_x, sigma_y, hsic, kappa, p_value })
 }
 
-/// HSIC_b of `count` random permutations, from the centred kernel matrix of one side and the plain
-/// one of the other, which is permuted. O(n²) each: tr(KHL_πH) = Σ (HKH)ᵢⱼ·L_π(i)π(j).
+/// HSIC_b of `count` random permutations. Takes the centred kernel matrix of one side, and the plain
+/// kernel matrix of the side to permute. O(n²) each: tr(KHL_πH) = Σ (HKH)ᵢⱼ·L_π(i)π(j).
 pub fn permuted(
     k_centred: &Array2<f64>,
     l: &Array2<f64>,
@@ -190,7 +193,7 @@ fn slices<'a>(matrix: &'a CowArray<'_, f64, Ix2>) -> Vec<&'a [f64]> {
     matrix.rows().into_iter().map(row).collect()
 }
 
-fn check_level(alpha: f64, threshold: Threshold) -> Result<(), HsicError> {
+pub fn check_level(alpha: f64, threshold: Threshold) -> Result<(), HsicError> {
     if !(alpha > 0.0 && alpha <= 0.5) {
         return Err(HsicError::Alpha(alpha));
     }

@@ -3,19 +3,19 @@
 use multiversion::multiversion;
 use ndarray::ArrayView2;
 
-/// Number of samples whose distances enter the median: the first ones, in the order drawn.
+/// Number of samples between which distances are computed for the median: the first ones drawn.
 pub const MEDIAN_SUBSET: usize = 100;
 
 /// Length scale σ of the Gaussian kernel from samples of shape (n, channels), by the paper's
 /// Eq. 6: σ² = 0.5 · median of the squared distances between the first 100 samples.
 ///
 /// Distances of exactly zero are left out, as in the authors' program. If no distance remains (one
-/// sample, constant data), σ is 1.
+/// sample, or constant data), σ is 1.
 pub fn length_scale(samples: ArrayView2<'_, f64>) -> f64 {
     length_scale_of(samples, MEDIAN_SUBSET)
 }
 
-/// [`length_scale`] over the first `subset` samples.
+/// Like [`length_scale`], but from the first `subset` samples instead of the first 100.
 pub fn length_scale_of(samples: ArrayView2<'_, f64>, subset: usize) -> f64 {
     let n = samples.nrows().min(subset);
     let channels: Vec<Vec<f64>> =
@@ -25,7 +25,7 @@ pub fn length_scale_of(samples: ArrayView2<'_, f64>, subset: usize) -> f64 {
     median(&mut squared).map_or(1.0, |m| (0.5 * m).sqrt())
 }
 
-/// Squared distances between all pairs of the first `n` points; `channels` holds one row a channel.
+/// Squared distances between all pairs of the first `n` points; `channels` has one list a channel.
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512dq+avx512vl+avx2+fma",
     "x86_64+avx2+fma",
@@ -38,8 +38,9 @@ fn squared_distances(channels: &[Vec<f64>], n: usize) -> Vec<f64> {
         for i in 1..n {
             let (row, after) = rest.split_at_mut(i);
             let at = channel[i];
-            for (sum, other) in row.iter_mut().zip(&channel[..i]) {
-                *sum += (at - other) * (at - other);
+            let others = &channel[..i];
+            for j in 0..i {
+                row[j] += (at - others[j]) * (at - others[j]);
             }
             rest = after;
         }
@@ -47,7 +48,7 @@ fn squared_distances(channels: &[Vec<f64>], n: usize) -> Vec<f64> {
     squared
 }
 
-/// The median; of an even number of values, the mean of the two middle ones.
+/// The median; for an even number of values, the mean of the two middle values.
 fn median(values: &mut [f64]) -> Option<f64> {
     if values.is_empty() {
         return None;
@@ -64,23 +65,20 @@ fn median(values: &mut [f64]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ndarray::array;
+    use ndarray::{Array1, Axis};
 
     #[test]
-    fn constant_data_have_length_scale_one() {
-        assert_eq!(length_scale(array![[3.0], [3.0], [3.0]].view()), 1.0);
-    }
-
-    #[test]
-    fn zero_distances_do_not_count() {
-        // Distances² 0, 4, 4: the median of what is left is 4.
-        assert_eq!(length_scale(array![[1.0], [1.0], [3.0]].view()), 2f64.sqrt());
-    }
-
-    #[test]
-    fn an_even_number_of_distances_takes_the_mean_of_the_middle_two() {
-        // Points 0, 1, 3, 7: distances² 1, 4, 9, 16, 36, 49; median (9 + 16) / 2.
-        let sigma = length_scale(array![[0.0], [1.0], [3.0], [7.0]].view());
-        assert!((sigma * sigma - 6.25).abs() < 1e-12);
+    fn the_median_is_of_distances_that_are_not_zero() {
+        for (points, squared) in [
+            // Constant data.
+            (vec![3.0, 3.0, 3.0], 1.0),
+            // Squared distances 0, 4, 4: without 0, the median is 4.
+            (vec![1.0, 1.0, 3.0], 2.0),
+            // Squared distances 1, 4, 9, 16, 36, 49: the mean of the two middle values is 12.5.
+            (vec![0.0, 1.0, 3.0, 7.0], 6.25),
+        ] {
+            let points = Array1::from(points).insert_axis(Axis(1));
+            assert!((length_scale(points.view()).powi(2) - squared).abs() < 1e-12, "{points}");
+        }
     }
 }

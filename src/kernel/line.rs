@@ -1,26 +1,25 @@
-//! Gaussian kernel sums against fixed points of one channel, for many queries at one length scale.
+//! Gaussian kernel sums over fixed points of one channel, fast for many queries at one length scale.
 //!
-//! G(x) = Σⱼ exp(−(x − uⱼ)²/2) is smooth. So it is expanded once, up to the eleventh derivative,
-//! about the middle of every cell of width ½ near a point. A kernel sum over n further points then
-//! takes n short polynomials instead of n² exponentials. The error of a kernel value is
-//! 10395/12!·4⁻¹² = 1.3e-12 from the expansion (10395 bounds the twelfth derivative) and at most
-//! exp(−6.75²/2) = 1.3e-10 from each point that is beyond [`REACH`] of its cell's middle.
+//! G(x) = Σⱼ exp(−(x − uⱼ)²/2) is smooth. Space near the points is divided into cells of width ½, and
+//! G is expanded once about the middle of each cell, up to the eleventh derivative. A kernel sum over
+//! n further points then takes n short polynomials instead of n² exponentials. The expansion changes a
+//! kernel value by at most 10395/12!·4⁻¹² = 1.3e-12 (10395 bounds the twelfth derivative). Each point
+//! beyond [`REACH`] of the cell's middle is ignored, which costs at most exp(−6.75²/2) = 1.3e-10.
 
 use multiversion::multiversion;
 
 use super::sums::exp2_of_minus;
 
-/// Half width of a cell, in length scales.
+/// Half the width of a cell, the interval of one Taylor expansion, in length scales.
 const HALF: f64 = 0.25;
-/// Number of terms of an expansion.
 const TERMS: usize = 12;
-/// Points farther away than this, in length scales, are ignored: exp(−7²/2) is 2e-11.
+/// A cell ignores points beyond this distance, in length scales: exp(−7²/2) is 2e-11.
 const REACH: f64 = 7.0;
 /// Coordinates are clamped to this distance from the centre, in length scales.
 const FARTHEST: f64 = 1e12;
 const LANES: usize = 8;
 
-/// A function of one variable: the sum of unit Gaussians at fixed points.
+/// The sum of unit Gaussians at fixed points, as a function of one variable.
 #[derive(Clone, Debug)]
 pub struct LineSum {
     centre: f64,
@@ -28,7 +27,7 @@ pub struct LineSum {
     groups: Vec<PointGroup>,
 }
 
-/// Points close enough together to share one row of cells.
+/// Cells (intervals with Taylor terms of the sum) around points that lie close together.
 #[derive(Clone, Debug)]
 struct PointGroup {
     start: f64,
@@ -36,8 +35,8 @@ struct PointGroup {
 }
 
 impl LineSum {
-    /// Expands the sum for points in ascending order and a kernel of length scale `sigma`.
-    /// Coordinates are taken relative to `centre`; near it rounding costs least.
+    /// Expands the sum for points in ascending order and a kernel of length scale `sigma`. Coordinates
+    /// are relative to `centre`, since rounding costs least near 0.
     pub fn new(points: impl Iterator<Item = f64>, centre: f64, sigma: f64) -> Self {
         let scale = 1.0 / sigma;
         let place = |x: f64| ((x - centre) * scale).clamp(-FARTHEST, FARTHEST);
@@ -47,7 +46,7 @@ impl LineSum {
         Self { centre, scale, groups }
     }
 
-    /// Σᵢ G(xᵢ + shift) over points xᵢ in ascending order.
+    /// Σᵢ G(xᵢ + shift) over points xᵢ in ascending order, where G is this sum of Gaussians.
     pub fn sum(&self, points: impl Iterator<Item = f64>, shift: f64) -> f64 {
         let mut groups = self.groups.iter().peekable();
         let mut total = 0.0;
@@ -57,10 +56,10 @@ impl LineSum {
             let Some(group) = groups.peek() else { break };
             let at = (x - group.start) * (0.5 / HALF);
             if at >= 0.0 {
-                // Below the number of cells, since x lies before the group's end.
+                // `at` is less than the number of cells, since x lies before the group's end.
                 let cell = (at as usize).min(group.cells.len() - 1);
                 let t = x - group.middle(cell);
-                // Even and odd powers are summed apart: the processor can do both at once.
+                // Even and odd powers are summed apart, so that the processor can do both at once.
                 let pairs = group.cells[cell].as_chunks::<2>().0.iter().rev();
                 let (even, odd) = pairs.fold((0.0, 0.0), |(even, odd), &[of_even, of_odd]| {
                     (even * (t * t) + of_even, odd * (t * t) + of_odd)
@@ -73,7 +72,7 @@ impl LineSum {
 }
 
 impl PointGroup {
-    /// Expands the sum over `points`, which are ascending and not empty.
+    /// Expands the sum over `points`, which must be ascending and not empty.
     fn new(points: &[f64]) -> Self {
         let (first, last) = (points[0], points[points.len() - 1]);
         let start = first - REACH;
@@ -102,8 +101,8 @@ impl PointGroup {
     }
 }
 
-/// Taylor terms of Σⱼ exp(−(x − uⱼ)²/2) about `middle`: the k-th is (−1)ᵏ/k! Σⱼ Heₖ(tⱼ)
-/// exp(−tⱼ²/2), t = middle − u, with Hermite's polynomials Heₖ₊₁(t) = t Heₖ(t) − k Heₖ₋₁(t).
+/// Taylor terms of Σⱼ exp(−(x − uⱼ)²/2) about `middle`. The k-th term is (−1)ᵏ/k! Σⱼ Heₖ(tⱼ)
+/// exp(−tⱼ²/2), t = middle − u. Hermite polynomials: Heₖ₊₁(t) = t Heₖ(t) − k Heₖ₋₁(t).
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512dq+avx512vl+avx2+fma",
     "x86_64+avx2+fma",
@@ -113,16 +112,16 @@ fn expansion(points: &[f64], middle: f64) -> [f64; TERMS] {
     let mut sums = [[0f64; LANES]; TERMS];
     for chunk in points.chunks(LANES) {
         let mut t = [1e6; LANES];
-        for (t, u) in t.iter_mut().zip(chunk) {
-            *t = middle - u;
+        for lane in 0..chunk.len() {
+            t[lane] = middle - chunk[lane];
         }
         let mut previous = [0f64; LANES];
         let mut term = [0f64; LANES];
         for lane in 0..LANES {
-            // For the padding, t = 1e6, this is the smallest value returned: about 1e-301.
+            // For the padding, t = 1e6, the result is the smallest value possible: about 1e-301.
             term[lane] = exp2_of_minus::<false>(0.5 * std::f64::consts::LOG2_E * t[lane] * t[lane]);
         }
-        // (−1)ᵏ/k! Heₖ, by its own recurrence: aₖ₊₁ = −(t aₖ + aₖ₋₁)/(k + 1).
+        // aₖ = (−1)ᵏ/k! Heₖ has the recurrence aₖ₊₁ = −(t aₖ + aₖ₋₁)/(k + 1).
         for (k, sum) in sums.iter_mut().enumerate() {
             let over = -1.0 / (k + 1) as f64;
             for lane in 0..LANES {
@@ -133,7 +132,13 @@ fn expansion(points: &[f64], middle: f64) -> [f64; TERMS] {
             }
         }
     }
-    sums.map(|lanes| lanes.iter().sum())
+    let mut totals = [0.0; TERMS];
+    for k in 0..TERMS {
+        for lane in &sums[k] {
+            totals[k] += lane;
+        }
+    }
+    totals
 }
 
 #[cfg(test)]

@@ -1,13 +1,12 @@
 //! The Gaussian kernel and the statistics built on it.
 //!
-//! Samples are arrays of shape (n, channels), in the order in which they were drawn. Everything
-//! here is pure, and works in f64 unless it says otherwise.
+//! Samples are arrays of shape (n, channels), in the order in which they were drawn. Functions do
+//! no I/O, and compute in f64 unless their comments name another type.
 
 mod hsic;
 mod length_scale;
 mod line;
 mod mmd;
-mod pearson3;
 mod permutation_moments;
 mod simd;
 mod sums;
@@ -22,7 +21,7 @@ pub use hsic::{centred, kernel_matrix, permuted, quantile};
 #[doc(hidden)]
 pub use sums::Points;
 
-pub(crate) use hsic::FEWEST_PAIRS;
+pub(crate) use hsic::{FEWEST_PAIRS, check_level};
 pub(crate) use line::LineSum;
 pub(crate) use mmd::{CrossSums, mmd2_from_sums, pair_test};
 pub(crate) use sums::Number;

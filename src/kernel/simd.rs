@@ -1,23 +1,24 @@
-//! Gaussian sums with AVX-512 intrinsics, tested against `sum_f32` in [`super::sums`] in safe Rust.
+//! Gaussian kernel sums with AVX-512 intrinsics, tested against the safe [`super::sums`].
 //!
-//! To evaluate 2^(−q/16), q the squared distance, −q is rounded to an integer N by adding 1.5·2²³.
-//! 2^(N/16) comes from a table of 16 values and an exponent. For the rest f, |f| ≤ ½, 2^(f/16) is a
-//! cubic polynomial, with an error below 3e-9 before rounding.
+//! Computes 2^(−q/16), where q is a squared distance. Adding 1.5·2²³ rounds −q to an integer N.
+//! 2^(N/16) comes from a table of 16 values and an exponent. For the remainder f = −q − N, 2^(f/16)
+//! is a cubic polynomial with an error below 3e-9 before rounding.
 
 #![cfg(target_arch = "x86_64")]
 
 use std::arch::x86_64::*;
 
-use super::sums::LANES;
+/// Number of f32 values in a register.
+pub(super) const LANES: usize = 16;
 
-/// Squared distances are cut off here, in the units of this module: 2^(−2016/16) is the smallest
-/// power that is a normal f32.
+/// Largest squared distance q; a larger q is replaced by it. The kernel 2^(−2016/16) is the
+/// smallest normal f32.
 const REACH: f32 = 2016.0;
 const ROUND: f32 = 12_582_912.0;
 /// 2^(f/16) ≈ 1 + f·(CUBIC[0] + f·(CUBIC[1] + f·CUBIC[2])) on [−½, ½].
 const CUBIC: [f32; 3] = [4.332_17e-2, 9.384_11e-4, 1.354_99e-5];
 
-/// Bits of 2^(j/16), minus the j·2¹⁹ that adding the shifted N contributes.
+/// Bits of 2^(j/16) minus j·2¹⁹. Adding N·2¹⁹, for N = 16·e + j, then gives the bits of 2^(N/16).
 static TABLE: [u32; 16] = [
     0x3f80_0000,
     0x3f7d_aac3,
@@ -42,14 +43,14 @@ pub(super) fn is_available() -> bool {
     is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq")
 }
 
-/// Coordinates, channel by channel, each slice padded to whole blocks of [`LANES`].
+/// Coordinates of points: one slice for each channel, padded to a multiple of [`LANES`].
 pub(super) type Points<'a, const C: usize> = [&'a [f32]; C];
 
-/// Σᵢⱼ 2^(−‖aᵢ − bⱼ‖²/16) over points i < `rows` of `a` and all j of `b`. With `SELF`, a and b are
-/// the same points: blocks right of the diagonal count twice, those left of it are skipped.
+/// Σᵢⱼ 2^(−‖aᵢ − bⱼ‖²/16) over points i < `rows` of `a` and all points j of `b`. With `SELF`, a and b
+/// are the same points: blocks right of the diagonal count twice, blocks left of it are skipped.
 ///
 /// # Safety
-/// The machine must have AVX-512F and AVX-512DQ: see [`is_available`].
+/// The machine must have AVX-512F and AVX-512DQ, see [`is_available`].
 #[target_feature(enable = "avx512f,avx512dq")]
 pub(super) unsafe fn sum<const C: usize, const SELF: bool>(
     a: Points<'_, C>,
@@ -69,8 +70,8 @@ pub(super) unsafe fn sum<const C: usize, const SELF: bool>(
     _mm512_reduce_add_pd(total)
 }
 
-/// Sums `R` rows at once, all within one block. The sums stay in f32 registers until the end of the
-/// rows, and are then converted to f64.
+/// The kernel sum over `R` successive points of `a`, from `row` on and all in one block of 16, and
+/// all points of `b`. Adds in f32 registers up to the last point of `b`, and then in f64.
 #[target_feature(enable = "avx512f,avx512dq")]
 #[inline]
 fn rows_sum<const C: usize, const SELF: bool, const R: usize>(
@@ -78,15 +79,21 @@ fn rows_sum<const C: usize, const SELF: bool, const R: usize>(
     row: usize,
     b: Points<'_, C>,
 ) -> __m512d {
-    let at: [[__m512; C]; R] =
-        std::array::from_fn(|r| std::array::from_fn(|c| _mm512_set1_ps(a[c][row + r])));
+    let mut at = [[_mm512_setzero_ps(); C]; R];
+    for r in 0..R {
+        for c in 0..C {
+            at[r][c] = _mm512_set1_ps(a[c][row + r]);
+        }
+    }
     let mut sums = [_mm512_setzero_ps(); R];
     let mut block = 0;
     if SELF {
         let diagonal = row / LANES;
         add_block::<C, R>(&mut sums, &at, b, diagonal);
-        // Halved, since the total is doubled below.
-        sums = sums.map(|sum| _mm512_mul_ps(sum, _mm512_set1_ps(0.5)));
+        // Halves the diagonal block: it counts once, and the total is doubled below.
+        for sum in &mut sums {
+            *sum = _mm512_mul_ps(*sum, _mm512_set1_ps(0.5));
+        }
         block = diagonal + 1;
     }
     while block < b[0].len() / LANES {
@@ -102,12 +109,12 @@ fn rows_sum<const C: usize, const SELF: bool, const R: usize>(
     if SELF { _mm512_add_pd(total, total) } else { total }
 }
 
-/// Loads the block of this number from a channel.
+/// Loads block number `block` of a channel.
 #[target_feature(enable = "avx512f,avx512dq")]
 #[inline]
 fn load(channel: &[f32], block: usize) -> __m512 {
     let values = channel.as_chunks::<LANES>().0[block];
-    // SAFETY: the pointer is that of an array of LANES = 16 f32, all of which are read, unaligned.
+    // SAFETY: the pointer is to an array of LANES = 16 f32; the unaligned load reads only these.
     unsafe { _mm512_loadu_ps(values.as_ptr()) }
 }
 
@@ -119,9 +126,12 @@ fn add_block<const C: usize, const R: usize>(
     b: Points<'_, C>,
     block: usize,
 ) {
-    let other: [__m512; C] = std::array::from_fn(|c| load(b[c], block));
-    for (sum, at) in sums.iter_mut().zip(at) {
-        *sum = add_kernel(*sum, at, &other);
+    let mut other = [_mm512_setzero_ps(); C];
+    for c in 0..C {
+        other[c] = load(b[c], block);
+    }
+    for r in 0..R {
+        sums[r] = add_kernel(sums[r], &at[r], &other);
     }
 }
 
@@ -137,9 +147,9 @@ fn add_kernel<const C: usize>(sum: __m512, at: &[__m512; C], other: &[__m512; C]
     }
     power = _mm512_max_ps(power, set(-REACH));
     let n = _mm512_castps_si512(_mm512_add_ps(set(ROUND), power));
-    // The difference to the rounded value.
+    // The difference between −q and its rounded value.
     let f = _mm512_reduce_ps::<0>(power);
-    // SAFETY: the pointer is that of an array of 16 u32, all of which are read, unaligned.
+    // SAFETY: the pointer is to an array of 16 u32; the unaligned load reads only these.
     let table = unsafe { _mm512_loadu_si512(TABLE.as_ptr().cast()) };
     let whole = _mm512_add_epi32(_mm512_permutexvar_epi32(n, table), _mm512_slli_epi32::<19>(n));
     let rest = _mm512_fmadd_ps(set(CUBIC[2]), f, set(CUBIC[1]));

@@ -1,21 +1,20 @@
-//! A table of K(y, y), the mean kernel value within one trial's samples, against the length scale:
-//! computed at a few length scales, interpolated between them.
+//! A table of the mean kernel value over all pairs of a trial's samples, for a few length scales.
 //!
-//! The mean of exp(−d²/(2σ²)) over pairs is an entire function of ln σ, so its interpolation at
-//! Chebyshev nodes converges faster than any power. [`NODES`] nodes over a [`FOLD`]-fold range keep
-//! n·MMD² within 3e-5. The last coefficients estimate the error; no table is made if it is large.
+//! The mean of exp(−d²/(2σ²)) is an entire function of ln σ, so interpolation at Chebyshev nodes
+//! converges faster than any power. [`NODES`] nodes over a [`FOLD`]-fold range keep the error of
+//! n·MMD² below 3e-5. The last coefficients estimate this error; no table is made if it is large.
 
 /// Number of length scales at which the mean is computed.
 pub const NODES: usize = 32;
-/// Ratio of the range's ends: it extends from the middle divided by √64 to the middle times √64.
+/// Largest length scale of a table, divided by the smallest. The middle is their geometric mean.
 pub const FOLD: f64 = 64.0;
 
-/// Mean kernel value over all pairs of one set, by length scale.
+/// Mean kernel value over all pairs of one set of samples, as a function of the length scale.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SelfMean {
-    /// ln of the length scale in the middle.
+    /// ln of the length scale in the middle of the range.
     middle: f64,
-    /// Means at the Chebyshev nodes of the first kind, for the largest length scale first.
+    /// Mean kernel values at the Chebyshev nodes of the first kind, the largest length scale first.
     values: [f64; NODES],
 }
 
@@ -29,9 +28,9 @@ impl SelfMean {
         (table.middle.is_finite() && table.last_coefficients() <= tolerance).then_some(table)
     }
 
-    /// The mean at a length scale; `None` outside the range.
+    /// The mean kernel value at length scale `sigma`; `None` outside the range of the table.
     ///
-    /// Barycentric interpolation (Berrut & Trefethen 2004, Eq. 5.3).
+    /// Interpolates by the barycentric formula (Berrut & Trefethen 2004, Eq. 5.3).
     pub fn at(&self, sigma: f64) -> Option<f64> {
         let x = (sigma.ln() - self.middle) / half_range();
         if !(-1.0..=1.0).contains(&x) {
@@ -49,8 +48,8 @@ impl SelfMean {
         Some(above / below)
     }
 
-    /// Sum of the magnitudes of the last three Chebyshev coefficients. They fall off so fast that
-    /// this bounds the sum of all further ones.
+    /// Sum of the magnitudes of the last three Chebyshev coefficients. Coefficients fall off so fast
+    /// that this sum bounds the sum of all later coefficients.
     fn last_coefficients(&self) -> f64 {
         let coefficient = |j: usize| {
             let term = |(k, value): (usize, &f64)| value * (j as f64 * angle(k)).cos();

@@ -8,38 +8,29 @@ use serde::{Deserialize, Serialize};
 use super::{LibraryError, files};
 use crate::trial::normal;
 
-/// Name of the file.
 pub(crate) const FILE: &str = "trial.toml";
 
-/// The content of `trial.toml`; every entry is optional, unknown ones are refused.
+/// The content of `trial.toml`. Every key is optional; unknown keys are refused.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct About {
-    /// The label of the surface; without it, the folder's name is the label.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    /// The label of the surface; if missing, the name of the surface's folder is the label.
     pub surface: Option<String>,
-    /// Who moved the stylus.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub user: Option<String>,
-    /// Number of the repetition; without it, the number at the end of the folder's name.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    /// The trial's number; if it is missing, the number at the end of the folder's name counts.
     pub trial: Option<u32>,
-    /// When the recording began, as a TOML date or any text.
-    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "date_or_text")]
+    /// Time at which the recording began, as a TOML date or any text.
+    #[serde(deserialize_with = "date_or_text")]
     pub started_at: Option<String>,
-    /// Free text, for people to read.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub notes: Option<String>,
-    /// Whether a generator made the trial.
+    /// Whether a program generated the trial, so that no sensor recorded it.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub synthetic: bool,
     /// Whether the recording was cut short, for example by a power cut; such trials are skipped.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub incomplete: bool,
-    /// Times of tap and drag, as older versions wrote them: kept in the file, but not used.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    /// Times of tap and drag, written by older versions. They are kept in the file, but not used.
     pub scan: Option<toml::Table>,
-    /// The device of each source.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub devices: BTreeMap<String, String>,
 }
@@ -59,7 +50,7 @@ impl About {
     /// Reads `trial.toml` in a trial's folder; a missing file counts as an empty one.
     ///
     /// # Errors
-    /// With the line, if the file is not TOML, has an unknown key or an impossible value.
+    /// If the file is not TOML, has an unknown key or an impossible value; the error names the line.
     pub fn read(trial: &Path) -> Result<Self, LibraryError> {
         let path = trial.join(FILE);
         match files::read_text_if_there(&path)? {
@@ -70,9 +61,9 @@ impl About {
         }
     }
 
-    /// The text of a `trial.toml` that [`About::read`] reads.
+    /// This content as the text of a `trial.toml`.
     pub fn to_toml(&self) -> String {
-        // Strings, numbers and tables: nothing here that TOML cannot express.
+        // `About` holds only strings, numbers and tables, which TOML can express.
         toml::to_string(self).expect("what is known of a trial is plain TOML")
     }
 
@@ -84,7 +75,7 @@ impl About {
         }
         let names = [("surface", &about.surface), ("user", &about.user)];
         if let Some((key, _)) = names.iter().find(|(_, name)| name.as_deref() == Some("")) {
-            return Err(format!("{key} = \"\"; expected a name, or no such line"));
+            return Err(format!("{key} = \"\"; write a name, or remove the line"));
         }
         Ok(about)
     }

@@ -1,18 +1,17 @@
-//! The caches beside a library: prepared trials, so that they need not be prepared again, and the
-//! model that was trained on them.
+//! The two cache files of a library for one method, which make the next start fast. One holds the
+//! trials, prepared by the method for comparison. The other holds the model trained on the trials.
 //!
-//! One hidden file each, `LIBRARY/.METHOD.surfaced-cache` and `LIBRARY/.METHOD-model.surfaced-cache`,
-//! replaced as a whole. They may be removed at any time. Little-endian:
+//! Caches are hidden files, `LIBRARY/.METHOD.surfaced-cache` and `LIBRARY/.METHOD-model.surfaced-cache`.
+//! A cache is replaced as a whole, and may be removed at any time. Its format, little-endian:
 //!
 //! ```text
 //! "surfaced cache"  version u16   key u64
-//! records:  name length u32   name   stamp u64   length u64   bytes   CRC-32 of all that u32
+//! records:  name length u32   name   stamp u64   length u64   bytes   CRC-32 of the record u32
 //! ```
-//! `key` identifies the settings that the trials were prepared with, `stamp` the files that a
-//! record comes from (by device, inode, size and times of change): those of one trial, or for a
-//! model those of all trials. Damaged parts count as missing: never an error, at most a remark.
+//! `key` identifies the settings that the trials were prepared with. `stamp` identifies the files
+//! that a record was made from (by device, inode, size and times of change): the files of one trial
+//! or, for a model, of all trials. A damaged record counts as missing, and causes at most a remark.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -20,30 +19,33 @@ use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use rayon::prelude::*;
+
 use super::files;
 use crate::system::{persist, read_exact_at};
 
 const MAGIC: &[u8; 14] = b"surfaced cache";
-/// Raised whenever what prepared trials hold, or how they are stored, changes.
+/// Version of the file format. Increase it with each change to the content or encoding of records.
 const VERSION: u16 = 2;
 const HEADER: usize = MAGIC.len() + 2 + 8;
-/// Bytes of a checksum.
 const CHECKSUM: u64 = 4;
-/// Longest name of a record in bytes: those of a surface and a user, and a number.
+/// Longest name of a record, in bytes. A name consists of a surface, a user and a trial number.
 const LONGEST_NAME: u32 = 1 << 16;
-/// Largest record in bytes that is read: a sparse file may claim any number.
+/// Largest record that is read, in bytes. A damaged file may claim that a record has any length.
 const LARGEST_RECORD: u64 = 1 << 30;
-/// Suffix of a file that is still being written; its writer holds a lock on it.
+/// Number of records in memory at a time while a cache is written.
+const AT_ONCE: usize = 32;
+/// Suffix of a file that is still being written. The writing program holds a lock on the file.
 const UNFINISHED: &str = ".unfinished";
-/// An unlocked unfinished file of this age was left by a writer that was killed.
+/// Age from which an unfinished, unlocked file is removed: the program that wrote it was killed.
 const ABANDONED: Duration = Duration::from_secs(60);
 
-/// The content of a cache file; its records are read when they are wanted.
+/// An open cache file. The bytes of a record are read on demand.
 #[derive(Debug)]
 pub struct Cache {
     path: PathBuf,
     key: u64,
-    /// The file is replaced as a whole, never changed, so an open one stays valid.
+    /// `None` if no file is usable. An open file stays valid: writers replace it as a whole.
     file: Option<File>,
     records: BTreeMap<String, Place>,
 }
@@ -52,23 +54,21 @@ pub struct Cache {
 #[derive(Clone, Copy, Debug)]
 struct Place {
     stamp: u64,
-    /// Begin and number of its bytes; their checksum follows.
+    /// Byte of the file where the record's data begin. Their checksum follows after `length` bytes.
     begin: u64,
     length: u64,
 }
 
-/// One trial to be stored.
-pub(crate) struct Record<'a> {
+pub(crate) struct Record {
     pub name: String,
-    /// Identifies the files that it was prepared from.
+    /// Identifies the files that the record was prepared from.
     pub stamp: u64,
-    /// Its content.
-    pub bytes: Cow<'a, [u8]>,
+    pub bytes: Vec<u8>,
 }
 
 impl Cache {
-    /// Opens the cache of a method in a library's folder. A file that is damaged, of another
-    /// version or with another key counts as empty; the remark says why, if that may surprise.
+    /// Opens the cache of a method in a library's folder. A file of another version or with another
+    /// key counts as empty. The returned text says why an existing file cannot be used.
     pub fn open(library: &Path, method: &str, key: u64) -> (Self, Option<String>) {
         let path = library.join(format!(".{method}.surfaced-cache"));
         let mut cache = Self { path, key, file: None, records: BTreeMap::new() };
@@ -82,8 +82,8 @@ impl Cache {
         (cache, remark)
     }
 
-    /// Opens the file, if it is one for these settings, and finds its records; an error leaves those
-    /// found so far.
+    /// Opens the file, if it was written with the same key, and finds its records. If this fails
+    /// midway, the records found so far can still be used.
     fn read(&mut self) -> io::Result<()> {
         let (mut file, length) = files::open(&self.path)?;
         let mut header = vec![0; HEADER.min(length as usize)];
@@ -101,7 +101,7 @@ impl Cache {
     }
 
     fn check_header(&self, bytes: &[u8]) -> Result<(), String> {
-        let rest = bytes.strip_prefix(MAGIC).ok_or("this is no cache of surfaced")?;
+        let rest = bytes.strip_prefix(MAGIC).ok_or("not a cache of surfaced")?;
         let (version, rest) = rest.split_first_chunk().ok_or("the file is cut short")?;
         let version = u16::from_le_bytes(*version);
         if version != VERSION {
@@ -114,7 +114,7 @@ impl Cache {
         }
     }
 
-    /// The bytes stored under a name, if they are undamaged and were stored with this stamp.
+    /// The bytes stored under `name`; `None` if they are damaged or were stored with another stamp.
     pub(crate) fn get(&self, name: &str, stamp: u64) -> Option<Vec<u8>> {
         let place = self.records.get(name).filter(|place| place.stamp == stamp)?;
         if place.length > LARGEST_RECORD {
@@ -126,11 +126,15 @@ impl Cache {
         (checksum(&head(name, stamp, place.length), &bytes)[..] == sum).then_some(bytes)
     }
 
-    /// Writes a new file in the place of the old one; says what went wrong, if anything did.
-    pub(crate) fn replace(mut self, records: &[Record<'_>]) -> Option<String> {
-        // Some file systems replace no open file.
-        self.file = None;
-        self.write(records).err().map(|error| {
+    /// Replaces the file by a new one. `record` returns the record for each index below `count`, if
+    /// it has one; a few records are in memory at a time, since together they may be as large as
+    /// the library. Writes nothing if there are no records. Returns a remark if writing failed.
+    pub(crate) fn replace(
+        mut self,
+        count: usize,
+        record: impl Fn(&Self, usize) -> Option<Record> + Sync,
+    ) -> Option<String> {
+        self.write(count, record).err().map(|error| {
             format!(
                 "{}: {error}; the prepared library is not kept, and will be prepared anew next time",
                 self.path.display()
@@ -138,37 +142,51 @@ impl Cache {
         })
     }
 
-    fn write(&self, records: &[Record<'_>]) -> io::Result<()> {
+    fn write(
+        &mut self,
+        count: usize,
+        record: impl Fn(&Self, usize) -> Option<Record> + Sync,
+    ) -> io::Result<()> {
         let folder = self.path.parent().unwrap_or(Path::new("."));
         let name = self.path.file_name().unwrap_or_default();
         remove_abandoned(folder, &name.to_string_lossy());
-        // Two programs may write at once: each writes a file of its own.
+        // Each program writes a file of its own, since two programs may write at once.
         let unfinished = tempfile::Builder::new()
             .prefix(&[name, OsStr::new(".")].join(OsStr::new("")))
             .rand_bytes(16)
             .suffix(UNFINISHED)
             .make_in(folder, |path| File::create_new(path))?;
-        // Without locks, nobody removes anything either.
+        // A failed lock does no harm: without locks, other programs never remove unfinished files.
         let _ = unfinished.as_file().try_lock();
         let mut file = BufWriter::with_capacity(1 << 20, unfinished.as_file());
         file.write_all(MAGIC)?;
         file.write_all(&VERSION.to_le_bytes())?;
         file.write_all(&self.key.to_le_bytes())?;
-        for record in records {
-            let head = head(&record.name, record.stamp, record.bytes.len() as u64);
-            file.write_all(&head)?;
-            file.write_all(&record.bytes)?;
-            file.write_all(&checksum(&head, &record.bytes))?;
+        let mut is_empty = true;
+        for first in (0..count).step_by(AT_ONCE) {
+            let few = (first..count.min(first + AT_ONCE)).into_par_iter();
+            for record in few.filter_map(|i| record(self, i)).collect::<Vec<_>>() {
+                let head = head(&record.name, record.stamp, record.bytes.len() as u64);
+                file.write_all(&head)?;
+                file.write_all(&record.bytes)?;
+                file.write_all(&checksum(&head, &record.bytes))?;
+                is_empty = false;
+            }
         }
         file.flush()?;
         drop(file);
+        if is_empty {
+            return Ok(());
+        }
+        // The old file is closed first, since some file systems refuse to replace an open file.
+        self.file = None;
         persist(unfinished, &self.path)
     }
 }
 
-/// Removes the unfinished files that killed writers of the cache `name` left behind.
+/// Removes unfinished files of the cache `name` if their writers were killed.
 fn remove_abandoned(folder: &Path, name: &str) {
-    // Best effort, here and below: a file left behind only takes room.
+    // Errors are ignored throughout: a file that is left behind only takes up space.
     let Ok(items) = fs::read_dir(folder) else { return };
     for path in items.flatten().map(|item| item.path()) {
         let of_cache = |name_of: &str| name_of.starts_with(name) && name_of.ends_with(UNFINISHED);
@@ -185,7 +203,7 @@ fn remove_abandoned(folder: &Path, name: &str) {
     }
 }
 
-/// The header of a record, which precedes its bytes.
+/// The name, stamp and length of a record, which precede its bytes in the file.
 fn head(name: &str, stamp: u64, length: u64) -> Vec<u8> {
     let mut head = (name.len() as u32).to_le_bytes().to_vec();
     head.extend(name.as_bytes());
@@ -201,7 +219,7 @@ fn checksum(head: &[u8], bytes: &[u8]) -> [u8; CHECKSUM as usize] {
     sum.finalize().to_le_bytes()
 }
 
-/// The name and place of the record that begins at byte `at` of a file of `length` bytes.
+/// The name and place of the record at byte `at` of a file of `length` bytes; `None` if it is damaged.
 fn record(file: &File, at: u64, length: u64) -> Option<(String, Place)> {
     let mut name_length = [0; 4];
     read_exact_at(file, &mut name_length, at).ok()?;
@@ -224,19 +242,24 @@ fn record(file: &File, at: u64, length: u64) -> Option<(String, Place)> {
 mod tests {
     use super::*;
 
-    fn records() -> Vec<Record<'static>> {
-        let record = |name: &str, stamp, byte| Record {
-            name: name.into(),
-            stamp,
-            bytes: vec![byte; 100].into(),
-        };
+    fn records() -> Vec<Record> {
+        let record =
+            |name: &str, stamp, byte| Record { name: name.into(), stamp, bytes: vec![byte; 100] };
         vec![record("oak · expert · 1", 7, 1), record("beech", 8, 2)]
+    }
+
+    fn replace(cache: Cache) -> Option<String> {
+        let records = records();
+        cache.replace(records.len(), |_, i| {
+            let Record { name, stamp, bytes } = &records[i];
+            Some(Record { name: name.clone(), stamp: *stamp, bytes: bytes.clone() })
+        })
     }
 
     fn written() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let (cache, remark) = Cache::open(folder.path(), "m", 5);
-        assert_eq!((remark, cache.replace(&records())), (None, None));
+        assert_eq!((remark, replace(cache)), (None, None));
         folder
     }
 
@@ -265,7 +288,7 @@ mod tests {
         let (cache, remark) = Cache::open(folder.path(), "m", 5);
         assert!(cache.get("beech", 8).is_none() && remark.unwrap().contains("of version 3"));
         fs::write(&path, "something else").unwrap();
-        assert!(Cache::open(folder.path(), "m", 5).1.unwrap().contains("no cache of surfaced"));
+        assert!(Cache::open(folder.path(), "m", 5).1.unwrap().contains("not a cache of surfaced"));
     }
 
     #[test]
@@ -312,13 +335,13 @@ mod tests {
             }
             let (cache, remark) = Cache::open(folder.path(), "m", 5);
             assert!(remark.unwrap().contains("not a regular file"), "{kind}");
-            assert_eq!(cache.replace(&records()).is_none(), kind != "folder", "{kind}");
+            assert_eq!(replace(cache).is_none(), kind != "folder", "{kind}");
         }
-        // Large, but no cache: not read.
+        // Only the beginning of a huge file that is no cache is read.
         let folder = tempfile::tempdir().unwrap();
         let file = File::create(folder.path().join(".m.surfaced-cache")).unwrap();
         file.set_len(1 << 40).unwrap();
-        assert!(Cache::open(folder.path(), "m", 5).1.unwrap().contains("no cache of surfaced"));
+        assert!(Cache::open(folder.path(), "m", 5).1.unwrap().contains("not a cache of surfaced"));
     }
 
     #[test]
@@ -334,13 +357,13 @@ mod tests {
         locked.1.try_lock().unwrap();
         fresh.1.set_modified(std::time::SystemTime::now()).unwrap();
         let (cache, _) = Cache::open(folder.path(), "m", 5);
-        assert_eq!(cache.replace(&records()), None);
+        assert_eq!(replace(cache), None);
         assert!(!left.0.exists() && locked.0.exists() && fresh.0.exists());
     }
 
     #[test]
     fn a_folder_that_cannot_be_written_is_a_remark() {
         let (cache, _) = Cache::open(Path::new("/nowhere/at/all"), "m", 5);
-        assert!(cache.replace(&records()).unwrap().contains("prepared anew next time"));
+        assert!(replace(cache).unwrap().contains("prepared anew next time"));
     }
 }

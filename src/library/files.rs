@@ -1,21 +1,25 @@
-//! Folders, and errors of the file system that say what to do.
+//! Lists folders and reads files, with errors that say what to do.
 
+use std::fmt::Display;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use super::{LibraryError, series_header};
+use super::{LibraryError, Outline};
 use crate::scene::SourceId;
 use crate::seed;
 use crate::system::{file_stamp, open_at_once};
+use crate::trial::Series;
+
+/// The extensions of files that hold one time series, in lower case.
+const SERIES: [&str; 2] = ["wav", "flac"];
 
 impl LibraryError {
-    /// A file that does not hold what it should.
-    pub(crate) fn file(path: &Path, problem: impl Into<String>) -> Self {
-        Self::File { path: path.to_path_buf(), problem: problem.into() }
+    pub(crate) fn file(path: &Path, problem: impl Display) -> Self {
+        Self::File { path: path.to_path_buf(), problem: problem.to_string() }
     }
 
-    /// An error of the file system, with advice where there is any.
+    /// Describes an error of the file system, with advice for the common causes.
     pub(crate) fn io(path: &Path, error: io::Error) -> Self {
         match error.kind() {
             io::ErrorKind::NotFound => {
@@ -26,51 +30,50 @@ impl LibraryError {
                 "permission denied; let yourself read it (chmod u+r, for a folder u+rx), \
                  or run as its owner",
             ),
-            _ => Self::Io { path: path.to_path_buf(), error },
+            _ => Self::file(path, error),
         }
     }
 }
 
-/// A path within a library, such as `SURFACE/TRIAL`, whatever the system's separator.
+/// The path of an item relative to a library, such as `SURFACE/TRIAL`, with `/` on every system.
 pub(crate) fn name_within(library: &Path, path: &Path) -> String {
     let within = path.strip_prefix(library).unwrap_or(path);
     let parts = within.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
     parts.collect::<Vec<_>>().join("/")
 }
 
-/// Largest text file in bytes: a description, a feature table.
+/// Largest text file of samples or tables that is read, in bytes.
 pub(crate) const MOST_TEXT: u64 = 1 << 26;
-/// Largest description (`trial.toml`, `library.toml`) in bytes.
+/// Largest `trial.toml` or `library.toml` that is read, in bytes.
 const MOST_DESCRIPTION: u64 = 1 << 20;
 
-/// One thing in a folder.
 #[derive(Debug)]
 pub(crate) struct Listed {
     pub name: String,
     pub path: PathBuf,
     pub is_dir: bool,
-    /// The reason why it can be neither read nor listed.
+    /// The reason why the item cannot be used (such as a broken link); `None` if it can.
     pub unusable: Option<&'static str>,
 }
 
 impl Listed {
-    /// A folder by its path; `None` if its name is not UTF-8.
+    /// Describes a folder by its path; `None` if its name is not UTF-8.
     pub fn folder(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?.to_string();
         Some(Self { name, path: path.to_path_buf(), is_dir: true, unusable: None })
     }
 
-    /// A file by its path; `None` if its name is not UTF-8.
+    /// Describes a file by its path; `None` if its name is not UTF-8.
     pub fn file(path: &Path) -> Option<Self> {
         Some(Self { is_dir: false, ..Self::folder(path)? })
     }
 
-    /// Whether it is a file that holds one series, by its extension.
     pub fn is_series(&self) -> bool {
-        let extension = self.stem_and_extension().1;
-        !self.is_dir
-            && self.unusable.is_none()
-            && series_header::EXTENSIONS.contains(&extension.as_str())
+        !self.is_dir && self.unusable.is_none() && self.has_series_name()
+    }
+
+    pub fn has_series_name(&self) -> bool {
+        SERIES.contains(&self.stem_and_extension().1.as_str())
     }
 
     /// The name without its extension, and the extension in lower case.
@@ -81,14 +84,20 @@ impl Listed {
         }
     }
 
-    /// Hidden things belong to somebody else: an editor, the desktop, an unfinished write.
+    /// Whether the name begins with a dot, like the files of editors or unfinished writes.
     pub fn is_hidden(&self) -> bool {
         self.name.starts_with('.')
     }
 }
 
-/// The things in a folder, sorted by name; links are followed. One that is neither a file nor a folder, or
-/// a link to nothing, is listed as [`Listed::unusable`].
+/// The number at the end of a name, such as 3 for `trial3`; `None` if the name does not end with one.
+pub(crate) fn number_in(name: &str) -> Option<u32> {
+    let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
+    name[stem.len()..].parse().ok()
+}
+
+/// The items in a folder, sorted by name; links are followed. [`Listed::unusable`] is set for
+/// broken links, and for items that are neither files nor folders.
 ///
 /// # Errors
 /// If the folder cannot be read, is a file, or holds a name that is not UTF-8.
@@ -117,13 +126,10 @@ pub(crate) fn list(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
     Ok(listed)
 }
 
-/// Message for a pipe, a socket or a device, whose data may never end.
+/// The message for a pipe, a socket or a device, which are never read since their data may not end.
 const SPECIAL: &str = "not used, it is neither a file nor a folder";
 
-/// Opens a regular file, and gives its length; anything else is refused at once.
-///
-/// # Errors
-/// If it cannot be opened or is no regular file.
+/// Opens a regular file, and returns its length in bytes. Refuses folders, pipes and devices.
 pub(crate) fn open(path: &Path) -> io::Result<(File, u64)> {
     let file = open_at_once(path)?;
     let about = file.metadata()?;
@@ -134,15 +140,12 @@ pub(crate) fn open(path: &Path) -> io::Result<(File, u64)> {
     Ok((file, about.len()))
 }
 
-/// The bytes of a regular file of at most `most` bytes that must not be empty.
-///
-/// # Errors
-/// If it cannot be read, is no regular file, is empty or larger.
+/// Reads a regular file. Refuses an empty file, and a file of more than `most` bytes.
 pub(crate) fn read_bytes(path: &Path, most: u64) -> Result<Vec<u8>, LibraryError> {
     let fail = |error| LibraryError::io(path, error);
     let (file, length) = open(path).map_err(fail)?;
     let mut bytes = Vec::with_capacity(length.min(most) as usize);
-    // The file may grow while it is read.
+    // The limit holds even if the file grows while it is read.
     file.take(most + 1).read_to_end(&mut bytes).map_err(fail)?;
     match bytes.len() as u64 {
         0 => Err(LibraryError::file(path, EMPTY_FILE)),
@@ -157,13 +160,22 @@ pub(crate) fn read_bytes(path: &Path, most: u64) -> Result<Vec<u8>, LibraryError
     }
 }
 
-/// Message for a file of zero bytes.
 pub(super) const EMPTY_FILE: &str = "the file is empty (0 bytes); record again, or remove it";
 
-/// The text of a description; `None` if there is no such file, empty if the file is empty.
-///
-/// # Errors
-/// If it cannot be read, is no regular file, is larger than 1 MiB or is not UTF-8.
+/// The error message for a file that is too long for a trial; `None` if the file is short enough.
+pub(super) fn too_long(Outline { rate_hz, channels, frames }: Outline) -> Option<String> {
+    let samples = frames.saturating_mul(channels);
+    (samples > Series::MOST_SAMPLES).then(|| {
+        format!(
+            "{:.0} minutes are too long for a trial: {samples} samples, but at most {} are read; \
+             cut the recording into trials",
+            frames as f64 / rate_hz.max(1.0) / 60.0,
+            Series::MOST_SAMPLES,
+        )
+    })
+}
+
+/// The text of a `trial.toml` or `library.toml`; `None` if there is no such file.
 pub(crate) fn read_text_if_there(path: &Path) -> Result<Option<String>, LibraryError> {
     match std::fs::metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -175,6 +187,25 @@ pub(crate) fn read_text_if_there(path: &Path) -> Result<Option<String>, LibraryE
         let line = 1 + good.iter().filter(|&&byte| byte == b'\n').count();
         LibraryError::file(path, format!("line {line}: not UTF-8; save the file as UTF-8"))
     })
+}
+
+/// A hash that changes if one of the files changes ([`file_stamp`]); `None` if one is missing.
+pub(crate) fn stamp<'a>(
+    sources: impl Iterator<Item = (&'a SourceId, &'a [PathBuf])>,
+) -> Option<u64> {
+    let mut parts: Vec<Vec<u8>> = Vec::new();
+    for (id, paths) in sources {
+        parts.push(id.as_str().as_bytes().to_vec());
+        for path in paths {
+            parts.push(file_stamp(path)?);
+        }
+    }
+    Some(seed::stable_hash(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>()))
+}
+
+/// A hash that identifies the running program; it changes when the program is built anew.
+pub(crate) fn program_stamp() -> Option<u64> {
+    Some(seed::stable_hash(&[&file_stamp(&std::env::current_exe().ok()?)?]))
 }
 
 #[cfg(all(test, unix))]
@@ -216,36 +247,17 @@ mod tests {
         std::fs::write(&paths[0], [1; 10]).unwrap();
         let (before, at) = (stamp(), std::fs::metadata(&paths[0]).unwrap().modified().unwrap());
         assert_eq!(stamp(), before);
-        // Longer than one tick of a file system's clock.
+        // Waits longer than one tick of a file system's clock.
         std::thread::sleep(std::time::Duration::from_millis(50));
         std::fs::write(&paths[0], [2; 10]).unwrap();
         std::fs::File::options().write(true).open(&paths[0]).unwrap().set_modified(at).unwrap();
         let edited = stamp();
         assert_ne!(edited, before);
-        // Another file in its place.
+        // Replaces the file by another one with the same size and time of change.
         let other = folder.path().join("other.wav");
         std::fs::write(&other, [3; 10]).unwrap();
         std::fs::File::options().write(true).open(&other).unwrap().set_modified(at).unwrap();
         std::fs::rename(&other, &paths[0]).unwrap();
         assert_ne!(stamp(), edited);
     }
-}
-
-/// A number for what files hold, by [`file_stamp`], source by source; `None` if one of them is not there.
-pub(crate) fn stamp<'a>(
-    sources: impl Iterator<Item = (&'a SourceId, &'a [PathBuf])>,
-) -> Option<u64> {
-    let mut parts: Vec<Vec<u8>> = Vec::new();
-    for (id, paths) in sources {
-        parts.push(id.as_str().as_bytes().to_vec());
-        for path in paths {
-            parts.push(file_stamp(path)?);
-        }
-    }
-    Some(seed::stable_hash(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>()))
-}
-
-/// A hash that identifies the running program: another one after it is built or installed anew.
-pub(crate) fn program_stamp() -> Option<u64> {
-    Some(seed::stable_hash(&[&file_stamp(&std::env::current_exe().ok()?)?]))
 }

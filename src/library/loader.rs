@@ -1,38 +1,35 @@
-//! Trials in files: their headers are read and checked against each other when the library is opened
-//! (rates, channels), their samples when they are needed.
+//! Trials stored in files. Opening a library reads only the headers of the files, and checks rates
+//! and channels. Samples are read when a trial is loaded.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::series_file;
-use super::series_header::Header;
-use super::{LibraryError, LoadTrial, Outline, Outlines, files, picture, text};
+use super::{LibraryError, LoadTrial, Outline, Outlines, files, picture, series_file, text};
+use crate::printable::counted;
 use crate::scene::{Declared, Domain, SourceId, SourceSpec};
 use crate::trial::{Series, Signal, SignalError, Trial, TrialKey};
 
-/// The files of one source of one trial.
 #[derive(Debug)]
 pub(crate) enum SourceFiles {
-    /// One WAV or FLAC file, what its header said, and whether its two channels become one.
+    /// One WAV or FLAC file, its header, and whether its two channels are mixed into one.
     Series {
         path: PathBuf,
-        header: Header,
+        header: Outline,
         mixed: bool,
     },
     Picture(PathBuf),
-    /// One text file a channel.
+    /// One text file for each channel.
     Columns {
         paths: Vec<PathBuf>,
         rate_hz: f64,
     },
 }
 
-/// Reads one trial from its files.
 #[derive(Debug)]
 pub(crate) struct FileTrial {
     pub key: TrialKey,
     pub sources: BTreeMap<SourceId, SourceFiles>,
-    /// The trial's own folder; `None` for files without one.
+    /// The folder that holds only this trial; `None` if there is no such folder.
     pub folder: Option<PathBuf>,
 }
 
@@ -81,10 +78,8 @@ impl SourceFiles {
 
     fn outline(&self) -> Result<Option<Outline>, LibraryError> {
         Ok(match self {
-            Self::Series { header: Header { rate_hz, channels, frames }, mixed, .. } => {
-                let channels = if *mixed { 1 } else { *channels };
-                Some(Outline { rate_hz: *rate_hz, channels, frames: *frames })
-            }
+            Self::Series { header, mixed: true, .. } => Some(Outline { channels: 1, ..*header }),
+            Self::Series { header, .. } => Some(*header),
             Self::Picture(_) => None,
             Self::Columns { paths, rate_hz } => {
                 let frames = text::frames(paths)?;
@@ -105,9 +100,8 @@ impl SourceFiles {
                 if !mixed {
                     return Ok(Signal::Series(series));
                 }
-                mixed_down(&series)
-                    .map_err(|error| LibraryError::Signal { path: path.clone(), error })
-                    .map(Signal::Series)
+                let mixed = mixed_down(&series);
+                mixed.map(Signal::Series).map_err(|error| LibraryError::file(path, error))
             }
             Self::Picture(path) => picture::read(path).map(Signal::Image),
             Self::Columns { paths, rate_hz } => {
@@ -119,7 +113,7 @@ impl SourceFiles {
     }
 }
 
-/// Refuses samples whose squares may overflow f32, which would spoil every mean over a library.
+/// Refuses samples beyond ±1e18: their squares may overflow f32 and spoil means over the library.
 fn plausible(path: &Path, series: &Series) -> Result<(), LibraryError> {
     const MOST: f32 = 1e18;
     let Some(at) = series.samples().iter().position(|x| x.abs() > MOST) else { return Ok(()) };
@@ -132,29 +126,29 @@ fn plausible(path: &Path, series: &Series) -> Result<(), LibraryError> {
     Err(LibraryError::file(path, problem))
 }
 
-/// The mean of all channels.
 fn mixed_down(series: &Series) -> Result<Series, SignalError> {
     let channels = series.channels();
     let mean = |frame: &[f32]| frame.iter().sum::<f32>() / channels as f32;
     Series::new(series.rate_hz(), 1, series.samples().chunks_exact(channels).map(mean).collect())
 }
 
-/// Checks, while a library is opened, that headers have the channels and rates described.
+/// Checks the headers of a library's WAV and FLAC files against the described channels and rates.
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
     first: BTreeMap<SourceId, (f64, PathBuf)>,
-    /// The lowest rate in Hz of each source with files whose rate is too low for its default band.
+    /// For each source: the lowest rate of a file, in Hz, that is too low for the default band.
     pub lowest_hz: BTreeMap<SourceId, f64>,
-    remarks: Vec<(PathBuf, String)>,
+    /// Remarks on files that are unusual but still used, in the order of reading.
+    pub remarks: Vec<(PathBuf, String)>,
 }
 
 impl Headers {
-    /// A WAV or FLAC file as the data of a source. `declared` is what the library's own description
-    /// asks for.
+    /// Checks that a WAV or FLAC file can be the data of a source. `declared` says which keys
+    /// `library.toml` sets for the source.
     ///
     /// # Errors
-    /// If the source is an image, if the file cannot be read, if its channels are not those
-    /// expected, or if its rate is not the one declared or too low for the band declared.
+    /// If the source is an image, the file cannot be read, or its channels or rate differ from the
+    /// expected ones, or if its rate is too low for the declared band.
     pub fn series(
         &mut self,
         spec: &SourceSpec,
@@ -164,11 +158,7 @@ impl Headers {
         let id = &spec.id;
         let fail = |problem| Err(LibraryError::file(path, problem));
         if spec.domain == Domain::Image {
-            let kind = if path.extension().is_some_and(|ext| ext.eq_ignore_ascii_case("flac")) {
-                "FLAC"
-            } else {
-                "WAV"
-            };
+            let kind = if series_file::is_flac(path) { "FLAC" } else { "WAV" };
             return fail(format!(
                 "a {kind} file, but source `{id}` is an image; expected {id}.png or {id}.jpg"
             ));
@@ -184,9 +174,9 @@ impl Headers {
         let mixed = (header.channels, spec.channels) == (2, 1);
         if header.channels != spec.channels && !mixed {
             return fail(format!(
-                "{}, but source `{id}` has {}; expected one channel a column: record again, or \
+                "{}, but source `{id}` has {}; expected one channel for each column: record again, or \
                  say in library.toml: [sources.{id}] channels = {}",
-                channels(header.channels),
+                counted(header.channels, "channel"),
                 spec.channels,
                 header.channels,
             ));
@@ -204,8 +194,8 @@ impl Headers {
         Ok(SourceFiles::Series { path: path.to_path_buf(), header, mixed })
     }
 
-    /// Notes what is unusual about a file that is used all the same.
-    fn remark(&mut self, spec: &SourceSpec, header: Header, mixed: bool, path: &Path) {
+    /// Adds a remark if a file is stereo, or if its rate differs from the source's first file.
+    fn remark(&mut self, spec: &SourceSpec, header: Outline, mixed: bool, path: &Path) {
         let id = &spec.id;
         if mixed {
             let what = format!("stereo, mixed down to the one channel of source `{id}`");
@@ -223,14 +213,25 @@ impl Headers {
             self.remarks.push((path.to_path_buf(), what));
         }
     }
-
-    /// Remarks on unusual files that are used all the same, in the order of the files.
-    pub fn remarks(&mut self) -> Vec<(PathBuf, String)> {
-        std::mem::take(&mut self.remarks)
-    }
 }
 
-/// "1 channel", "2 channels".
-pub(crate) fn channels(count: usize) -> String {
-    if count == 1 { "1 channel".into() } else { format!("{count} channels") }
+/// The number of files with the same remark, and the first of them; the remark is shown once.
+pub(crate) struct Seen {
+    count: usize,
+    first: String,
+}
+
+impl Seen {
+    /// Notes that the remark `what` also applies to the file called `place`.
+    pub fn count(all: &mut BTreeMap<String, Self>, what: String, place: String) {
+        all.entry(what).or_insert(Self { count: 0, first: place }).count += 1;
+    }
+
+    /// The text of the remark: the first file, the number of further files, and `what`.
+    pub fn say(&self, what: &str) -> String {
+        match self.count {
+            1 => format!("{}: {what}", self.first),
+            count => format!("{} and {} more: {what}", self.first, count - 1),
+        }
+    }
 }

@@ -1,19 +1,19 @@
-//! Recordings without trial folders, as people have them: `oak/scan 1.wav`, `oak/scan 2.wav`, …
+//! Recordings that lie in no trial folder, such as `oak/scan 1.wav`, `oak/scan 2.wav`, …
 //!
 //! Each file holds one source of a trial. A name that begins with the name of a source, such as
 //! `mi2_03.wav`, selects that source. Any other file holds the only source that `library.toml`
-//! describes, or else the sound of a drag. The number at the end of the name is the trial's, if
-//! every name ends with one and no source has a number twice; else files are counted in order of
-//! their names. Files of one surface and number are one trial.
+//! describes, or the sound of a drag if it describes none or several. The trial's number is the one at
+//! the end of the name, if every name ends with a number and no source has a number twice. If not, the
+//! files are numbered in the order of their names. Files of one surface and number form one trial.
 
 use std::collections::BTreeSet;
 
+use super::files::number_in;
 use crate::scene::{Scene, SourceId};
 
-/// The source of a file if neither its name nor `library.toml` selects another.
+/// The default source of a file, if neither the file's name nor `library.toml` selects another.
 const USUAL: &str = "mi2";
 
-/// The source and trial number of one file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FilePlace {
     pub source: SourceId,
@@ -22,7 +22,7 @@ pub(super) struct FilePlace {
     pub guessed: bool,
 }
 
-/// Sources and numbers of the files called `names` (without extension), in this order. `only` is
+/// The source and the trial number of each file in `names` (without extension), in order. `only` is
 /// the only source that `library.toml` describes; numbers in `taken` belong to other trials.
 pub(super) fn places(
     names: &[&str],
@@ -39,13 +39,13 @@ pub(super) fn places(
     numbers.into_iter().enumerate().map(place).collect()
 }
 
-/// The remark on files that were read as `source` because their names select none.
+/// The remark on files that were read as `source`, since their names begin with no source's name.
 pub(super) fn remark(source: &SourceId) -> String {
     let what = if source.as_str() == USUAL { "sound of a drag" } else { "the source" };
     format!("read as {what} (`{source}`); begin the file name with another source to change that")
 }
 
-/// The source with the longest name that starts `name` and is not followed by a letter or digit.
+/// The source that `name` begins with, if no letter or digit follows; of several, the longest.
 fn source_of(name: &str, scene: &Scene) -> Option<SourceId> {
     let begins = |id: &str| {
         let rest = name.strip_prefix(id)?;
@@ -56,11 +56,7 @@ fn source_of(name: &str, scene: &Scene) -> Option<SourceId> {
 }
 
 fn numbers(names: &[&str], source: &dyn Fn(usize) -> SourceId, taken: &[u32]) -> Vec<u32> {
-    let suffix = |name: &&str| {
-        let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
-        name[stem.len()..].parse::<u32>().ok()
-    };
-    let all: Option<Vec<u32>> = names.iter().map(suffix).collect();
+    let all: Option<Vec<u32>> = names.iter().map(|name| number_in(name)).collect();
     if let Some(numbers) = all {
         let own: BTreeSet<_> = numbers.iter().enumerate().map(|(i, n)| (source(i), *n)).collect();
         if own.len() == names.len() && numbers.iter().all(|number| !taken.contains(number)) {

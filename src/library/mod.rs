@@ -1,17 +1,15 @@
-//! A library: labelled trials to compare with, loaded when they are needed.
+//! A library: labelled trials that scans are compared with. Trials are read when they are needed.
+
+#![allow(missing_docs)] // Names that say everything need no comment.
 
 mod about;
-pub(crate) mod audit;
 pub mod cache;
 pub(crate) mod files;
-mod flac;
 pub(crate) mod loader;
 mod loose;
 mod picture;
 pub mod recording;
-pub(crate) mod seen;
 pub(crate) mod series_file;
-pub(crate) mod series_header;
 mod text;
 mod wav;
 
@@ -23,83 +21,43 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::scene::{Scene, SceneError, SourceId};
-use crate::trial::{Signal, SignalError, Trial, TrialKey};
+use rayon::prelude::*;
 
-/// Why a trial or a library cannot be read or written.
+use crate::scene::{Scene, SourceId};
+use crate::trial::{Signal, Trial, TrialKey};
+
 #[derive(Debug, thiserror::Error)]
 pub enum LibraryError {
-    /// the file system refused
-    #[error("{}: {error}", path.display())]
-    Io {
-        /// the file or folder
-        path: PathBuf,
-        /// its error
-        error: std::io::Error,
-    },
-    /// a file that does not hold what it should
+    /// a file or folder that cannot be read, or does not hold what it should
     #[error("{}: {problem}", path.display())]
     File {
-        /// the file
         path: PathBuf,
         /// what is wrong, what was expected, what to do
         problem: String,
     },
-    /// a file whose data cannot be a signal
-    #[error("{}: {error}", path.display())]
-    Signal {
-        /// the file
-        path: PathBuf,
-        /// what is wrong with the data
-        error: SignalError,
-    },
-    /// a description of sources that cannot be used
-    #[error("{}: {error}", path.display())]
-    Scene {
-        /// the file
-        path: PathBuf,
-        /// what is wrong with it
-        error: Box<SceneError>,
-    },
-    /// several files that cannot be used
     #[error("{}", list(.0))]
     Several(Vec<LibraryError>),
-    /// a folder without recordings
-    #[error("{}: {problem}", path.display())]
-    NothingFound {
-        /// the folder
-        path: PathBuf,
-        /// what was looked for, and what to do
-        problem: String,
-    },
 }
 
-/// The size of a series, known before its samples are read.
+/// Rate, channels and length of a series, known before its samples are read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outline {
-    /// Frames a second.
     pub rate_hz: f64,
-    /// Samples a frame.
+    /// Number of samples in a frame.
     pub channels: usize,
-    /// Length in frames.
     pub frames: usize,
 }
 
-/// The outline of each series among the sources of a trial.
+/// The [`Outline`] (rate, channels, length) of each source of a trial that is a series.
 pub type Outlines = BTreeMap<SourceId, Outline>;
 
-impl Outline {
-    /// The outline of a signal; `None` for a picture.
-    fn of(signal: &Signal) -> Option<Self> {
+fn outlines_of(trial: &Trial) -> Outlines {
+    let outline = |(id, signal): (&SourceId, &Signal)| {
         let Signal::Series(series) = signal else { return None };
         let (rate_hz, channels) = (series.rate_hz(), series.channels());
-        Some(Self { rate_hz, channels, frames: series.frames() })
-    }
-
-    fn all(trial: &Trial) -> Outlines {
-        let outline = |(id, signal): (&SourceId, _)| Some((id.clone(), Self::of(signal)?));
-        trial.signals.iter().filter_map(outline).collect()
-    }
+        Some((id.clone(), Outline { rate_hz, channels, frames: series.frames() }))
+    };
+    trial.signals.iter().filter_map(outline).collect()
 }
 
 /// All errors as one text: their count, then one line each.
@@ -109,19 +67,15 @@ fn list(errors: &[LibraryError]) -> String {
 }
 
 impl LibraryError {
-    /// The file or folder that the error is about; `None` for errors of several files.
+    /// The file or folder with the problem; `None` for an error that combines several.
     pub(crate) fn path(&self) -> Option<&Path> {
         match self {
-            Self::Io { path, .. }
-            | Self::File { path, .. }
-            | Self::Signal { path, .. }
-            | Self::Scene { path, .. }
-            | Self::NothingFound { path, .. } => Some(path),
+            Self::File { path, .. } => Some(path),
             Self::Several(_) => None,
         }
     }
 
-    /// Turns errors of several files into one; `None` if there are none.
+    /// Combines errors into one; `None` if `errors` is empty.
     pub fn of_all(mut errors: Vec<Self>) -> Option<Self> {
         match errors.len() {
             0 | 1 => errors.pop(),
@@ -133,17 +87,16 @@ impl LibraryError {
 /// The usable part of a library, and the reasons why other parts cannot be used.
 #[derive(Debug)]
 pub struct Opened {
-    /// The part that can be used.
     pub library: Library,
     /// One error for each file or trial that cannot be used.
     pub bad: Vec<LibraryError>,
 }
 
 impl Opened {
-    /// The library, if all of it can be used.
+    /// The library, if all of its files can be used.
     ///
     /// # Errors
-    /// All errors at once, if any file or trial cannot be used.
+    /// If any file or trial cannot be used. The error lists them all.
     pub fn whole(self) -> Result<Library, LibraryError> {
         LibraryError::of_all(self.bad).map_or(Ok(self.library), Err)
     }
@@ -154,10 +107,10 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
     /// Reads the `wanted` sources of the trial; sources that the trial lacks are skipped.
     ///
     /// # Errors
-    /// If one of them cannot be read.
+    /// If one of the sources cannot be read.
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError>;
 
-    /// The outlines of the `wanted` sources; `None` if they cost no less than reading the trial.
+    /// The [`Outline`] of each `wanted` series; `None` if only reading the trial can tell.
     ///
     /// # Errors
     /// If a file cannot be read.
@@ -165,13 +118,13 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
         Ok(None)
     }
 
-    /// A number that changes whenever the data of the `wanted` sources change; `None` if that
-    /// cannot be known without reading them.
+    /// A number that changes whenever the data of the `wanted` sources change. `None` if only
+    /// reading the data would tell.
     fn stamp(&self, _wanted: &[SourceId]) -> Option<u64> {
         None
     }
 
-    /// The paths that hold the trial and nothing else: its folder, or its files.
+    /// The paths that hold only this trial: its folder, or its files.
     fn places(&self) -> Vec<&Path> {
         Vec::new()
     }
@@ -180,7 +133,7 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
 #[derive(Debug)]
 struct InMemory {
     trial: Arc<Trial>,
-    /// The entry that the trial was read from, if any.
+    /// The entry that `trial` was read from; `None` if it was made in memory.
     from: Option<Entry>,
 }
 
@@ -200,7 +153,7 @@ impl LoadTrial for InMemory {
     }
 }
 
-/// An entry whose trial is changed after each load, for example cut short.
+/// A loader that loads the trial of `entry` and then changes it, for example cuts it short.
 struct Changed<F> {
     entry: Entry,
     change: F,
@@ -221,15 +174,14 @@ impl<F: Fn(Trial) -> Trial + Send + Sync> LoadTrial for Changed<F> {
 /// One trial of a library: known by name, loaded on demand.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    /// Its surface, user and number.
     pub key: TrialKey,
-    /// Its sources, sorted by name.
+    /// The trial's sources, sorted by name.
     pub sources: Vec<SourceId>,
     loader: Arc<dyn LoadTrial>,
 }
 
 impl Entry {
-    /// An entry whose trial `loader` will read.
+    /// An entry of a library, whose trial `loader` reads on demand.
     pub fn new(key: TrialKey, mut sources: Vec<SourceId>, loader: Arc<dyn LoadTrial>) -> Self {
         sources.sort();
         Self { key, sources, loader }
@@ -242,20 +194,20 @@ impl Entry {
         Self { key: trial.key.clone(), sources, loader: Arc::new(InMemory { trial, from: None }) }
     }
 
-    /// This entry with its trial held in memory; `trial` is what the entry has loaded.
+    /// This entry with its loaded `trial` kept in memory, so that no file is read again.
     pub(crate) fn held(self, trial: Arc<Trial>) -> Self {
         let (key, sources) = (self.key.clone(), self.sources.clone());
         Self { key, sources, loader: Arc::new(InMemory { trial, from: Some(self) }) }
     }
 
-    /// The trial's name in `surfaced library`: `SURFACE/TRIAL`, or its first file
-    /// `SURFACE/FILE.wav` if it has no folder; label, user and number if it is not on disk.
+    /// The trial's name for commands: its folder `SURFACE/TRIAL`, or its first file
+    /// `SURFACE/FILE.wav` if it has no folder. If it is not on disk: label, user and number.
     pub(crate) fn name_in(&self, library: &Path) -> String {
         let first = self.places().first().map(|place| files::name_within(library, place));
         first.unwrap_or_else(|| self.key.to_string())
     }
 
-    /// This entry with only those of its sources that `scene` describes; no others are read.
+    /// Drops the sources that `scene` does not describe from this entry; they are never read.
     pub fn within(mut self, scene: &Scene) -> Self {
         self.sources.retain(|id| scene.get(id.as_str()).is_some());
         self
@@ -267,13 +219,12 @@ impl Entry {
         Self { key, sources, loader: Arc::new(Changed { entry: self, change }) }
     }
 
-    /// This entry under another name.
     pub(crate) fn renamed(self, key: TrialKey) -> Self {
         let is = key.clone();
         Self { key, ..self.changed(move |trial| Trial { key: is.clone(), ..trial }) }
     }
 
-    /// This entry, reduced to one of its sources.
+    /// A copy of this entry with `source` as its only source.
     pub(crate) fn with_only(&self, source: &SourceId) -> Self {
         Self { sources: vec![source.clone()], ..self.clone() }
     }
@@ -286,29 +237,28 @@ impl Entry {
         self.loader.load(&self.sources)
     }
 
-    /// The outline of each source that is a series.
+    /// The [`Outline`] (rate, channels, length) of each source that is a series.
     ///
     /// # Errors
     /// If a file cannot be read.
     pub fn outlines(&self) -> Result<Outlines, LibraryError> {
         match self.loader.outlines(&self.sources)? {
             Some(outlines) => Ok(outlines),
-            None => Ok(Outline::all(&self.load()?)),
+            None => Ok(outlines_of(&self.load()?)),
         }
     }
 
-    /// A number that changes whenever the trial's data change, if known without reading them.
+    /// A number that changes whenever the trial's data change; `None` if only loading can tell.
     pub fn stamp(&self) -> Option<u64> {
         self.loader.stamp(&self.sources)
     }
 
-    /// The paths that hold the trial and nothing else, sorted: its folder, or its files if it has
-    /// no folder of its own. Empty for a trial that is not on disk.
+    /// The paths that hold only this trial, sorted: its folder, or its files if the trial has no
+    /// folder. Empty for a trial that is not on disk.
     pub fn places(&self) -> Vec<&Path> {
         self.loader.places()
     }
 
-    /// The trial's name in a cache.
     pub(crate) fn cache_name(&self) -> String {
         let TrialKey { surface, user, number } = &self.key;
         format!("{surface}\n{user}\n{number}")
@@ -318,24 +268,42 @@ impl Entry {
 /// Labelled trials, and the description of their sources.
 #[derive(Clone, Debug)]
 pub struct Library {
-    /// Its name, for people.
     pub name: String,
-    /// The sources: the defaults, and those described in the library itself.
+    /// Descriptions of the sources: the default ones, and those in the library's `library.toml`.
     pub scene: Scene,
     /// The trials, sorted by key.
     pub entries: Vec<Entry>,
-    /// Whether a generator made the trials; then every report of their numbers says so.
+    /// Whether a program generated the trials. Reports of results on such trials say so.
     pub synthetic: bool,
     /// Remarks on what was missing or skipped when the library was opened, one line each.
     pub remarks: Vec<String>,
 }
 
 impl Library {
-    /// The surfaces, sorted.
     pub fn surfaces(&self) -> Vec<&str> {
         let mut surfaces: Vec<_> = self.entries.iter().map(|e| e.key.surface.as_str()).collect();
         surfaces.sort_unstable();
         surfaces.dedup();
         surfaces
     }
+}
+
+#[derive(Debug)]
+pub(crate) struct Unreadable {
+    /// Index of the trial in the library's `entries`.
+    pub entry: usize,
+    pub source: SourceId,
+    pub error: LibraryError,
+}
+
+/// Reads every source of every trial, and returns the sources that cannot be read, in trial order.
+pub(crate) fn unreadable(entries: &[Entry]) -> Vec<Unreadable> {
+    let of_entry = |(at, entry): (usize, &Entry)| {
+        let read = |source: &SourceId| {
+            let error = entry.with_only(source).load().err()?;
+            Some(Unreadable { entry: at, source: source.clone(), error })
+        };
+        entry.sources.iter().filter_map(read).collect::<Vec<_>>()
+    };
+    entries.par_iter().enumerate().flat_map_iter(of_entry).collect()
 }

@@ -2,44 +2,35 @@
 //!
 //! ```text
 //! LIBRARY/
-//!   library.toml                 optional: name, synthetic, sources that the defaults do not know
+//!   library.toml                 optional: name, synthetic, sources beyond the default ones
 //!   SURFACE/TRIAL/
 //!     trial.toml                 optional: see [`About`]
-//!     mi2.wav  ac.wav  …         one WAV or FLAC a source
+//!     mi2.wav  ac.wav  …         one WAV or FLAC for each source
 //!     ca1.png or ca1.jpg
-//!   SURFACE/NAME.wav             without trial folders: each file is a trial
+//!   SURFACE/NAME.wav             a file outside a trial folder: see module `loose`
 //! ```
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::files::{self, Listed};
-use super::loader::{FileTrial, Headers, SourceFiles, channels};
-use super::seen::Seen;
-use super::{About, Entry, Library, LibraryError, Opened, loose, series_file, series_header};
+use super::files::{self, Listed, number_in};
+use super::loader::{FileTrial, Headers, Seen, SourceFiles};
+use super::{About, Entry, Library, LibraryError, Opened, loose, series_file};
+use crate::printable::counted;
 use crate::scene::{Declared, Domain, LibraryToml, Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey, UNLABELLED, normal};
 
-/// Name of the file that describes a library.
 pub(crate) const DESCRIPTION: &str = "library.toml";
 
-/// Suffix of the name of a folder into which a trial is still being written.
+/// Suffix of a trial's folder while the trial is still being written.
 pub(crate) const UNFINISHED: &str = ".unfinished";
 
-/// Opens a library in the recording format; data are read when an entry is loaded.
+/// Opens a library in the recording format. Samples are read when an entry is loaded.
 ///
-/// The sources are those of `defaults` and those that `library.toml` describes; the latter win.
-/// [`Library::remarks`] says which files were skipped.
-///
-/// # Errors
-/// If nothing is found; or all at once for folders and headers that cannot be read, a wrong
-/// `library.toml` or `trial.toml`, and files without the expected channels or rate.
-pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
-    open_usable(path, defaults)?.whole()
-}
-
-/// Opens a library like [`open`], but lists files and trials that cannot be used beside it.
+/// The sources are those of `defaults` and of `library.toml`; `library.toml` wins if both describe
+/// a source. [`Library::remarks`] names the skipped files; [`Opened::bad`] lists the files and
+/// trials that cannot be used.
 ///
 /// # Errors
 /// If the folder cannot be read, `library.toml` is wrong, or nothing can be used.
@@ -47,10 +38,7 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
     something(path, open_part(path, path, defaults)?)
 }
 
-/// Like [`open_usable`], with the `library.toml` of `described_in`; `path` may hold no trials.
-///
-/// # Errors
-/// If the folder cannot be read, or `library.toml` is wrong.
+/// Like [`open_usable`], but uses the `library.toml` in `described_in`, and may find no trials.
 pub(crate) fn open_part(
     path: &Path,
     described_in: &Path,
@@ -72,7 +60,7 @@ pub(crate) fn open_part(
     Ok(opening.library())
 }
 
-/// Passes on a library that has trials, and turns one without into an error.
+/// Returns the library if it has trials, and otherwise an error that says why it has none.
 fn something(path: &Path, opened: Opened) -> Result<Opened, LibraryError> {
     if !opened.library.entries.is_empty() {
         return Ok(opened);
@@ -82,7 +70,7 @@ fn something(path: &Path, opened: Opened) -> Result<Opened, LibraryError> {
     Err(LibraryError::of_all(bad).unwrap_or_else(nothing))
 }
 
-/// Opens a single WAV or FLAC file as a library of one unlabelled trial; errors as in [`open`].
+/// Opens a single WAV or FLAC file as a library of one trial without a label.
 pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
     let path = path.canonicalize().map_err(|error| LibraryError::io(path, error))?;
     let (Some(folder), Some(item)) = (path.parent(), Listed::file(&path)) else {
@@ -94,10 +82,7 @@ pub(crate) fn open_file(path: &Path, defaults: &Scene) -> Result<Opened, Library
     something(folder, opening.library())
 }
 
-/// Opens the trial `LIBRARY/SURFACE/TRIAL` as a library of one; `LIBRARY/library.toml` applies.
-///
-/// # Errors
-/// As [`open`].
+/// Opens `LIBRARY/SURFACE/TRIAL` as a library of one trial, described by `LIBRARY/library.toml`.
 pub(crate) fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
     let folder = folder.canonicalize().map_err(|error| LibraryError::io(folder, error))?;
     let (Some(surface), Some(item)) = (folder.parent(), Listed::folder(&folder)) else {
@@ -110,7 +95,7 @@ pub(crate) fn open_trial(folder: &Path, defaults: &Scene) -> Result<Library, Lib
     something(root, opening.library())?.whole()
 }
 
-/// An entry whose data lie in files; `folder` is the trial's own folder, if it has one.
+/// A library entry for a trial in `files`; `folder` is the trial's own folder, if it has one.
 pub(crate) fn entry(
     key: TrialKey,
     files: BTreeMap<SourceId, SourceFiles>,
@@ -127,11 +112,8 @@ fn nothing_found(path: &Path, scene: &Scene, remarks: &[String]) -> LibraryError
          <source> is one of {known}, for SURFACE/*.wav and *.wav, and for the LMT108 database (a folder that holds SoundScans/ or \
          AccelScansComponents/); name the folder that holds the surfaces' folders"
     );
-    for remark in remarks {
-        problem.push_str("\n  ");
-        problem.push_str(remark);
-    }
-    LibraryError::NothingFound { path: path.to_path_buf(), problem }
+    remarks.iter().for_each(|remark| problem += &format!("\n  {remark}"));
+    LibraryError::file(path, problem)
 }
 
 struct RecordingOpening<'a> {
@@ -141,7 +123,7 @@ struct RecordingOpening<'a> {
     declared: BTreeMap<SourceId, Declared>,
     /// The sources that `library.toml` describes.
     own: Vec<SourceId>,
-    /// Those of them whose channels nobody has told, until the first recording does.
+    /// Sources without a described number of channels; their first recording gives it.
     unknown: BTreeSet<SourceId>,
     synthetic: bool,
     headers: Headers,
@@ -169,7 +151,7 @@ impl<'a> RecordingOpening<'a> {
         let described = described_in.join(DESCRIPTION);
         if let Some(text) = files::read_text_if_there(&described)? {
             let described = LibraryToml::parse(&text, &opening.scene)
-                .map_err(|error| LibraryError::Scene { path: described, error: Box::new(error) })?;
+                .map_err(|error| LibraryError::file(&described, error))?;
             opening.synthetic = described.synthetic;
             opening.declared = described.declared;
             opening.name.clone_from(&described.sources.name);
@@ -185,7 +167,7 @@ impl<'a> RecordingOpening<'a> {
     }
 
     fn library(mut self) -> Opened {
-        for (path, what) in self.headers.remarks() {
+        for (path, what) in std::mem::take(&mut self.headers.remarks) {
             self.pass_over(&path, what);
         }
         let lowest_hz = std::mem::take(&mut self.headers.lowest_hz);
@@ -204,7 +186,7 @@ impl<'a> RecordingOpening<'a> {
             }
         });
         let of = |(key, (path, files)): (TrialKey, (PathBuf, _))| {
-            // The path of a trial of loose files is its first file: no folder is its own.
+            // `path` is the trial's folder or, for files outside a trial folder, the first file.
             let folder = path.is_dir().then_some(path);
             entry(key, files, folder)
         };
@@ -247,7 +229,7 @@ impl<'a> RecordingOpening<'a> {
         self.loose(&normal(&surface.name), &loose);
     }
 
-    /// Adds the files of a surface that lie in no trial folder, by the rules of [`loose`].
+    /// Adds the files that lie directly in a surface's folder, by the rules of [`loose`].
     fn loose(&mut self, surface: &str, files: &[&Listed]) {
         let taken: Vec<u32> = (self.trials.keys())
             .filter(|key| key.surface == surface && key.user == EXPERT)
@@ -316,7 +298,7 @@ impl<'a> RecordingOpening<'a> {
         };
         self.synthetic |= about.synthetic;
         if let Some((other, _)) = self.trials.get(&key) {
-            // This is no error, since another program may be adding trials just now.
+            // Two folders of one trial are no error: another program may be adding trials just now.
             let why = format!(
                 "not used, the same trial ({key}) as {}; remove one, or distinguish them by \
                  `trial = N` or `user = \"…\"` in trial.toml",
@@ -329,7 +311,7 @@ impl<'a> RecordingOpening<'a> {
         Ok(())
     }
 
-    /// Takes the channels of a source of which nobody has told them from its first recording.
+    /// Takes the number of channels of an undescribed source from the source's first recording.
     fn learn(&mut self, id: SourceId, path: &Path) -> Result<(), LibraryError> {
         let header = series_file::probe(path)?;
         if let Some(spec) = self.scene.get_mut(id.as_str()) {
@@ -341,7 +323,7 @@ impl<'a> RecordingOpening<'a> {
             format!(
                 "no source is called `{id}`, so it is taken as a series of {} at {} Hz; \
              [sources.{id}] in {DESCRIPTION} can say more",
-                channels(header.channels),
+                counted(header.channels, "channel"),
                 header.rate_hz
             ),
         );
@@ -349,10 +331,10 @@ impl<'a> RecordingOpening<'a> {
         Ok(())
     }
 
-    /// The source that a file of a trial is, if it is one.
+    /// The source that a file of a trial holds; `None` if the file is not used.
     fn source(&mut self, item: &Listed) -> Result<Option<(SourceId, SourceFiles)>, LibraryError> {
         let (stem, extension) = item.stem_and_extension();
-        let is_series = series_header::EXTENSIONS.contains(&extension.as_str());
+        let is_series = item.has_series_name();
         let picture = matches!(extension.as_str(), "png" | "jpg" | "jpeg");
         if item.is_hidden() || item.is_dir || !(picture || is_series) {
             return Ok(None);
@@ -394,12 +376,6 @@ impl<'a> RecordingOpening<'a> {
         }
         Ok(Some((spec.id.clone(), SourceFiles::Picture(item.path.clone()))))
     }
-}
-
-/// The number of a trial: the digits at the end of its folder's name.
-pub(crate) fn number_in(name: &str) -> Option<u32> {
-    let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
-    name[stem.len()..].parse().ok()
 }
 
 fn number_of(folder: &Listed) -> Result<u32, LibraryError> {

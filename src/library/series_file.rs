@@ -1,28 +1,122 @@
-//! Files that hold one series: WAV or FLAC, by their extension.
+//! Reads WAV files (see [`wav`]) and FLAC files; the extension selects the format. A file must hold
+//! as many samples as its header says.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-use super::series_header::Header;
-use super::{LibraryError, flac, wav};
+use symphonia_bundle_flac::{FlacDecoder, FlacReader};
+use symphonia_core::codecs::CodecParameters;
+use symphonia_core::codecs::audio::{AudioCodecParameters, AudioDecoder, AudioDecoderOptions};
+use symphonia_core::errors::Error;
+use symphonia_core::formats::{FormatOptions, FormatReader};
+use symphonia_core::io::MediaSourceStream;
+
+use super::files::{self, EMPTY_FILE, too_long};
+use super::{LibraryError, Outline, wav};
 use crate::trial::Series;
 
-/// Reads a header and checks, for WAV, that the file is long enough for the samples it promises.
+/// Reads the header of a file. For WAV, also checks that the file is as long as its header says.
 ///
 /// # Errors
 /// If the file cannot be read, is empty, is of another format, holds no samples or more than
 /// [`Series::MOST_SAMPLES`], or, for WAV, is cut short.
-pub(crate) fn probe(path: &Path) -> Result<Header, LibraryError> {
-    if is_flac(path) { flac::probe(path) } else { wav::probe(path) }
+pub(crate) fn probe(path: &Path) -> Result<Outline, LibraryError> {
+    match is_flac(path) {
+        true => guarded(|| open(path).map(|(_, _, header)| header), |why| damaged(path, why)),
+        false => wav::open(path).map(|(_, data)| data.outline()),
+    }
 }
 
-/// Reads a whole file; integers are scaled to ±1, that is value / 2^(bits − 1).
+/// Reads a whole file. Divides integer samples by 2^(bits − 1), so that they lie within ±1.
 ///
 /// # Errors
-/// As [`probe`], if the file is damaged, or if a sample is not finite.
+/// If [`probe`] fails, the file is damaged, or a sample is not finite.
 pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
-    if is_flac(path) { flac::read(path) } else { wav::read(path) }
+    let (header, samples) = match is_flac(path) {
+        true => guarded(|| decode(path), |why| damaged(path, why))?,
+        false => wav::read(path)?,
+    };
+    let series = Series::new(header.rate_hz, header.channels, samples);
+    series.map_err(|error| LibraryError::file(path, error))
 }
 
-fn is_flac(path: &Path) -> bool {
+pub(super) fn is_flac(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("flac"))
+}
+
+/// Runs a decoder. If it panics, as decoders may on damaged files, returns the error `failed`.
+pub(super) fn guarded<T>(
+    work: impl FnOnce() -> Result<T, LibraryError>,
+    failed: impl FnOnce(&str) -> LibraryError,
+) -> Result<T, LibraryError> {
+    // This is safe, since nothing that `work` changes is used after a panic.
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err(failed("the decoder failed")))
+}
+
+fn open(path: &Path) -> Result<(FlacReader<'static>, AudioCodecParameters, Outline), LibraryError> {
+    let (file, size) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
+    if size == 0 {
+        return Err(LibraryError::file(path, EMPTY_FILE));
+    }
+    let stream = MediaSourceStream::new(Box::new(file), Default::default());
+    let reader = FlacReader::try_new(stream, FormatOptions::default())
+        .map_err(|error| damaged(path, &error.to_string()))?;
+    let track = reader.tracks().first();
+    let Some(CodecParameters::Audio(codec)) = track.and_then(|track| track.codec_params.as_ref())
+    else {
+        return Err(damaged(path, "it holds no sound"));
+    };
+    let (codec, frames) = (codec.clone(), track.and_then(|track| track.num_frames).unwrap_or(0));
+    let (Some(rate_hz), Some(channels)) = (codec.sample_rate, codec.channels.as_ref()) else {
+        return Err(damaged(path, "its header says neither rate nor channels"));
+    };
+    let header = Outline {
+        rate_hz: f64::from(rate_hz),
+        channels: channels.count(),
+        frames: frames as usize,
+    };
+    if frames == 0 {
+        return Err(LibraryError::file(
+            path,
+            "its header does not say how long it is; encode it again from a file, for example \
+             with `sox IN.flac OUT.flac`",
+        ));
+    }
+    match too_long(header) {
+        Some(problem) => Err(LibraryError::file(path, problem)),
+        None => Ok((reader, codec, header)),
+    }
+}
+
+fn decode(path: &Path) -> Result<(Outline, Vec<f32>), LibraryError> {
+    let (mut reader, codec, header) = open(path)?;
+    let failed = |error: Error| damaged(path, &error.to_string());
+    let verifying = AudioDecoderOptions::default().verify(true);
+    let mut decoder = FlacDecoder::try_new(&codec, &verifying).map_err(failed)?;
+    let promised = header.frames * header.channels;
+    let (mut samples, mut block) = (Vec::with_capacity(promised), Vec::<i32>::new());
+    while let Some(packet) = reader.next_packet().map_err(failed)? {
+        let decoded = decoder.decode(&packet).map_err(failed)?;
+        decoded.copy_to_vec_interleaved(&mut block);
+        // The decoder moves samples of any bit depth to the upper bits of 32 bits.
+        samples.extend(block.iter().map(|&value| (f64::from(value) / 2f64.powi(31)) as f32));
+        if samples.len() > promised {
+            return Err(damaged(path, "it is longer than its header says"));
+        }
+    }
+    if samples.len() < promised {
+        return Err(damaged(path, "truncated: it ends before what its header promises"));
+    }
+    match decoder.finalize().verify_ok {
+        Some(false) => Err(damaged(path, "its checksum is not that of its samples")),
+        _ => Ok((header, samples)),
+    }
+}
+
+fn damaged(path: &Path, why: &str) -> LibraryError {
+    let problem = format!(
+        "not a FLAC file that can be read ({why}); copy it again from where it came, record again, \
+         or remove it"
+    );
+    LibraryError::file(path, problem)
 }

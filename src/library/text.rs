@@ -5,10 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{LibraryError, files};
 use crate::trial::Series;
 
-/// Reads one file for each channel, and crops all to the shortest.
-///
-/// # Errors
-/// If a file cannot be read, is empty, or holds a line that is not one finite number.
+/// Reads one text file for each channel, and cuts all channels to the length of the shortest.
 pub(crate) fn read(paths: &[PathBuf], rate_hz: f64) -> Result<Series, LibraryError> {
     let columns = paths.iter().map(|path| column(path)).collect::<Result<Vec<_>, _>>()?;
     let frames = columns.iter().map(Vec::len).min().unwrap_or(0);
@@ -16,15 +13,11 @@ pub(crate) fn read(paths: &[PathBuf], rate_hz: f64) -> Result<Series, LibraryErr
     for frame in 0..frames {
         samples.extend(columns.iter().map(|column| column[frame]));
     }
-    let path = paths.first().cloned().unwrap_or_default();
     Series::new(rate_hz, columns.len(), samples)
-        .map_err(|error| LibraryError::Signal { path, error })
+        .map_err(|error| LibraryError::file(&paths[0], error))
 }
 
 /// The number of frames that [`read`] would give: the non-blank lines of the shortest file.
-///
-/// # Errors
-/// If a file cannot be read or is empty.
 pub(crate) fn frames(paths: &[PathBuf]) -> Result<usize, LibraryError> {
     let lines = |path: &PathBuf| -> Result<usize, LibraryError> {
         let bytes = files::read_bytes(path, files::MOST_TEXT)?;
@@ -37,18 +30,11 @@ pub(crate) fn frames(paths: &[PathBuf]) -> Result<usize, LibraryError> {
 
 fn column(path: &Path) -> Result<Vec<f32>, LibraryError> {
     let bytes = files::read_bytes(path, files::MOST_TEXT)?;
-    parse(&bytes).map_err(|(line, problem)| {
-        LibraryError::file(
-            path,
-            if line == 0 { problem } else { format!("line {line}: {problem}") },
-        )
-    })
+    parse(&bytes).map_err(|problem| LibraryError::file(path, problem))
 }
 
-/// The numbers of a text, one a line; blank lines may only stand at the end.
-///
-/// Errors carry the line, counted from 1, or 0 for the text as a whole.
-fn parse(bytes: &[u8]) -> Result<Vec<f32>, (usize, String)> {
+/// Parses a text with one number in each line; blank lines are allowed only at the end.
+fn parse(bytes: &[u8]) -> Result<Vec<f32>, String> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let mut numbers = Vec::with_capacity(bytes.len() / 8);
     let mut blank = None;
@@ -59,26 +45,25 @@ fn parse(bytes: &[u8]) -> Result<Vec<f32>, (usize, String)> {
             continue;
         }
         if let Some(line) = blank {
-            return Err((line, "blank, but numbers follow; expected one number a line".into()));
+            return Err(format!(
+                "line {line}: blank, but numbers follow; expected one number a line"
+            ));
         }
         let number = std::str::from_utf8(text).ok().and_then(|text| text.parse::<f64>().ok());
         match number.map(|number| number as f32) {
             Some(number) if number.is_finite() => numbers.push(number),
             Some(_) => {
-                let what = String::from_utf8_lossy(text);
-                return Err((
-                    line,
-                    format!(
-                        "{what}; expected a finite number (a broken cable gives such values: check \
-                     the connector, then record again or remove the file)"
-                    ),
+                return Err(format!(
+                    "line {line}: {}; expected a finite number (a broken cable gives such values: \
+                     check the connector, then record again or remove the file)",
+                    String::from_utf8_lossy(text)
                 ));
             }
-            None => return Err((line, not_a_number(text))),
+            None => return Err(format!("line {line}: {}", not_a_number(text))),
         }
     }
     if numbers.is_empty() {
-        return Err((0, "it holds no numbers; record again, or remove the file".into()));
+        return Err("it holds no numbers; record again, or remove the file".into());
     }
     Ok(numbers)
 }
@@ -93,10 +78,6 @@ fn not_a_number(text: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    fn error(text: &str) -> (usize, String) {
-        parse(text.as_bytes()).unwrap_err()
-    }
-
     #[test]
     fn spaces_line_ends_and_a_blank_last_line_do_not_matter() {
         let text = b"\xef\xbb\xbf  1.5\r\n-2e-1\t\r\n3\n\n";
@@ -105,35 +86,19 @@ mod tests {
     }
 
     #[test]
-    fn a_comma_is_named_with_its_line() {
-        let (line, problem) = error("1\n0,5\n");
-        assert_eq!(line, 2);
-        assert!(
-            problem.contains("`0,5` is not a number") && problem.contains("point"),
-            "{problem}"
-        );
-    }
-
-    #[test]
-    fn what_is_not_finite_is_named_with_its_line() {
-        for bad in ["NaN", "inf", "-Infinity", "1e99"] {
-            let (line, problem) = error(&format!("1\n2\n{bad}\n"));
-            assert_eq!(line, 3);
-            assert!(problem.starts_with(bad) && problem.contains("finite"), "{problem}");
+    fn what_is_no_number_is_named_with_its_line() {
+        for (text, begin, part) in [
+            ("1\n0,5\n", "line 2: `0,5` is not a number", "point"),
+            ("1\n2\nNaN\n", "line 3: NaN", "finite"),
+            ("1\n2\ninf\n", "line 3: inf", "finite"),
+            ("1\n2\n-Infinity\n", "line 3: -Infinity", "finite"),
+            ("1\n2\n1e99\n", "line 3: 1e99", "finite"),
+            ("1\n\n2\n", "line 2: blank, but numbers follow", "one number a line"),
+            ("1 2\n", "line 1: `1 2` is not", "one number a line"),
+            ("\n\n", "it holds no numbers", "record again"),
+        ] {
+            let said = parse(text.as_bytes()).unwrap_err();
+            assert!(said.starts_with(begin) && said.contains(part), "{said}");
         }
-    }
-
-    #[test]
-    fn a_gap_and_a_second_number_are_refused() {
-        assert_eq!(
-            error("1\n\n2\n"),
-            (2, "blank, but numbers follow; expected one number a line".into())
-        );
-        assert!(error("1 2\n").1.contains("one number a line"));
-    }
-
-    #[test]
-    fn blank_text_holds_no_numbers() {
-        assert_eq!(error("\n\n").0, 0);
     }
 }

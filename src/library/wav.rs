@@ -1,44 +1,25 @@
 //! Reads WAV files, and checks that they hold as many samples as their headers say.
 //!
-//! This module reads the chunks itself, since `hound` neither skips the padding of odd-sized chunks
-//! nor knows where samples of WAVE_FORMAT_EXTENSIBLE lie within larger containers. It decodes
-//! blocks, since decoding sample by sample took a third of the time of loading a large library.
+//! This module reads the chunks itself: the crate `hound` does not skip the padding after odd-sized
+//! chunks, and misplaces WAVE_FORMAT_EXTENSIBLE samples that are smaller than their containers.
+//! Decoding sample by sample took a third of a library's loading time, so this decodes blocks.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use super::LibraryError;
-use super::files::{self, EMPTY_FILE};
-use super::series_header::{Header, too_long};
-use crate::trial::Series;
+use super::files::{self, EMPTY_FILE, too_long};
+use super::{LibraryError, Outline};
 
-/// Bytes that are decoded together: a multiple of every size of a sample.
+/// Number of bytes decoded at a time: a multiple of each possible size of a sample (1 to 4 bytes).
 const BLOCK: usize = 48 * 1024;
 
-/// Reads a header and checks that the file is long enough for the samples it promises.
-///
-/// # Errors
-/// If the file cannot be read, is empty, is no WAV file, holds no samples or more than
-/// [`Series::MOST_SAMPLES`], or is cut short.
-pub(crate) fn probe(path: &Path) -> Result<Header, LibraryError> {
-    open(path).map(|(_, data)| data.header())
-}
-
-/// Reads a whole file; integers are scaled to ±1, that is value / 2^(bits − 1).
-///
-/// # Errors
-/// As [`probe`], and if a sample is not finite.
-pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
+/// Reads a whole file. Divides integer samples by 2^(bits − 1), so that they lie within ±1.
+pub(super) fn read(path: &Path) -> Result<(Outline, Vec<f32>), LibraryError> {
     let (mut file, data) = open(path)?;
-    let samples = decode(&mut file, data).map_err(|error| match error.kind() {
-        // The file became shorter since its header was read.
-        io::ErrorKind::UnexpectedEof => truncated(path, None),
-        _ => LibraryError::io(path, error),
-    })?;
-    let Header { rate_hz, channels, .. } = data.header();
-    Series::new(rate_hz, channels, samples)
-        .map_err(|error| LibraryError::Signal { path: path.to_path_buf(), error })
+    // This fails if the file has become shorter since its header was read.
+    let samples = decode(&mut file, data).map_err(|error| failure(path, error))?;
+    Ok((data.outline(), samples))
 }
 
 fn decode(file: &mut impl Read, data: WavData) -> io::Result<Vec<f32>> {
@@ -60,7 +41,8 @@ fn decode(file: &mut impl Read, data: WavData) -> io::Result<Vec<f32>> {
     Ok(samples)
 }
 
-/// A sample of 1 to 4 bytes; of one byte, 128 stands for 0.
+/// Converts a sample of 1 to 4 little-endian bytes. A single byte is unsigned: 128 stands for 0.
+#[inline]
 fn integer(sample: &[u8]) -> i32 {
     match *sample {
         [a] => i32::from(a) - 128,
@@ -71,66 +53,63 @@ fn integer(sample: &[u8]) -> i32 {
     }
 }
 
-/// Format codes of the `fmt ` chunk that are read.
+/// Codes of sample formats, from the `fmt ` chunk of a WAV file.
 const PCM: u16 = 1;
 const FLOAT: u16 = 3;
 const EXTENSIBLE: u16 = 0xFFFE;
 
 /// The format and size of a file's samples.
 #[derive(Clone, Copy, Debug)]
-struct WavData {
+pub(super) struct WavData {
     /// [`PCM`] or [`FLOAT`].
     format: u16,
     channels: u16,
     rate_hz: u32,
-    /// Bytes a sample, 1 to 4. A sample of fewer bits fills the upper bits, as
-    /// WAVE_FORMAT_EXTENSIBLE demands, so that it reads as a sample of the whole container.
+    /// Bytes per sample, 1 to 4. A sample with fewer bits fills the upper bits of its bytes, by the
+    /// rules of WAVE_FORMAT_EXTENSIBLE, and is read as if it used all bits.
     container: u16,
-    /// Bytes of all samples.
     length: u64,
 }
 
 impl WavData {
-    fn header(self) -> Header {
+    pub fn outline(self) -> Outline {
         let channels = usize::from(self.channels);
-        let frame = channels.max(1) as u64 * u64::from(self.container);
-        Header {
-            rate_hz: f64::from(self.rate_hz),
-            channels,
-            frames: (self.length / frame.max(1)) as usize,
-        }
+        let frames = self.length as usize / (channels * usize::from(self.container));
+        Outline { rate_hz: f64::from(self.rate_hz), channels, frames }
     }
 }
 
-/// Opens a file, positioned at its first sample.
-fn open(path: &Path) -> Result<(BufReader<File>, WavData), LibraryError> {
+/// Opens a WAV file, checks that it is as long as its header says, and goes to its first sample.
+pub(super) fn open(path: &Path) -> Result<(BufReader<File>, WavData), LibraryError> {
     let (file, size) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
     if size == 0 {
         return Err(LibraryError::file(path, EMPTY_FILE));
     }
     let mut file = BufReader::new(file);
-    let data = walk(&mut file).map_err(|problem| match problem {
-        WavProblem::Io(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
-            truncated(path, None)
-        }
-        WavProblem::Io(error) => LibraryError::io(path, error),
-        WavProblem::Format(problem) => LibraryError::file(
-            path,
-            format!(
-                "not a WAV file that can be read ({problem}); expected 16-bit, 24-bit or f32 PCM"
-            ),
-        ),
-    })?;
-    let start = file.stream_position().map_err(|error| LibraryError::io(path, error))?;
+    let at_samples = walk(&mut file).and_then(|data| Ok((data, file.stream_position()?)));
+    let (data, start) = at_samples.map_err(|error| failure(path, error))?;
     let rest = size.saturating_sub(start);
     check(data, rest).map_err(|problem| LibraryError::file(path, problem))?;
     if rest < data.length {
-        return Err(truncated(path, Some((rest, data.length))));
+        return Err(truncated(path, &format!(" ({rest} of {} bytes of samples)", data.length)));
     }
     Ok((file, data))
 }
 
-/// Refuses a file of no samples, or of too many for a trial; `rest` bytes follow its header.
+fn failure(path: &Path, error: io::Error) -> LibraryError {
+    match error.kind() {
+        io::ErrorKind::UnexpectedEof => truncated(path, ""),
+        io::ErrorKind::InvalidData => LibraryError::file(
+            path,
+            format!(
+                "not a WAV file that can be read ({error}); expected 16-bit, 24-bit or f32 PCM"
+            ),
+        ),
+        _ => LibraryError::io(path, error),
+    }
+}
+
+/// Refuses a file with no samples, or too many for a trial. `rest` bytes follow the header.
 fn check(data: WavData, rest: u64) -> Result<(), String> {
     let samples = data.length / u64::from(data.container);
     if samples == 0 {
@@ -143,26 +122,15 @@ fn check(data: WavData, rest: u64) -> Result<(), String> {
             ),
         });
     }
-    too_long(data.header()).map_or(Ok(()), Err)
+    too_long(data.outline()).map_or(Ok(()), Err)
 }
 
-enum WavProblem {
-    Io(io::Error),
-    Format(String),
+fn no(problem: impl Into<String>) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, problem.into())
 }
 
-impl From<io::Error> for WavProblem {
-    fn from(error: io::Error) -> Self {
-        Self::Io(error)
-    }
-}
-
-fn no(problem: &str) -> WavProblem {
-    WavProblem::Format(problem.into())
-}
-
-/// Reads chunk after chunk, up to the first sample.
-fn walk(file: &mut BufReader<File>) -> Result<WavData, WavProblem> {
+/// Reads the chunks before the samples, so that the file is then at its first sample.
+fn walk(file: &mut BufReader<File>) -> io::Result<WavData> {
     let riff: [u8; 12] = take(file)?;
     if &riff[..4] != b"RIFF" || &riff[8..] != b"WAVE" {
         return Err(no("it does not begin with RIFF and WAVE"));
@@ -173,7 +141,8 @@ fn walk(file: &mut BufReader<File>) -> Result<WavData, WavProblem> {
         let length = u32::from_le_bytes([a, b, c, d]);
         match &id {
             b"data" => {
-                let data: WavData = format.ok_or_else(|| no("its format follows its samples"))?;
+                let data: WavData =
+                    format.ok_or_else(|| no("its format comes after its samples"))?;
                 if u64::from(length) % u64::from(data.container * data.channels) != 0 {
                     return Err(no("its samples do not fill whole frames"));
                 }
@@ -201,8 +170,8 @@ fn skip(file: &mut BufReader<File>, bytes: u64) -> io::Result<()> {
     file.seek(SeekFrom::Current(bytes as i64)).map(drop)
 }
 
-/// The content of a `fmt ` chunk of 16 bytes or more.
-fn parse(body: &[u8]) -> Result<WavData, WavProblem> {
+/// Parses the content of a `fmt ` chunk, which has 16 bytes or more.
+fn parse(body: &[u8]) -> io::Result<WavData> {
     let word = |at: usize| u16::from_le_bytes([body[at], body[at + 1]]);
     let (mut format, channels, frame, bits) = (word(0), word(2), word(12), word(14));
     let extensible = format == EXTENSIBLE;
@@ -219,15 +188,15 @@ fn parse(body: &[u8]) -> Result<WavData, WavProblem> {
     let fits = match format {
         PCM => (1..=4).contains(&container) && (1..=container * 8).contains(&bits),
         FLOAT => (container, bits) == (4, 32),
-        _ => return Err(WavProblem::Format(format!("format {format} is not PCM"))),
+        _ => return Err(no(format!("format {format} is not PCM"))),
     };
     if !fits {
-        return Err(WavProblem::Format(format!("{bits} bits in {container} bytes")));
+        return Err(no(format!("{bits} bits in {container} bytes")));
     }
-    // Without WAVE_FORMAT_EXTENSIBLE, some programs fill the lower bits, others the upper.
+    // Refuses samples that fill only part of their bytes: programs use the lower bits or the upper.
     if !extensible && bits != container * 8 {
-        return Err(WavProblem::Format(format!(
-            "{bits} bits in {container} bytes, and its header does not say which; convert it, for \
+        return Err(no(format!(
+            "{bits} bits in {container} bytes, and its header does not say which bits hold the sample; convert it, for \
              example with `sox IN.wav -b 24 OUT.wav`"
         )));
     }
@@ -235,36 +204,26 @@ fn parse(body: &[u8]) -> Result<WavData, WavProblem> {
     Ok(WavData { format, channels, rate_hz, container, length: 0 })
 }
 
-fn truncated(path: &Path, sizes: Option<(u64, u64)>) -> LibraryError {
-    let sizes = sizes.map_or(String::new(), |(found, promised)| {
-        format!(" ({found} of {promised} bytes of samples)")
-    });
-    LibraryError::file(
-        path,
-        format!(
-            "truncated: the file ends before what its header promises{sizes}; copy it again from \
-             where it came, record again, or remove it"
-        ),
-    )
+fn truncated(path: &Path, sizes: &str) -> LibraryError {
+    let problem = format!(
+        "truncated: the file ends before what its header promises{sizes}; copy it again from where \
+         it came, record again, or remove it"
+    );
+    LibraryError::file(path, problem)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::trial::Series;
 
     fn chunk(id: &[u8; 4], body: &[u8]) -> Vec<u8> {
         let padding = vec![0; body.len() % 2];
         [&id[..], &(body.len() as u32).to_le_bytes(), body, &padding].concat()
     }
 
-    /// A file of one channel at 1000 Hz.
-    fn file(
-        format: u16,
-        container: u16,
-        bits: u16,
-        valid: Option<u16>,
-        chunks: &[Vec<u8>],
-    ) -> Vec<u8> {
+    /// The bytes of a WAV file with one channel at 1000 Hz.
+    fn file([format, container, bits]: [u16; 3], valid: Option<u16>, data: &[Vec<u8>]) -> Vec<u8> {
         let rate = 1000u32.to_le_bytes();
         let mut body = [format, 1].map(u16::to_le_bytes).concat();
         body.extend([rate, rate].concat());
@@ -273,59 +232,59 @@ mod tests {
             body.extend([22, valid, 0, 0, PCM].map(u16::to_le_bytes).concat());
             body.extend([0; 14]);
         }
-        [b"RIFF\0\0\0\0WAVE", &chunk(b"fmt ", &body)[..], &chunks.concat()].concat()
+        [b"RIFF\0\0\0\0WAVE", &chunk(b"fmt ", &body)[..], &data.concat()].concat()
     }
 
     fn read_bytes(bytes: &[u8]) -> Result<Vec<f32>, String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("x.wav");
         std::fs::write(&path, bytes).unwrap();
-        read(&path).map(|series| series.samples().to_vec()).map_err(|error| error.to_string())
+        read(&path).map(|(_, samples)| samples).map_err(|error| error.to_string())
     }
 
     #[test]
     fn samples_of_24_bits_in_32_are_the_upper_ones() {
-        // A quarter and minus a half, in the upper 24 of 32 bits.
+        // The samples 0.25 and −0.5, each in the upper 24 of 32 bits.
         let data = chunk(b"data", &[0, 0, 0, 0x20, 0, 0, 0, 0xC0]);
         assert_eq!(
-            read_bytes(&file(EXTENSIBLE, 4, 32, Some(24), std::slice::from_ref(&data))).unwrap(),
+            read_bytes(&file([EXTENSIBLE, 4, 32], Some(24), std::slice::from_ref(&data))).unwrap(),
             [0.25, -0.5]
         );
-        let error = read_bytes(&file(PCM, 4, 24, None, &[data])).unwrap_err();
+        let error = read_bytes(&file([PCM, 4, 24], None, &[data])).unwrap_err();
         assert!(error.contains("24 bits in 4 bytes") && error.contains("sox"), "{error}");
     }
 
     #[test]
     fn an_odd_sized_chunk_is_followed_by_padding() {
         let chunks = [chunk(b"LIST", b"abc"), chunk(b"data", &[0, 0x40, 0, 0xC0])];
-        assert_eq!(read_bytes(&file(PCM, 2, 16, None, &chunks)).unwrap(), [0.5, -0.5]);
+        assert_eq!(read_bytes(&file([PCM, 2, 16], None, &chunks)).unwrap(), [0.5, -0.5]);
         let of_bytes = [chunk(b"junk", b"x"), chunk(b"data", &[0x80, 0xC0, 0x40])];
-        assert_eq!(read_bytes(&file(PCM, 1, 8, None, &of_bytes)).unwrap(), [0.0, 0.5, -0.5]);
+        assert_eq!(read_bytes(&file([PCM, 1, 8], None, &of_bytes)).unwrap(), [0.0, 0.5, -0.5]);
     }
 
     #[test]
     fn an_hour_of_sound_is_refused_before_it_is_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("x.wav");
-        let mut bytes = file(PCM, 2, 16, None, &[]);
+        let mut bytes = file([PCM, 2, 16], None, &[]);
         bytes.extend(b"data");
         let length = 2 * (Series::MOST_SAMPLES as u32 + 1);
         bytes.extend(length.to_le_bytes());
         std::fs::write(&path, &bytes).unwrap();
-        // A sparse file: it takes no room.
+        // The file is sparse, so it takes no room on the disk.
         let file = File::options().write(true).open(&path).unwrap();
         file.set_len(bytes.len() as u64 + u64::from(length)).unwrap();
-        let error = probe(&path).unwrap_err().to_string();
+        let error = open(&path).unwrap_err().to_string();
         assert!(error.contains("minutes are too long for a trial"), "{error}");
     }
 
     #[test]
     fn chunks_without_end_and_formats_that_cannot_be_are_refused() {
         let huge = [b"LIST".to_vec(), u32::MAX.to_le_bytes().to_vec()].concat();
-        assert!(read_bytes(&file(PCM, 2, 16, None, &[huge])).unwrap_err().contains("truncated"));
+        assert!(read_bytes(&file([PCM, 2, 16], None, &[huge])).unwrap_err().contains("truncated"));
         for (format, container, bits) in [(PCM, 0, 0), (PCM, 8, 64), (FLOAT, 2, 16), (2, 2, 16)] {
             let data = chunk(b"data", &[0; 8]);
-            let error = read_bytes(&file(format, container, bits, None, &[data])).unwrap_err();
+            let error = read_bytes(&file([format, container, bits], None, &[data])).unwrap_err();
             assert!(error.contains("not a WAV file that can be read"), "{error}");
         }
     }

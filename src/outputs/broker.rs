@@ -11,24 +11,21 @@ use super::message::LARGEST;
 use crate::history::HistoryError;
 use crate::station::config::{MqttAddress, TlsFiles};
 
-/// How often something is sent on a silent line.
+/// Interval at which a packet is sent on an idle connection.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
-/// Packets that wait for a line.
+/// How many packets may wait to be sent.
 const QUEUE: usize = 64;
 
-/// The files of authorities that systems trust.
+/// Where Linux systems keep the certificates of trusted authorities.
 const SYSTEM: [&str; 3] =
     ["/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem"];
 
-/// The options of a client of a broker.
-///
-/// # Errors
-/// If a certificate cannot be read.
+/// The options of an MQTT client, for the broker at an address.
 pub(crate) fn options(address: &MqttAddress, client: String) -> Result<MqttOptions, HistoryError> {
     let MqttAddress { host, credentials, tls, .. } = address;
     let mut options = MqttOptions::new(client, host.0.clone(), host.1);
     options.set_keep_alive(KEEP_ALIVE);
-    // The topic and the head of the packet come beside the answer.
+    // A packet holds the answer, its topic and a header, so it is larger than the answer.
     options.set_max_packet_size(2 * LARGEST, 2 * LARGEST);
     if let Some((user, password)) = credentials {
         options.set_credentials(user, password);
@@ -46,24 +43,24 @@ pub(crate) fn options(address: &MqttAddress, client: String) -> Result<MqttOptio
     Ok(options)
 }
 
-/// One connection to a broker, from before it is there until it breaks.
+/// One connection to a broker, from the attempt to connect until the connection breaks.
 #[derive(Debug)]
 pub(crate) struct Line {
     pub client: AsyncClient,
-    /// Its events; an error is the last.
-    /// What comes in is as much as a broker sends without an acknowledgement.
+    /// The events of the connection, of which the last is an error. The queue is unbounded, but holds
+    /// no more than a broker sends without acknowledgements.
     pub events: mpsc::UnboundedReceiver<Result<Event, ConnectionError>>,
     task: JoinHandle<()>,
 }
 
 impl Line {
-    /// Connects; within a runtime.
+    /// Starts to connect. Must be called within a runtime.
     pub fn open(options: MqttOptions) -> Self {
         let (client, mut connection) = AsyncClient::new(options, QUEUE);
         let (send, events) = mpsc::unbounded_channel();
         let work = async move {
             loop {
-                // Never given up half way: that could lose a packet.
+                // `poll` always runs to its end, since stopping it half-way could lose a packet.
                 let event = connection.poll().await;
                 let is_last = event.is_err();
                 if send.send(event).is_err() || is_last {

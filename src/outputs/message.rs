@@ -4,35 +4,36 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::device::DeviceState;
+use crate::printable::json_text;
 use crate::recognise::RankedSurface;
 use crate::station::{Answer, AnswerState, StationEvent, SurfaceProbability};
 
-/// Largest answer in bytes, some 1000 surfaces: brokers refuse large ones, often from here on.
+/// The largest answer, in bytes (about 1000 surfaces), since many brokers refuse larger messages.
 pub(super) const LARGEST: usize = 128 << 10;
-/// Surfaces that stay in an answer that is larger.
+/// How many surfaces remain in an answer that would be too large.
 const BEST: usize = 10;
-/// Devices that are listed; names come from the hardware, and could be many.
+/// How many devices are listed, at most. Hardware chooses their names, so there could be many.
 const DEVICES: usize = 64;
 
-/// An answer for other programs.
+/// An answer as other programs receive it.
 #[derive(Serialize)]
 struct Message<'a> {
     station: &'a str,
-    /// Counts the answers of this output, from 1.
+    /// Number of the answer, counted from 1 for each output.
     sequence: u64,
     #[serde(flatten)]
     answer: &'a Answer,
-    /// The surfaces, the most probable first; with `unknown` they sum to 1. Empty by a method that
-    /// gives no probabilities.
+    /// The surfaces, the most probable first; together with `unknown` they sum to 1. Empty if the
+    /// method gives no probabilities.
     probabilities: Vec<SurfaceProbability>,
-    /// The probability that it is none of them; null where that cannot be told.
+    /// The probability that the surface is not in the library; null if that is not known.
     unknown: Option<f64>,
 }
 
-/// An answer as JSON, with the best surfaces alone where it would be too large.
+/// An answer as JSON. If it would be too large, it holds only the best surfaces.
 pub(super) fn answer(station: &str, sequence: u64, answer: &Answer) -> String {
     let text = of_surfaces(station, sequence, answer, usize::MAX);
     match text.len() {
@@ -42,21 +43,19 @@ pub(super) fn answer(station: &str, sequence: u64, answer: &Answer) -> String {
 }
 
 fn of_surfaces(station: &str, sequence: u64, answer: &Answer, most: usize) -> String {
-    // A score that no number can hold says no more than the order does.
+    // An infinite or maximal score says only that its surface comes last, so it is left out.
     let means_something = |one: &&RankedSurface| one.score < f64::MAX;
     let ranked = answer.ranked.iter().filter(means_something).take(most).cloned().collect();
     let mut probabilities = probabilities(answer);
     probabilities.truncate(most);
     let answer = &Answer { ranked, ..answer.clone() };
-    let message = Message { station, sequence, answer, probabilities, unknown: answer.unknown };
-    // Plain structs, numbers and text: nothing here that JSON cannot express.
-    serde_json::to_string(&message).unwrap_or_default()
+    json_text(&Message { station, sequence, answer, probabilities, unknown: answer.unknown })
 }
 
-/// The probabilities of all surfaces, by a method that gives that of the first.
+/// The probabilities of all surfaces; empty if the method gives none.
 ///
-/// Scores of such a method are inverse probabilities p. That of the first may be held back to what
-/// the library's trials can show; the others then gain alike, as (1 − s) p + s / n for n surfaces.
+/// Scores of such a method are 1/p for probabilities p. If the first p exceeds the confidence that
+/// the library supports, each of n surfaces gets (1 − s) p + s/n, with s chosen to make them equal.
 fn probabilities(answer: &Answer) -> Vec<SurfaceProbability> {
     let (Some(first), Some(best)) = (answer.confidence, answer.ranked.first()) else {
         return Vec::new();
@@ -71,36 +70,15 @@ fn probabilities(answer: &Answer) -> Vec<SurfaceProbability> {
     answer.ranked.iter().map(of).collect()
 }
 
-/// A station as its retained state shows it.
+/// The state of a station, as published in a retained message.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StationCard {
     devices: BTreeMap<String, (DeviceState, String)>,
     counts: BTreeMap<&'static str, u64>,
 }
 
-#[derive(Serialize)]
-struct CardDevice<'a> {
-    device: &'a str,
-    state: DeviceState,
-    detail: &'a str,
-}
-
-/// The rest of a station's state, which its output knows.
-pub(super) struct CardRest<'a> {
-    pub station: &'a str,
-    pub is_online: bool,
-    /// The address of its page, if it has one.
-    pub page: Option<&'a str>,
-    /// Answers that nobody has looked at and that are unknown or unsure.
-    pub review: usize,
-    /// Number of the newest answer.
-    pub sequence: u64,
-    /// Answers that were dropped because the broker was away for too long.
-    pub dropped: u64,
-}
-
 impl StationCard {
-    /// Takes in an event of the station.
+    /// Updates the state with an event of the station.
     pub fn take(&mut self, event: &StationEvent) {
         match event {
             StationEvent::Device { device, state, detail }
@@ -108,48 +86,39 @@ impl StationCard {
             {
                 self.devices.insert(device.clone(), (*state, detail.clone()));
             }
-            StationEvent::Answer(answer) => {
-                *self.counts.entry(answer.state.as_str()).or_default() += 1
-            }
-            StationEvent::Unnamed(_) => {
-                *self.counts.entry(AnswerState::Unnamed.as_str()).or_default() += 1;
-            }
+            StationEvent::Answer(answer) => self.count(answer.state),
+            StationEvent::Unnamed(_) => self.count(AnswerState::Unnamed),
             _ => {}
         }
     }
 
-    /// The state as JSON.
-    pub fn text(&self, rest: &CardRest<'_>) -> String {
-        let devices = self.devices.iter().map(|(device, (state, detail))| CardDevice {
-            device,
-            state: *state,
-            detail,
+    fn count(&mut self, state: AnswerState) {
+        *self.counts.entry(state.as_str()).or_default() += 1;
+    }
+
+    /// The state as JSON, without the fields that the output itself adds.
+    pub fn json(&self) -> Value {
+        let devices = self.devices.iter().map(|(device, (state, detail))| {
+            json!({ "device": device, "state": state, "detail": detail })
         });
         let is_down = |(state, _): &&(DeviceState, String)| {
             matches!(state, DeviceState::Absent | DeviceState::Stalled | DeviceState::Lost)
         };
         json!({
-            "station": rest.station,
-            "state": if rest.is_online { "online" } else { "offline" },
             "version": env!("CARGO_PKG_VERSION"),
-            "page": rest.page,
             "devices": devices.collect::<Vec<_>>(),
             "devices_down": self.devices.values().filter(is_down).count(),
             "counts": self.counts,
-            "review": rest.review,
-            "sequence": rest.sequence,
-            "dropped": rest.dropped,
         })
-        .to_string()
     }
 }
 
-/// What the broker says of a station that is gone without a word.
+/// The message that the broker publishes if the station disappears without notice.
 pub(super) fn last_will(station: &str) -> String {
     json!({ "station": station, "state": "offline" }).to_string()
 }
 
-/// The entities of a station in Home Assistant: the topic of each, and its description
+/// The entities of a station in Home Assistant: the discovery topic and description of each
 /// (<https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery>).
 pub(super) fn discovery(station: &str, answer: &str, state: &str) -> Vec<(String, String)> {
     let entity = |kind: &str, entity: &str, name: &str, topic: &str, template: &str, more| {
@@ -166,7 +135,7 @@ pub(super) fn discovery(station: &str, answer: &str, state: &str) -> Vec<(String
                 "model": "surface recognition", "sw_version": env!("CARGO_PKG_VERSION"),
             },
         });
-        if let (Some(about), serde_json::Value::Object(more)) = (about.as_object_mut(), more) {
+        if let (Some(about), Value::Object(more)) = (about.as_object_mut(), more) {
             about.extend(more);
         }
         (format!("homeassistant/{kind}/{id}/{entity}/config"), about.to_string())
@@ -175,32 +144,18 @@ pub(super) fn discovery(station: &str, answer: &str, state: &str) -> Vec<(String
                      number else None }}";
     let down = "{{ 'ON' if value_json.devices_down | default(0) > 0 else 'OFF' }}";
     let percent = json!({ "unit_of_measurement": "%", "state_class": "measurement" });
+    let surface = "{{ value_json.surface or 'unknown' }}";
+    let problem = json!({ "device_class": "problem" });
     vec![
-        entity(
-            "sensor",
-            "surface",
-            "Surface",
-            answer,
-            "{{ value_json.surface or 'unknown' }}",
-            json!({}),
-        ),
+        entity("sensor", "surface", "Surface", answer, surface, json!({})),
         entity("sensor", "certainty", "Certainty", answer, certainty, percent),
         entity("sensor", "state", "Answer", answer, "{{ value_json.state }}", json!({})),
-        entity(
-            "binary_sensor",
-            "devices",
-            "Devices",
-            state,
-            down,
-            json!({ "device_class": "problem" }),
-        ),
+        entity("binary_sensor", "devices", "Devices", state, down, problem),
     ]
 }
 
 #[cfg(test)]
 mod tests {
-    use serde_json::Value;
-
     use super::*;
     use crate::scan::Scan;
 
@@ -227,7 +182,7 @@ mod tests {
 
     #[test]
     fn probabilities_sum_to_one_with_the_unknown_and_scores_without_a_meaning_are_left_out() {
-        // 0.6, 0.4 and nothing, of which the first is held back to 0.59.
+        // The scores stand for probabilities of 0.6, 0.4 and 0; the first is then lowered to 0.59.
         let scored = with_scores(&[1.0 / 0.6, 1.0 / 0.4, f64::MAX]);
         let given = Answer { confidence: Some(0.59), unknown: Some(0.25), ..scored };
         let said = said(&given);

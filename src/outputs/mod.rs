@@ -1,25 +1,22 @@
-//! Answers for other programs, as they come: by HTTP POST to an address, and by MQTT. Both are off
-//! unless the configuration names where to. README.md beside this file has the interface.
+//! Sends answers to other programs, by HTTP POST and by MQTT, if the configuration gives addresses.
+//! README.md beside this file describes the interface.
 //!
-//! Each output has a thread of its own, so that nobody holds up the station, and an outbox on disk,
-//! where an answer waits until it has arrived. The oldest is sent first, and the next one once it has
-//! arrived: so their order is kept. Each has an `id`, by which a receiver recognises one that comes
-//! twice.
+//! Each output has its own thread, so it cannot delay the station. An outbox on disk holds the
+//! answers that have not arrived. Each is sent after the one before it has arrived.
+//! A receiver recognises a repeated answer by its `id`.
 
 pub(crate) mod broker;
-pub(crate) mod client;
-mod http;
+pub(crate) mod http;
 mod message;
 mod mqtt;
 mod outbox;
 mod test;
 
-pub use test::{OutputTest, test};
+pub(crate) use test::{OutputTest, test};
 
 use std::convert::Infallible;
 use std::future::Future;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
@@ -32,78 +29,60 @@ use crate::history::{History, HistoryError};
 use crate::station::config::OutputsConfig;
 use crate::station::{Answer, End, Listener, StationEvent};
 
-/// Answers on their way from the station to an outbox.
+/// How many answers may wait between the station and an outbox.
 const QUEUE: usize = 256;
-/// How long the end of the program waits for answers under way.
+/// How long the program, at its end, waits for answers that are being sent.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// How an output is, as programs and the page see it.
+/// The state of an output, for programs and for the page.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct OutputView {
     /// The address that answers go to.
     pub output: String,
-    /// Answers that wait.
+    /// Number of answers that have not arrived yet.
     pub waiting: u64,
-    /// Attempts that failed, and answers that were refused.
+    /// Number of failed attempts and refused answers.
     pub failures: u64,
-    /// Answers that made room for newer ones.
+    /// Number of answers deleted to make room for newer ones.
     pub dropped: u64,
-    /// The reason why answers do not arrive now, if so.
+    /// The reason why answers do not arrive at present; `None` if they arrive.
     pub problem: Option<String>,
 }
 
-/// How an output is. It is said when answers begin to fail, and when they arrive again.
+/// The shared state of an output. Logs when answers begin to fail, and when they arrive again.
 #[derive(Clone, Debug)]
-pub struct OutputHealth(Arc<Health>);
-
-#[derive(Debug)]
-struct Health {
-    output: String,
-    waiting: AtomicU64,
-    failures: AtomicU64,
-    dropped: AtomicU64,
-    problem: Mutex<Option<String>>,
-}
+pub struct OutputHealth(Arc<Mutex<OutputView>>);
 
 impl OutputHealth {
-    fn new(output: String) -> Self {
-        let [waiting, failures, dropped] = [0; 3].map(AtomicU64::new);
-        Self(Arc::new(Health { output, waiting, failures, dropped, problem: Mutex::default() }))
+    fn new(output: String, outbox: &Outbox) -> Self {
+        let view = OutputView { output, waiting: 0, failures: 0, dropped: 0, problem: None };
+        let health = Self(Arc::new(Mutex::new(view)));
+        health.holds(outbox);
+        health
     }
 
-    /// Its state now.
+    /// A copy of the present state.
     pub fn view(&self) -> OutputView {
-        let Health { output, waiting, failures, dropped, problem } = &*self.0;
-        OutputView {
-            output: output.clone(),
-            waiting: waiting.load(Ordering::Relaxed),
-            failures: failures.load(Ordering::Relaxed),
-            dropped: dropped.load(Ordering::Relaxed),
-            // Each change is one assignment.
-            problem: problem.lock().unwrap_or_else(PoisonError::into_inner).clone(),
-        }
-    }
-
-    fn set_problem(&self, now: Option<String>) -> Option<String> {
-        let mut problem = self.0.problem.lock().unwrap_or_else(PoisonError::into_inner);
-        std::mem::replace(&mut *problem, now)
+        lock(&self.0).clone()
     }
 
     fn holds(&self, outbox: &Outbox) {
-        self.0.waiting.store(outbox.waiting() as u64, Ordering::Relaxed);
-        self.0.dropped.store(outbox.dropped(), Ordering::Relaxed);
+        let mut view = lock(&self.0);
+        (view.waiting, view.dropped) = (outbox.waiting() as u64, outbox.dropped);
     }
 
     fn failed(&self, why: &str) {
-        self.0.failures.fetch_add(1, Ordering::Relaxed);
-        if self.set_problem(Some(why.into())).is_none() {
-            tracing::warn!("answers do not reach {}: {why}", self.0.output);
+        let mut view = lock(&self.0);
+        view.failures += 1;
+        if view.problem.replace(why.into()).is_none() {
+            tracing::warn!("answers do not reach {}: {why}", view.output);
         }
     }
 
     fn arrived(&self) {
-        if self.set_problem(None).is_some() {
-            tracing::warn!("answers reach {} again", self.0.output);
+        let mut view = lock(&self.0);
+        if view.problem.take().is_some() {
+            tracing::warn!("answers reach {} again", view.output);
         }
     }
 }
@@ -120,13 +99,12 @@ pub struct Output {
 /// A station's state, for an output that publishes it.
 type Card = Arc<Mutex<StationCard>>;
 
-fn lock(card: &Card) -> MutexGuard<'_, StationCard> {
-    // Each change leaves it whole.
-    card.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Each change leaves the value valid, so the value can be used even after a panic.
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The answers of one output on their way: from the station into the outbox, and out of it once they
-/// have arrived.
+/// The answers of one output that have not arrived, in their outbox.
 #[derive(Debug)]
 struct Pending {
     station: String,
@@ -135,19 +113,13 @@ struct Pending {
 }
 
 impl Pending {
-    fn open(
-        station: &str,
-        folder: &Path,
-        output: &str,
-        address: String,
-    ) -> Result<Self, HistoryError> {
-        let outbox = Outbox::open(folder, output)?;
-        let health = OutputHealth::new(address);
-        health.holds(&outbox);
+    /// Opens the outbox for an output (its name and address) in a station's folder.
+    fn open(folder: &Path, output: (&str, String), station: &str) -> Result<Self, HistoryError> {
+        let outbox = Outbox::open(folder, output.0)?;
+        let health = OutputHealth::new(output.1, &outbox);
         Ok(Self { station: station.into(), outbox, health })
     }
 
-    /// Puts an answer into the outbox.
     fn add(&mut self, answer: &Answer) {
         let text = |sequence| message::answer(&self.station, sequence, answer);
         if let Err(error) = self.outbox.push(text) {
@@ -157,7 +129,6 @@ impl Pending {
         self.health.holds(&self.outbox);
     }
 
-    /// The oldest answer, with its number.
     fn first(&self) -> Option<(u64, String)> {
         self.outbox.first().unwrap_or_else(|error| {
             self.health.failed(&error.to_string());
@@ -165,7 +136,7 @@ impl Pending {
         })
     }
 
-    /// The oldest answer has arrived, or never will.
+    /// Removes an answer from the outbox, since it has arrived or was refused for good.
     fn done(&mut self, sequence: u64) {
         if let Err(error) = self.outbox.done(sequence) {
             self.health.failed(&format!("{error}; answers are sent again after a restart"));
@@ -175,37 +146,36 @@ impl Pending {
 }
 
 impl Output {
-    /// The outputs of a configuration, whose outboxes are in `folder`. The state of the station shows
-    /// how many scans of `history` wait for review, and `page`, once that address is known.
+    /// Starts the outputs of a configuration, with outboxes in `folder`. The published state has
+    /// the number of scans in `history` to review, and the address of the page once it is known.
     ///
     /// # Errors
-    /// If the folder cannot be used, a certificate cannot be read, or the system gives no thread.
+    /// If the folder cannot be used, a certificate cannot be read, or no thread can be started.
     pub fn start(
         config: &OutputsConfig,
         folder: &Path,
-        (history, page): (&Arc<History>, &Arc<OnceLock<String>>),
+        shown: (&Arc<History>, &Arc<OnceLock<String>>),
     ) -> Result<Vec<Self>, HistoryError> {
         let OutputsConfig { station, http, mqtt } = config;
         let folder = folder.join(station);
         let mut outputs = Vec::new();
         if let Some(address) = http {
-            let pending = Pending::open(station, &folder, "http", address.to_string())?;
-            let (health, poster) = (pending.health.clone(), http::Poster::new(pending, address));
-            outputs.push(Self::new(health, Card::default(), |answers| poster.run(answers))?);
+            let pending = Pending::open(&folder, ("http", address.to_string()), station)?;
+            let (health, address) = (pending.health.clone(), address.clone());
+            let post = |answers| http::post_all(pending, address, answers);
+            outputs.push(Self::new(health, Card::default(), post)?);
         }
         if let Some(address) = mqtt {
-            let shown = format!("{address}/{station}");
-            let pending = Pending::open(station, &folder, "mqtt", shown)?;
+            let output = ("mqtt", format!("{address}/{station}"));
+            let pending = Pending::open(&folder, output, station)?;
             let (health, card) = (pending.health.clone(), Card::default());
-            let show =
-                mqtt::Shown { card: card.clone(), history: history.clone(), page: page.clone() };
-            let publisher = mqtt::Publisher::new(pending, address, show)?;
+            let publisher = mqtt::Publisher::new(pending, address, card.clone(), shown)?;
             outputs.push(Self::new(health, card, |answers| publisher.run(answers))?);
         }
         Ok(outputs)
     }
 
-    /// An output whose `work` runs on a thread of its own.
+    /// Creates an output that runs `work` on its own thread.
     fn new<F: Future<Output = ()>>(
         health: OutputHealth,
         card: Card,
@@ -213,7 +183,7 @@ impl Output {
     ) -> Result<Self, HistoryError> {
         let (answers, to_send) = mpsc::channel(QUEUE);
         let (working, ended) = crossbeam_channel::bounded::<Infallible>(0);
-        let system = |error| HistoryError::Io { path: health.0.output.clone().into(), error };
+        let system = |error| HistoryError::Io { path: health.view().output.into(), error };
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(system)?;
         let run = move || {
@@ -224,7 +194,7 @@ impl Output {
         Ok(Self { answers: Some(answers), health, card, end: End::of(ended) })
     }
 
-    /// How it is, now and later.
+    /// A handle by which the state of the output can be read at any time.
     pub fn health(&self) -> OutputHealth {
         self.health.clone()
     }
@@ -238,7 +208,7 @@ impl Listener for Output {
         lock(&self.card).take(event);
         let (StationEvent::Answer(answer), Some(answers)) = (event, &self.answers) else { return };
         if answers.try_send(answer.clone()).is_err() {
-            self.health.0.dropped.fetch_add(1, Ordering::Relaxed);
+            lock(&self.health.0).dropped += 1;
             self.health.failed(&format!(
                 "the disk is too slow: {QUEUE} answers are to be written, so answer {} is dropped",
                 answer.id
@@ -254,7 +224,7 @@ impl Drop for Output {
     }
 }
 
-/// The time before the next attempt: doubled after each that fails, up to a minute.
+/// The pause before the next attempt. It doubles after each failed attempt, up to a minute.
 #[derive(Debug)]
 pub(crate) struct BackOff(Duration);
 
@@ -266,14 +236,12 @@ impl BackOff {
         Self(Self::FIRST)
     }
 
-    /// How long to wait now.
     pub fn next(&mut self) -> Duration {
         let now = self.0;
         self.0 = (now * 2).min(Self::LONGEST);
         now
     }
 
-    /// It worked: the next failure is the first again.
     pub fn reset(&mut self) {
         self.0 = Self::FIRST;
     }

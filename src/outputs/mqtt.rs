@@ -1,5 +1,5 @@
-//! Answers by MQTT 3.1.1: each is published at least once, and the next one once the broker has
-//! acknowledged it.
+//! Sends answers by MQTT 3.1.1, each at least once. The next answer is sent after the broker has
+//! acknowledged the previous answer.
 
 use std::collections::VecDeque;
 use std::process;
@@ -13,23 +13,16 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout_at};
 
 use super::broker::{Line, options};
-use super::message::{CardRest, discovery, last_will};
+use super::message::{discovery, last_will};
 use super::{BackOff, Card, PATIENCE, Pending, lock};
 use crate::history::{History, HistoryError};
 use crate::station::Answer;
 use crate::station::config::MqttAddress;
 
-/// How often the state of the station is published, if it has changed.
+/// Interval at which the state of the station is published if it has changed.
 const STATE_EVERY: Duration = Duration::from_secs(2);
-/// The time after which a broker that acknowledges nothing is connected to anew.
+/// If the broker acknowledges nothing for this long, the connection is made again.
 const NO_ACKNOWLEDGEMENT: Duration = Duration::from_secs(20);
-
-/// What a station's state shows beside its answers.
-pub(super) struct Shown {
-    pub card: Card,
-    pub history: Arc<History>,
-    pub page: Arc<OnceLock<String>>,
-}
 
 /// Publishes the answers of a station, and its state.
 pub(super) struct Publisher {
@@ -37,31 +30,45 @@ pub(super) struct Publisher {
     options: MqttOptions,
     answer_topic: String,
     state_topic: String,
-    shown: Shown,
+    card: Card,
+    history: Arc<History>,
+    page: Arc<OnceLock<String>>,
     back_off: BackOff,
 }
 
-/// What one connection has published.
-#[derive(Default)]
-struct Published {
+/// A connection to the broker, and what was published through it.
+struct Connection {
+    line: Line,
     is_connected: bool,
-    /// Not yet on the line, in their order: the number of an answer, or none for other texts.
+    /// The number of each message not sent yet, in order; `None` for a message that is no answer.
     queued: VecDeque<Option<u64>>,
-    /// On the line: by packet.
+    /// The packet id of each message sent but not acknowledged, and its number as in `queued`.
     flying: Vec<(u16, Option<u64>)>,
-    /// The answer that is to be acknowledged, and since when.
+    /// The number of the answer that waits for its acknowledgement, and the time when it was published.
     awaited: Option<(u64, Instant)>,
     state: String,
+}
+
+impl Connection {
+    /// Publishes a retained message. Returns false if there is no room for the message now.
+    fn publish(&mut self, topic: &str, text: String, sequence: Option<u64>) -> bool {
+        let is_taken = self.line.client.try_publish(topic, QoS::AtLeastOnce, true, text).is_ok();
+        if is_taken {
+            self.queued.push_back(sequence);
+        }
+        is_taken
+    }
 }
 
 impl Publisher {
     pub fn new(
         pending: Pending,
         address: &MqttAddress,
-        shown: Shown,
+        card: Card,
+        (history, page): (&Arc<History>, &Arc<OnceLock<String>>),
     ) -> Result<Self, HistoryError> {
-        // Two containers may have the same process ids, and a broker throws out the older one of two
-        // clients of one name.
+        // The name is random, since process ids may be equal in two containers, and a broker disconnects
+        // the older of two clients with the same name.
         let client =
             format!("surfaced-{:08x}", SysRng.try_next_u32().unwrap_or_else(|_| process::id()));
         let topic = |what: &str| format!("{}/{}/{what}", address.prefix, pending.station);
@@ -69,152 +76,142 @@ impl Publisher {
         let mut options = options(address, client)?;
         let will = last_will(&pending.station);
         options.set_last_will(LastWill::new(&state_topic, will, QoS::AtLeastOnce, true));
-        let back_off = BackOff::new();
-        Ok(Self { pending, options, answer_topic, state_topic, shown, back_off })
+        let (history, page, back_off) = (history.clone(), page.clone(), BackOff::new());
+        Ok(Self { pending, options, answer_topic, state_topic, card, history, page, back_off })
     }
 
-    /// Publishes answers until no more come.
+    /// Publishes answers until the station ends.
     pub async fn run(mut self, mut answers: mpsc::Receiver<Arc<Answer>>) {
         while let Some(why) = self.connection(&mut answers).await {
             self.pending.health.failed(&format!("{why}; they are tried again"));
             let until = Instant::now() + self.back_off.next();
             while let Ok(answer) = timeout_at(until, answers.recv()).await {
-                // The others wait on disk.
+                // Other answers wait on disk for the next connection.
                 let Some(answer) = answer else { return };
                 self.pending.add(&answer);
             }
         }
     }
 
-    /// Publishes by one connection; the reason why it ended, or none at the end of the station.
+    /// Publishes through one connection. Returns why it broke, or `None` at the end of the station.
     async fn connection(&mut self, answers: &mut mpsc::Receiver<Arc<Answer>>) -> Option<String> {
-        let mut line = Line::open(self.options.clone());
-        let mut published = Published::default();
+        let mut on = Connection {
+            line: Line::open(self.options.clone()),
+            is_connected: false,
+            queued: VecDeque::new(),
+            flying: Vec::new(),
+            awaited: None,
+            state: String::new(),
+        };
         let mut state_due = interval(STATE_EVERY);
         state_due.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
-                event = line.events.recv() => match event {
-                    Some(Ok(event)) => self.take(event, &mut published, &line),
+                event = on.line.events.recv() => match event {
+                    Some(Ok(event)) => self.take(event, &mut on),
                     Some(Err(error)) => return Some(error.to_string()),
                     None => return Some("the connection ended".into()),
                 },
                 answer = answers.recv() => match answer {
                     Some(answer) => self.pending.add(&answer),
                     None => {
-                        self.finish(&mut line, published).await;
+                        self.finish(on).await;
                         return None;
                     }
                 },
-                _ = state_due.tick() => self.publish_state(true, &mut published, &line),
+                _ = state_due.tick() => self.publish_state(true, &mut on),
             }
-            self.publish_next(&mut published, &line);
-            if published.awaited.is_some_and(|(_, since)| since.elapsed() > NO_ACKNOWLEDGEMENT) {
+            self.publish_next(&mut on);
+            if on.awaited.is_some_and(|(_, since)| since.elapsed() > NO_ACKNOWLEDGEMENT) {
                 return Some("the broker acknowledges nothing".into());
             }
         }
     }
 
-    fn take(&mut self, event: Event, published: &mut Published, line: &Line) {
+    fn take(&mut self, event: Event, on: &mut Connection) {
         match event {
             Event::Incoming(Packet::ConnAck(_)) => {
-                published.is_connected = true;
+                on.is_connected = true;
                 let entities =
                     discovery(&self.pending.station, &self.answer_topic, &self.state_topic);
                 for (topic, about) in entities {
-                    publish(&topic, about, None, published, line);
+                    on.publish(&topic, about, None);
                 }
-                self.publish_state(true, published, line);
+                self.publish_state(true, on);
             }
             Event::Outgoing(Outgoing::Publish(packet)) => {
-                let what = published.queued.pop_front().flatten();
-                published.flying.push((packet, what));
+                let what = on.queued.pop_front().flatten();
+                on.flying.push((packet, what));
             }
             Event::Incoming(Packet::PubAck(ack)) => {
-                let at = published.flying.iter().position(|(packet, _)| *packet == ack.pkid);
-                if let Some((_, Some(sequence))) = at.map(|at| published.flying.swap_remove(at)) {
+                let at = on.flying.iter().position(|(packet, _)| *packet == ack.pkid);
+                if let Some((_, Some(sequence))) = at.map(|at| on.flying.swap_remove(at)) {
                     self.pending.done(sequence);
-                    published.awaited = None;
+                    on.awaited = None;
                     self.pending.health.arrived();
                 }
-                // A broker may take the connection, and yet no answer.
+                // The pause is reset only now, since a broker may accept a connection but no answer.
                 self.back_off.reset();
             }
             _ => {}
         }
     }
 
-    /// Publishes the oldest answer, unless another one is under way.
-    fn publish_next(&self, published: &mut Published, line: &Line) {
-        if !published.is_connected || published.awaited.is_some() {
+    /// Publishes the oldest answer, unless an answer waits for its acknowledgement.
+    fn publish_next(&self, on: &mut Connection) {
+        if !on.is_connected || on.awaited.is_some() {
             return;
         }
         if let Some((sequence, text)) = self.pending.first()
-            && publish(&self.answer_topic, text, Some(sequence), published, line)
+            && on.publish(&self.answer_topic, text, Some(sequence))
         {
-            published.awaited = Some((sequence, Instant::now()));
+            on.awaited = Some((sequence, Instant::now()));
         }
     }
 
-    /// Publishes the state of the station, if it has changed.
-    fn publish_state(&self, is_online: bool, published: &mut Published, line: &Line) {
-        if !published.is_connected {
+    /// Publishes the state of the station if it has changed.
+    fn publish_state(&self, is_online: bool, on: &mut Connection) {
+        if !on.is_connected {
             return;
         }
         let Pending { station, outbox, .. } = &self.pending;
-        let text = lock(&self.shown.card).text(&CardRest {
-            station,
-            is_online,
-            page: self.shown.page.get().map(String::as_str),
-            review: self.shown.history.to_review(),
-            sequence: outbox.newest(),
-            dropped: outbox.dropped(),
-        });
-        if text != published.state
-            && publish(&self.state_topic, text.clone(), None, published, line)
-        {
-            published.state = text;
+        let mut state = lock(&self.card).json();
+        state["station"] = station.as_str().into();
+        state["state"] = if is_online { "online" } else { "offline" }.into();
+        state["page"] = self.page.get().cloned().into();
+        // The number of unknown or unsure answers that nobody has reviewed.
+        state["review"] = self.history.to_review().into();
+        // `sequence` is the newest answer's number; `dropped` answers were lost for lack of room.
+        state["sequence"] = outbox.newest().into();
+        state["dropped"] = outbox.dropped.into();
+        let text = state.to_string();
+        if text != on.state && on.publish(&self.state_topic, text.clone(), None) {
+            on.state = text;
         }
     }
 
-    /// Publishes what waits and that the station is offline, as far as the broker is there and takes
-    /// it soon.
-    async fn finish(&mut self, line: &mut Line, mut published: Published) {
+    /// Publishes the waiting answers and the state `offline`, if the broker can take them in time.
+    async fn finish(&mut self, mut on: Connection) {
         let until = Instant::now() + PATIENCE * 3 / 4;
         loop {
-            self.publish_next(&mut published, line);
-            if published.awaited.is_none() && published.is_connected {
-                self.publish_state(false, &mut published, line);
-                if published.queued.is_empty() && published.flying.is_empty() {
+            self.publish_next(&mut on);
+            if on.awaited.is_none() && on.is_connected {
+                self.publish_state(false, &mut on);
+                if on.queued.is_empty() && on.flying.is_empty() {
                     break;
                 }
             }
-            match timeout_at(until, line.events.recv()).await {
-                Ok(Some(Ok(event))) => self.take(event, &mut published, line),
+            match timeout_at(until, on.line.events.recv()).await {
+                Ok(Some(Ok(event))) => self.take(event, &mut on),
                 _ => return,
             }
         }
-        let _ = line.client.try_disconnect();
-        // Until the packet is on the line.
-        while let Ok(Some(Ok(event))) = timeout_at(until, line.events.recv()).await {
+        let _ = on.line.client.try_disconnect();
+        // The packet must be sent before the connection is dropped, so this waits for that.
+        while let Ok(Some(Ok(event))) = timeout_at(until, on.line.events.recv()).await {
             if event == Event::Outgoing(Outgoing::Disconnect) {
                 return sleep(Duration::from_millis(20)).await;
             }
         }
     }
-}
-
-/// Publishes a text, retained; false if there is no room for it now.
-fn publish(
-    topic: &str,
-    text: String,
-    sequence: Option<u64>,
-    published: &mut Published,
-    line: &Line,
-) -> bool {
-    let is_taken = line.client.try_publish(topic, QoS::AtLeastOnce, true, text).is_ok();
-    if is_taken {
-        published.queued.push_back(sequence);
-    }
-    is_taken
 }

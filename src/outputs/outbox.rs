@@ -1,81 +1,51 @@
-//! The answers that wait for one output, in a file: they survive a restart, in their order.
+//! The answers that wait for one output. A file keeps them in order, and over a restart.
 //!
 //! ```text
-//! {"head": {"next": 12, "dropped": 0}}        where a file begins that took the place of a longer one
-//! {"answer": {"sequence": 12, …}}             an answer as it is sent
-//! {"done": 12}                                it arrived, and so did those before
+//! {"head": {"next": 12, "dropped": 0}}        first line of a rewritten file
+//! {"answer": {"sequence": 12, …}}             an answer, as it is sent
+//! {"done": 12}                                answer 12 and all answers before it have arrived
 //! ```
 
 use std::collections::VecDeque;
-use std::fs::File;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use crate::history::HistoryError;
-use crate::history::log::{Log, Span, hold};
+use crate::history::log::{Log, Text, hold};
+use crate::printable::json_text;
+use crate::system::Locked;
 
-/// Most bytes of answers that wait; the oldest make room.
+/// The largest size of waiting answers, in bytes. To stay below, the oldest answers are dropped.
 const MOST: u64 = 64 << 20;
-/// A file of answers that arrived is begun anew from this size on.
+/// The file is rewritten only if delivered answers take at least this many bytes of it.
 const SPENT: u64 = 1 << 20;
 
-/// The answers that wait, the oldest first.
+/// The waiting answers, the oldest first.
 #[derive(Debug)]
 pub(super) struct Outbox {
     log: Log,
     waiting: VecDeque<(u64, Text)>,
-    /// The number of the next answer.
     next: u64,
-    /// Answers that made room for newer ones.
-    dropped: u64,
-    /// Bytes of those that wait.
+    /// Number of answers dropped to make room for newer ones.
+    pub dropped: u64,
+    /// Total size of the waiting answers, in bytes.
     bytes: u64,
     most: u64,
-    /// Held for as long as the file is in use.
-    _lock: File,
-}
-
-#[derive(Debug)]
-enum Text {
-    InLog(Span),
-    /// The disk did not take it.
-    Here(String),
-}
-
-impl Text {
-    fn bytes(&self) -> u64 {
-        match self {
-            Self::InLog(span) => u64::from(span.length),
-            Self::Here(text) => text.len() as u64,
-        }
-    }
+    /// Keeps the file locked while it is in use.
+    _lock: Locked,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Line {
-    Head(Head),
-    Answer(Numbered),
+    Head { next: u64, dropped: u64 },
+    Answer { sequence: u64 },
     Done(u64),
 }
 
-#[derive(Clone, Copy, Serialize, Deserialize)]
-struct Head {
-    next: u64,
-    dropped: u64,
-}
-
-#[derive(Serialize, Deserialize)]
-struct Numbered {
-    sequence: u64,
-}
-
 impl Outbox {
-    /// The answers that wait for the output of a name, in a folder that is made if need be.
-    ///
-    /// # Errors
-    /// If the folder cannot be read or written, or another program sends from it.
+    /// Opens the outbox of the named output. Creates the folder if necessary.
     pub fn open(folder: &Path, output: &str) -> Result<Self, HistoryError> {
         Self::of_at_most(folder, output, MOST)
     }
@@ -87,10 +57,8 @@ impl Outbox {
         let mut outbox = Self { log, waiting, next, dropped: 0, bytes: 0, most, _lock: lock };
         for (line, span) in outbox.log.read(u64::MAX)? {
             match line {
-                Line::Head(Head { next, dropped }) => {
-                    (outbox.next, outbox.dropped) = (next, dropped)
-                }
-                Line::Answer(Numbered { sequence }) => outbox.add(sequence, Text::InLog(span)),
+                Line::Head { next, dropped } => (outbox.next, outbox.dropped) = (next, dropped),
+                Line::Answer { sequence } => outbox.add(sequence, Text::InLog(span)),
                 Line::Done(sequence) => outbox.forget(sequence),
             }
         }
@@ -98,18 +66,10 @@ impl Outbox {
         Ok(outbox)
     }
 
-    /// Adds the answer that `text` gives for its number.
-    ///
-    /// # Errors
-    /// If it cannot be written; it waits in memory then.
+    /// Adds the answer that `text` returns for its number; it stays in memory if writing fails.
     pub fn push(&mut self, text: impl FnOnce(u64) -> String) -> Result<(), HistoryError> {
         let sequence = self.next;
-        let text = text(sequence);
-        let written = self.log.append(&format!("{{\"answer\":{text}}}"));
-        let (text, written) = match written {
-            Ok(span) => (Text::InLog(span), Ok(())),
-            Err(error) => (Text::Here(text), Err(error)),
-        };
+        let (text, written) = self.log.append_answer(text(sequence));
         self.add(sequence, text);
         written.and_then(|()| self.tidy())
     }
@@ -135,48 +95,33 @@ impl Outbox {
         }
     }
 
-    /// The oldest answer, with its number.
-    ///
-    /// # Errors
-    /// If it cannot be read.
     pub fn first(&self) -> Result<Option<(u64, String)>, HistoryError> {
         let Some((sequence, text)) = self.waiting.front() else { return Ok(None) };
-        let text = match text {
-            Text::InLog(span) => self.log.answer_text(*span)?,
-            Text::Here(text) => text.clone(),
-        };
-        Ok(Some((*sequence, text)))
+        Ok(Some((*sequence, text.read(&self.log)?)))
     }
 
-    /// Notes that the answer of a number arrived, or never will.
-    ///
-    /// # Errors
-    /// If that cannot be written: after a restart it would be sent again.
+    /// Records that an answer has arrived, or was refused for good. If this cannot be written, the
+    /// answer is sent again after a restart.
     pub fn done(&mut self, sequence: u64) -> Result<(), HistoryError> {
         self.forget(sequence);
-        // Plain numbers: nothing here that JSON cannot express.
-        self.log.append(&serde_json::to_string(&Line::Done(sequence)).unwrap_or_default())?;
+        self.log.append(&json_text(&Line::Done(sequence)))?;
         self.tidy()
     }
 
-    /// Begins the file anew where most of it has arrived.
+    /// Rewrites the file if most of its answers have arrived.
     fn tidy(&mut self) -> Result<(), HistoryError> {
-        if self.log.bytes() < 2 * self.bytes + SPENT {
+        if self.log.bytes < 2 * self.bytes + SPENT {
             return Ok(());
         }
         let mut fresh = self.log.begin_anew()?;
-        let (next, dropped) =
-            (self.waiting.front().map_or(self.next, |(first, _)| *first), self.dropped);
-        fresh.append(
-            &serde_json::to_string(&Line::Head(Head { next, dropped })).unwrap_or_default(),
-        )?;
+        let next = self.waiting.front().map_or(self.next, |(first, _)| *first);
+        let head = Line::Head { next, dropped: self.dropped };
+        fresh.append(&json_text(&head))?;
         let mut places = Vec::new();
         for (_, text) in &self.waiting {
-            let line = match text {
-                Text::InLog(span) => self.log.line(*span)?,
-                Text::Here(text) => format!("{{\"answer\":{text}}}"),
-            };
-            places.push(Text::InLog(fresh.append(&line)?));
+            let (place, written) = fresh.append_answer(text.read(&self.log)?);
+            written?;
+            places.push(place);
         }
         self.log.replace(fresh)?;
         self.waiting.iter_mut().zip(places).for_each(|((_, text), place)| *text = place);
@@ -184,17 +129,11 @@ impl Outbox {
         Ok(())
     }
 
-    /// How many answers wait.
     pub fn waiting(&self) -> usize {
         self.waiting.len()
     }
 
-    /// How many made room for newer ones.
-    pub fn dropped(&self) -> u64 {
-        self.dropped
-    }
-
-    /// The number of the newest answer; 0 before the first.
+    /// The number of the newest answer; 0 before the first answer.
     pub fn newest(&self) -> u64 {
         self.next - 1
     }
@@ -229,7 +168,7 @@ mod tests {
         outbox.done(2).unwrap();
         assert!(matches!(Outbox::open(dir.path(), "mqtt"), Err(HistoryError::InUse(_))));
         drop(outbox);
-        // A crash cut the last line short.
+        // Simulates a crash that cut off the last line.
         let file = dir.path().join("mqtt.jsonl");
         fs::write(&file, fs::read_to_string(&file).unwrap() + "{\"answer\":{\"sequence\":6,")
             .unwrap();
@@ -248,13 +187,13 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let mut outbox = Outbox::of_at_most(dir.path(), "mqtt", 100_000).unwrap();
         (0..5000).for_each(|_| outbox.push(|n| text(n, 1000)).unwrap());
-        let (waiting, dropped) = (outbox.waiting() as u64, outbox.dropped());
+        let (waiting, dropped) = (outbox.waiting() as u64, outbox.dropped);
         assert!((90..=100).contains(&waiting) && waiting + dropped == 5000, "{waiting} {dropped}");
         let file = fs::metadata(dir.path().join("mqtt.jsonl")).unwrap().len();
         assert!(file < 200_000 + SPENT + 2000, "{file}");
         drop(outbox);
         let mut outbox = Outbox::of_at_most(dir.path(), "mqtt", 100_000).unwrap();
-        assert_eq!((outbox.waiting() as u64, outbox.dropped()), (waiting, dropped));
+        assert_eq!((outbox.waiting() as u64, outbox.dropped), (waiting, dropped));
         assert_eq!(all(&mut outbox), (dropped + 1..=5000).collect::<Vec<_>>());
         (0..2000).for_each(|_| {
             outbox.push(|n| text(n, 1000)).unwrap();
@@ -262,6 +201,6 @@ mod tests {
             outbox.done(newest).unwrap();
         });
         assert!(fs::metadata(dir.path().join("mqtt.jsonl")).unwrap().len() < SPENT + 4000);
-        assert_eq!(outbox.dropped(), dropped);
+        assert_eq!(outbox.dropped, dropped);
     }
 }

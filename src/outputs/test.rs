@@ -1,4 +1,4 @@
-//! One answer to each output, to see whether it arrives.
+//! Sends a test answer to each output, to check whether it arrives.
 
 use std::future::Future;
 use std::time::{Duration, Instant};
@@ -14,25 +14,20 @@ use crate::scan::Scan;
 use crate::station::Answer;
 use crate::station::config::{HttpAddress, OutputsConfig};
 
-/// How long an output may take.
+/// How long an output may take to deliver the test answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// What became of the answer to one output.
+/// The result of sending the test answer to one output.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct OutputTest {
-    /// The address.
+pub(crate) struct OutputTest {
     pub output: String,
-    /// Whether it arrived.
     pub arrived: bool,
-    /// What the other side said, or what went wrong.
+    /// The reply of the receiver, or the problem.
     pub said: String,
 }
 
 /// Sends one answer to each output of a configuration.
-///
-/// # Errors
-/// If a certificate cannot be read, or the system gives no means to wait on sockets.
-pub fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryError> {
+pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryError> {
     let answer = Answer {
         reasons: vec!["a test of this output, and no scan".into()],
         ..Answer::of(&Scan::of_signals(0, Default::default()), 0.0)

@@ -13,50 +13,49 @@ use crate::scene::{Scene, SourceId, SourceSpec};
 use crate::seed;
 use crate::trial::{Signal, Trial};
 
-/// One source of two trials, compared as the method `reference` does.
+/// One source of two trials, compared by the method `reference`.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SourceComparison {
     pub source: SourceId,
-    /// Samples drawn from each trial, n.
+    /// Number of samples drawn from each trial, n.
     pub n: usize,
     pub dims: usize,
     /// Mean of the length scale over repetitions.
     pub sigma: f64,
     /// Mean of MMD²_b over repetitions.
     pub mmd2: f64,
-    /// n·MMD²_b, averaged over repetitions, with the source's offset (1 for metal).
+    /// n·MMD²_b, averaged over repetitions, plus the score offset of the source (1 for metal).
     pub score: f64,
-    /// Mean over repetitions of the threshold κ for MMD²_b, from swaps of samples within pairs.
+    /// Threshold κ of MMD²_b, averaged over repetitions; found by swapping samples within pairs.
     pub kappa: f64,
-    /// Twice the mean of the repetitions' p-values, at most 1: valid however the repetitions
-    /// depend on each other (Vovk & Wang 2020, "Combining p-values via averaging").
+    /// Twice the mean p-value of the repetitions, at most 1. This p-value is valid even if the
+    /// repetitions depend on each other (Vovk & Wang 2020, "Combining p-values via averaging").
     pub p_value: f64,
 }
 
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Comparison {
     pub sources: Vec<SourceComparison>,
-    /// Discrepancy score (Eq. 9).
     pub ds: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
 pub struct TestOptions {
-    /// Samples drawn from a source, n.
+    /// Number of samples drawn from each source of a trial, n.
     pub samples: usize,
-    /// Repetitions, R.
+    /// Number of repetitions, R.
     pub repetitions: usize,
     pub permutations: usize,
     pub alpha: f64,
-    /// Seed of positions and permutations.
+    /// Seed of the sample positions and the permutations.
     pub seed: u64,
 }
 
-/// Compares a query `z` with a library trial `y` as the method `reference` does with shared
-/// positions, and tests each source.
+/// Compares a query `z` with a library trial `y`, and tests each source. Uses the method `reference`
+/// with the same sample positions in both trials.
 ///
 /// # Errors
-/// If a trial does not fit the scene, or the trials share no source, or their rates differ.
+/// If a trial does not fit the scene, the trials share no source, or their rates differ.
 pub fn compare(
     z: &Trial,
     y: &Trial,
@@ -80,7 +79,6 @@ pub fn compare(
     Ok(Comparison { sources, ds: log_ds.exp() })
 }
 
-/// Makes the same checks as the method `reference`.
 fn check(z: &Trial, y: &Trial, scene: &Scene) -> Result<(), RecogniseError> {
     let unsampled =
         |_: &SourceSpec, _: &Signal, _| SampledSource { sets: Vec::new(), domain: None };

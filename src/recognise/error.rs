@@ -1,7 +1,12 @@
-//! Why trials cannot be compared.
+//! Why trials cannot be compared, and the checks for this.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use rayon::prelude::*;
 
 use crate::library::LibraryError;
-use crate::scene::SourceId;
+use crate::scene::{Domain, Scene, SourceId, SourceSpec};
+use crate::trial::{Signal, Trial, TrialKey};
 
 /// Why a trial cannot be named.
 #[derive(Debug, thiserror::Error)]
@@ -37,4 +42,70 @@ pub enum RecogniseError {
     Channels { source_name: SourceId, found: usize, expected: usize, trial: String },
     #[error("{source_name}: {trial} holds {found}, but the scene says {expected}")]
     Kind { source_name: SourceId, trial: String, found: &'static str, expected: &'static str },
+}
+
+/// Applies `make`, in parallel, to each source of a trial that the scene describes.
+///
+/// # Errors
+/// If a source has another kind or another number of channels than the scene says.
+pub fn of_known_sources<T: Send>(
+    key: &TrialKey,
+    trial: &Trial,
+    scene: &Scene,
+    make: impl Fn(&SourceSpec, &Signal) -> T + Sync,
+) -> Result<BTreeMap<SourceId, T>, RecogniseError> {
+    let known: Vec<(&SourceSpec, &Signal)> = (trial.signals.iter())
+        .filter_map(|(id, signal)| Some((scene.get(id.as_str())?, signal)))
+        .collect();
+    let make = |(spec, signal): (&SourceSpec, &Signal)| {
+        check_signal(spec, signal, key)?;
+        Ok((spec.id.clone(), make(spec, signal)))
+    };
+    known.into_par_iter().map(make).collect()
+}
+
+fn check_signal(spec: &SourceSpec, signal: &Signal, key: &TrialKey) -> Result<(), RecogniseError> {
+    let kind = |found, expected| RecogniseError::Kind {
+        source_name: spec.id.clone(),
+        trial: key.to_string(),
+        found,
+        expected,
+    };
+    match (signal, spec.domain == Domain::Image) {
+        (Signal::Image(_), false) => Err(kind("an image", "a series")),
+        (Signal::Series(_), true) => Err(kind("a series", "an image")),
+        (Signal::Series(series), false) if series.channels() != spec.channels => {
+            Err(RecogniseError::Channels {
+                source_name: spec.id.clone(),
+                found: series.channels(),
+                expected: spec.channels,
+                trial: key.to_string(),
+            })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Fails if a library has trials of fewer than two surfaces.
+pub fn check_surfaces<'a>(
+    library: impl Iterator<Item = &'a TrialKey> + Clone,
+) -> Result<(), RecogniseError> {
+    let surfaces = library.clone().map(|key| &key.surface).collect::<BTreeSet<_>>().len();
+    if surfaces < 2 {
+        return Err(RecogniseError::TooFewSurfaces { surfaces, trials: library.count() });
+    }
+    Ok(())
+}
+
+/// The error for a query that shares no source with a library.
+pub fn nothing_in_common<'a>(
+    query: impl Iterator<Item = &'a SourceId>,
+    library: impl Iterator<Item = &'a SourceId>,
+) -> RecogniseError {
+    RecogniseError::NothingInCommon { query: names(query), library: names(library) }
+}
+
+fn names<'a>(ids: impl Iterator<Item = &'a SourceId>) -> String {
+    let ids: BTreeSet<_> = ids.map(SourceId::as_str).collect();
+    if ids.is_empty() { "none".into() } else { ids.into_iter().collect::<Vec<_>>().join(", ") }
 }

@@ -1,9 +1,8 @@
-//! Interfaces of a comparison method and of the model that it makes of a library.
+//! Traits of a comparison method and of the model that it fits to a library.
 
+use std::any::Any;
 use std::sync::Arc;
 
-use super::decide::scan_time::{Goal, ScanTime};
-use super::embedding::EmbeddingModel;
 use super::error::RecogniseError;
 use super::prepared::Prepared;
 use super::rank::Ranking;
@@ -17,11 +16,11 @@ pub trait Method: Send + Sync {
     /// The method's name.
     fn name(&self) -> &'static str;
 
-    /// Hash of all settings that the prepared trials of a library of this shape depend on.
+    /// Hash of all settings that affect how trials are prepared for a library of this shape.
     fn settings_key(&self, shape: &LibraryShape) -> u64;
 
-    /// Prepares a trial of a library of this shape, once, independently of what it is compared
-    /// with. `entry` can load the trial again, so that its raw samples need not stay in memory.
+    /// Prepares a trial, once, for all later comparisons with trials of a library of this shape.
+    /// `entry` can load the trial again, so its raw samples need not stay in memory.
     ///
     /// # Errors
     /// If the trial does not fit the scene.
@@ -32,8 +31,8 @@ pub trait Method: Send + Sync {
         shape: &LibraryShape,
     ) -> Result<Prepared, RecogniseError>;
 
-    /// Makes a model of a prepared library, or of part of one; `shape` is the library shape that
-    /// the trials were prepared for.
+    /// Fits a model to a prepared library, or to part of it. `shape` is the library shape that the
+    /// trials were prepared for.
     ///
     /// # Errors
     /// If the trials are of fewer than two surfaces, cannot be compared with each other, or were
@@ -44,19 +43,19 @@ pub trait Method: Send + Sync {
         shape: &Arc<LibraryShape>,
     ) -> Result<Arc<dyn Model>, RecogniseError>;
 
-    /// Hash of all that a library's model depends on besides the trials; `None` for a method whose
-    /// models are made as fast as they could be read.
+    /// Hash of everything except the trials that affects a library's model. `None` for a method that
+    /// fits a model as fast as it could read a stored one.
     fn model_key(&self, _shape: &LibraryShape) -> Option<u64> {
         None
     }
 
-    /// Restores a model from the bytes that [`EmbeddingModel`] stored; `None` if they are damaged.
+    /// Restores a model from the bytes stored by a model of this method; `None` if they are damaged.
     fn restore(&self, _bytes: &[u8], _shape: &Arc<LibraryShape>) -> Option<Arc<dyn Model>> {
         None
     }
 }
 
-/// A library, ready to name queries.
+/// A model of a library, ready to name queries.
 pub trait Model: Send + Sync {
     /// Prepares a query, once for all models of the same method and library shape.
     ///
@@ -64,35 +63,28 @@ pub trait Model: Send + Sync {
     /// If the trial does not fit the scene.
     fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError>;
 
-    /// Ranks the library's surfaces, the most alike first.
+    /// Ranks the library's surfaces; the surface most like the query comes first.
     ///
     /// # Errors
     /// If the query has no source in common with the library, has another sample rate, or was
     /// prepared for another method.
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError>;
 
-    /// The evidence of each source by itself; `None` if the method cannot separate the sources.
+    /// The evidence of each source alone; `None` if the method cannot separate the sources.
     ///
     /// # Errors
-    /// As [`Model::rank`].
+    /// The errors of [`Model::rank`].
     fn explain(&self, _query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
         Ok(None)
     }
 
-    /// The model as that of the method `embedding`, which can do more; `None` for other methods.
-    fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
+    /// The model itself, if models of its method can do more than others; see `embedding`.
+    fn as_any(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
         None
-    }
-
-    /// How long scans must last to reach `accuracy`; without it, to lose at most one percentage
-    /// point against whole scans. All commands use this one number. `None` if the method cannot
-    /// follow scans.
-    fn scan_time(self: Arc<Self>, accuracy: Option<f64>) -> Option<ScanTime> {
-        Some(self.embedding()?.left_out_accuracy().scan_time(Goal::wanted(accuracy)))
     }
 }
 
-/// How unlike a query each surface is, source by source.
+/// How unlike the query each surface is, source by source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evidence {
     /// The surfaces of the library, sorted.
@@ -101,12 +93,12 @@ pub struct Evidence {
     pub sources: Vec<SourceEvidence>,
 }
 
-/// How unlike a query each surface is by one source.
+/// How unlike the query each surface is by one source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SourceEvidence {
     /// The source.
     pub source: SourceId,
-    /// A term for each surface: the smaller the sum of its terms over all sources, the more alike
-    /// the surface. Infinite for a surface that lacks the source.
+    /// A term for each surface; infinite if the surface lacks the source. The smaller the sum of its
+    /// terms over all sources, the more a surface is like the query.
     pub terms: Vec<f64>,
 }

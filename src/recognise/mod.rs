@@ -6,11 +6,10 @@
 //! ```
 //!
 //! A [`Method`] is a way of comparing trials. It prepares each trial of a library once and fits a
-//! [`Model`] to them, which prepares a query and ranks the library's surfaces for it. [`Reference`]
-//! is the paper's method, exactly; [`Embedding`] is the default; the others of [`MethodName`] are
-//! the paper's comparison classifiers.
+//! [`Model`] to the prepared trials. The model prepares a query and ranks the library's surfaces by
+//! likeness. [`Reference`] is the paper's method, exactly; [`Embedding`] is the default; the others of
+//! [`MethodName`] are the paper's comparison classifiers.
 
-mod checks;
 pub(crate) mod classify;
 mod compare;
 mod decide;
@@ -21,14 +20,13 @@ pub mod features;
 mod follow;
 mod method;
 mod prepared;
-mod prepared_library;
 mod rank;
 mod ready_model;
 pub(crate) mod reference;
 mod shape;
 mod spec;
 
-pub use decide::conformal::{Conformity, Rejection, RejectionError};
+pub use decide::conformal::{Rejection, RejectionError};
 pub use decide::interval::wilson_interval;
 pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfall};
 pub use decide::settle::{SettleRule, Settling};
@@ -37,9 +35,8 @@ pub use error::RecogniseError;
 pub use follow::{FollowOptions, FreshFrames, GuessSoFar};
 pub use method::{Evidence, Method, Model, SourceEvidence};
 pub use prepared::Prepared;
-pub use prepared_library::{PreparedLibrary, prepare_library};
 pub use rank::{Candidate, RankedSurface, Ranking};
-pub use ready_model::{ReadyModel, ready_model};
+pub use ready_model::{PreparedLibrary, ReadyModel, prepare_library, ready_model};
 pub use reference::{PositionMode, Reference, ReferenceOptions, SumPrecision};
 pub use shape::{LibraryShape, SourceShape};
 pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};

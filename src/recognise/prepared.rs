@@ -1,25 +1,25 @@
-//! A trial in the form that each method works with, and how it is stored in a cache.
+//! A trial in the form that a method works with, and its encoding for the cache.
 
 use std::sync::Arc;
 
-use super::embedding::TrialFrames;
+use super::embedding::frames::TrialFrames;
 use super::error::RecogniseError;
 use super::features::FeatureVector;
 use super::reference::prepared_trial::PreparedTrial;
 use crate::library::Entry;
 use crate::trial::TrialKey;
 
-/// Version of the bytes of [`Prepared::encode`]: raise it whenever their meaning changes.
-pub(super) const FORMAT: u64 = 2;
+/// Version of the bytes of [`Prepared::encode`]. Raise it whenever their meaning changes.
+pub(super) const FORMAT: u64 = 3;
 
-/// A trial, ready to be compared. A copy is cheap.
+/// A trial, prepared for comparison. A clone is cheap.
 #[derive(Clone)]
 pub enum Prepared {
     /// Samples, for `reference`.
     Samples(Arc<PreparedTrial>),
     /// Frames, for `embedding`.
     Frames(Arc<TrialFrames>),
-    /// Numbers for each source, for the comparison classifiers; all that feature tables hold.
+    /// Features of each source, for the comparison classifiers. Feature tables hold only these.
     Features(Arc<FeatureVector>),
 }
 
@@ -37,43 +37,23 @@ impl Prepared {
         }
     }
 
-    /// The samples.
-    ///
-    /// # Errors
-    /// If the trial was not prepared for `method`.
+    /// The samples; an error if the trial was not prepared for `method`.
     pub(crate) fn samples(
         &self,
         method: &'static str,
     ) -> Result<&Arc<PreparedTrial>, RecogniseError> {
-        match self {
-            Self::Samples(trial) => Ok(trial),
-            other => Err(other.is_not_for(method)),
-        }
+        if let Self::Samples(trial) = self { Ok(trial) } else { Err(self.is_not_for(method)) }
     }
 
-    /// The frames.
-    ///
-    /// # Errors
-    /// If the trial was not prepared for `method`.
     pub(crate) fn frames(&self, method: &'static str) -> Result<&Arc<TrialFrames>, RecogniseError> {
-        match self {
-            Self::Frames(trial) => Ok(trial),
-            other => Err(other.is_not_for(method)),
-        }
+        if let Self::Frames(trial) = self { Ok(trial) } else { Err(self.is_not_for(method)) }
     }
 
-    /// The features.
-    ///
-    /// # Errors
-    /// If the trial was not prepared for `method`.
     pub(crate) fn features(
         &self,
         method: &'static str,
     ) -> Result<&Arc<FeatureVector>, RecogniseError> {
-        match self {
-            Self::Features(trial) => Ok(trial),
-            other => Err(other.is_not_for(method)),
-        }
+        if let Self::Features(trial) = self { Ok(trial) } else { Err(self.is_not_for(method)) }
     }
 
     fn is_not_for(&self, method: &'static str) -> RecogniseError {
@@ -85,7 +65,7 @@ impl Prepared {
         RecogniseError::PreparedByAnother { method, by, trial: self.key().to_string() }
     }
 
-    /// The trial as bytes; `None` if that would be as large as the recording.
+    /// The trial as bytes; `None` if they would be as large as the recording.
     pub(super) fn encode(&self) -> Option<Vec<u8>> {
         let (kind, bytes) = match self {
             Self::Samples(trial) => (SAMPLES, trial.encode()),
@@ -97,7 +77,7 @@ impl Prepared {
         Some(bytes)
     }
 
-    /// The trial of an entry from the bytes of `encode`; `None` if they are not valid.
+    /// Decodes the bytes of `encode` for the trial of an entry; `None` if they are not valid.
     pub(super) fn decode(entry: &Entry, bytes: &[u8]) -> Option<Self> {
         let key = entry.key.clone();
         Some(match bytes.split_last()? {

@@ -1,4 +1,4 @@
-//! Combines the sources' scores (Eq. 9) and ranks surfaces by them: 1-NN, k-NN, ties, margin.
+//! Combines the scores of the sources (Eq. 9), and ranks surfaces by 1-NN or k-NN.
 
 use std::collections::BTreeMap;
 
@@ -28,32 +28,32 @@ pub struct RankedSurface {
 pub struct Ranking {
     /// All surfaces of the library.
     pub ranked: Vec<RankedSurface>,
-    /// ln of the ratio of the second score to the first; 0 for a tie.
+    /// ln of the ratio of the second score to the first; 0 for a tie or a single surface.
     pub margin: f64,
     /// The sources that were compared.
     pub sources: Vec<SourceId>,
-    /// The most alike trial of the library.
+    /// The library trial that is most like the query.
     pub nearest: TrialKey,
-    /// Probability of the first surface; `None` if the method gives none.
+    /// Probability of the first surface; `None` if the method gives no probability.
     pub confidence: Option<f64>,
     /// Conformal p-value: share of left-out library trials that fit their nearest surface no better
-    /// than the query fits the first; `None` if the method or the library cannot give it.
+    /// than the query fits the first. `None` if the method or the library cannot give it.
     #[serde(rename = "fit")]
     pub p_value: Option<f64>,
 }
 
 impl Ranking {
-    /// The answer: the surface most like the query.
+    /// The answer: the surface that is most like the query.
     pub fn surface(&self) -> &str {
         &self.ranked[0].surface
     }
 }
 
-/// Ranks surfaces by the `k` candidates that are most alike.
+/// Ranks surfaces by the `k` candidates that are most like the query.
 ///
-/// With k = 1 a surface counts by its best trial. With more, the k nearest trials vote with weight
-/// 1/DS, and a surface's score is the inverse of its summed weight; surfaces without a vote follow,
-/// ordered by their best trial. Ties go to the smaller label, then the smaller trial number.
+/// With k = 1, the score of a surface is that of its best trial. With larger k, the k nearest trials
+/// vote with weight 1/DS, and a surface scores 1/(sum of its weights). Surfaces without a vote come
+/// last, ordered by their best trial. Ties go to the smaller label, then the smaller trial number.
 ///
 /// Returns `None` if there are no candidates. The order of candidates does not matter.
 pub fn rank(mut candidates: Vec<Candidate>, k: usize, sources: Vec<SourceId>) -> Option<Ranking> {
@@ -92,12 +92,12 @@ fn log_add(a: f64, b: f64) -> f64 {
     high + (low - high).exp().ln_1p()
 }
 
-/// ln of the scores of one library trial, one for each source; `None` where it lacks the source.
+/// ln of a library trial's score by each source; `None` for a source that the trial lacks.
 pub type TrialScores = Vec<Option<f64>>;
 
-/// Eq. 9, Σ weight · ln score over sources. A source that the library trial lacks counts as the
-/// median of the library's scores of that source, so that lacking it is neither an advantage nor a
-/// disadvantage. `None` for a trial that has none of the sources.
+/// Eq. 9: Σ weight · ln score over sources. A source that the trial lacks counts as the median score
+/// of that source over the library, so that lacking a source is neither an advantage nor a
+/// disadvantage. `None` for a trial without any of the sources.
 pub fn log_discrepancy(weights: &[f64], scores: &[Option<f64>], medians: &[f64]) -> Option<f64> {
     scores.iter().any(Option::is_some).then(|| {
         let terms = scores.iter().zip(medians).zip(weights);
@@ -105,7 +105,7 @@ pub fn log_discrepancy(weights: &[f64], scores: &[Option<f64>], medians: &[f64])
     })
 }
 
-/// The median over a library of each source's score; 0 where no trial has the source.
+/// Median score of each source over a library; 0 for a source that no trial has.
 pub fn medians(sources: usize, library: &[TrialScores]) -> Vec<f64> {
     let median = |source: usize| {
         let mut known: Vec<f64> = library.iter().filter_map(|scores| scores[source]).collect();
@@ -115,7 +115,6 @@ pub fn medians(sources: usize, library: &[TrialScores]) -> Vec<f64> {
     (0..sources).map(median).collect()
 }
 
-/// A candidate for each trial that has a score.
 pub fn candidates<'a>(
     weights: &[f64],
     library: &[TrialScores],

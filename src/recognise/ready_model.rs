@@ -1,20 +1,131 @@
-//! Makes the model of a library: reads it from the cache if nothing has changed, else trains it.
+//! Prepares the trials of a library and makes its model, or reads both from caches that are still up
+//! to date.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
 
 use super::error::RecogniseError;
 use super::method::{Method, Model};
-use super::prepared_library::prepare_for;
+use super::prepared::{FORMAT, Prepared};
 use super::shape::LibraryShape;
 use crate::library::Entry;
 use crate::library::cache::{Cache, Record};
 use crate::library::files::program_stamp;
 use crate::seed;
 
-/// Name of the only record in the cache.
 const RECORD: &str = "model";
+
+/// A prepared library.
+pub struct PreparedLibrary {
+    /// The shape that the trials were prepared for.
+    pub shape: Arc<LibraryShape>,
+    /// For each entry, its prepared trial; `None` if the entry was not wanted.
+    pub trials: Vec<Option<Prepared>>,
+    /// Problems with the cache, one line of text each. The trials can be used in spite of them.
+    pub remarks: Vec<String>,
+    /// Number of trials read from the cache.
+    pub from_cache: usize,
+}
+
+impl PreparedLibrary {
+    /// Fits a model to the trials at the given indices; skips trials that were not prepared.
+    ///
+    /// # Errors
+    /// The errors of [`Method::fit`].
+    pub fn fit<'a>(
+        &self,
+        method: &dyn Method,
+        trials: impl IntoIterator<Item = &'a usize>,
+    ) -> Result<Arc<dyn Model>, RecogniseError> {
+        let library = trials.into_iter().filter_map(|&i| self.trials[i].clone()).collect();
+        method.fit(library, &self.shape)
+    }
+}
+
+/// Prepares the `entries` with indices in `wanted`, for a library of the shape of these entries.
+/// `beside` is the folder of the library; its cache is read and updated. If `beside` is `None`, every
+/// trial is prepared anew. `progress` is called with the number of trials done and their total.
+///
+/// The cache does not change the result: a stored trial is used only if the method's settings and the
+/// trial's files are unchanged. If the files of a trial change while they are read, the trial is not
+/// stored.
+///
+/// # Errors
+/// If a trial cannot be read, or does not fit the scene.
+pub fn prepare_library(
+    method: &dyn Method,
+    entries: &[Entry],
+    wanted: &BTreeSet<usize>,
+    beside: Option<&Path>,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<PreparedLibrary, RecogniseError> {
+    let shape = LibraryShape::of(&wanted.iter().map(|&i| &entries[i]).collect::<Vec<_>>())?;
+    prepare_for(method, Arc::new(shape), (entries, wanted), beside, progress)
+}
+
+/// Does the work of [`prepare_library`] for a known shape.
+fn prepare_for(
+    method: &dyn Method,
+    shape: Arc<LibraryShape>,
+    (entries, wanted): (&[Entry], &BTreeSet<usize>),
+    beside: Option<&Path>,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<PreparedLibrary, RecogniseError> {
+    let mut remarks = Vec::new();
+    let cache = beside.map(|folder| {
+        let key = [FORMAT, method.settings_key(&shape)].map(u64::to_le_bytes);
+        let key = seed::stable_hash(&[&key[0], &key[1]]);
+        let (cache, remark) = Cache::open(folder, method.name(), key);
+        remarks.extend(remark);
+        cache
+    });
+    let (done, from_cache) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let prepare = |i: usize| {
+        if !wanted.contains(&i) {
+            return Ok(None);
+        }
+        let entry = &entries[i];
+        let before = entry.stamp();
+        let stored = cache
+            .as_ref()
+            .and_then(|cache| Prepared::decode(entry, &cache.get(&entry.cache_name(), before?)?));
+        let prepared = match stored {
+            Some(prepared) => {
+                from_cache.fetch_add(1, Ordering::Relaxed);
+                prepared
+            }
+            None => method.prepare(entry, &entry.load()?, &shape)?,
+        };
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1, wanted.len());
+        Ok(Some((prepared, before.filter(|_| before == entry.stamp()))))
+    };
+    let trials: Vec<Option<(Prepared, Option<u64>)>> =
+        (0..entries.len()).into_par_iter().map(prepare).collect::<Result<_, RecogniseError>>()?;
+    let from_cache = from_cache.into_inner();
+    if let Some(cache) = cache
+        && from_cache < wanted.len()
+    {
+        let record = |cache: &Cache, i: usize| {
+            let name = entries[i].cache_name();
+            // An entry that is not wanted this time stays in the cache if its files are unchanged.
+            let (stamp, bytes) = match &trials[i] {
+                Some((prepared, stamp)) => ((*stamp)?, prepared.encode()?),
+                None => {
+                    let stamp = entries[i].stamp()?;
+                    (stamp, cache.get(&name, stamp)?)
+                }
+            };
+            Some(Record { name, stamp, bytes })
+        };
+        remarks.extend(cache.replace(entries.len(), record));
+    }
+    let trials = trials.into_iter().map(|prepared| Some(prepared?.0)).collect();
+    Ok(PreparedLibrary { shape, trials, remarks, from_cache })
+}
 
 /// A model, and whether it came from the cache.
 pub struct ReadyModel {
@@ -22,20 +133,20 @@ pub struct ReadyModel {
     pub model: Arc<dyn Model>,
     /// Whether it came from the cache.
     pub from_cache: bool,
-    /// Problems with the caches, one line of text each; the model is usable all the same.
+    /// Problems with the caches, one line of text each. The model can be used in spite of them.
     pub remarks: Vec<String>,
 }
 
-/// Makes a model of those `entries` whose indices are in `wanted`. `beside` is the folder of the
-/// library; the caches there are read and updated: that of models (`METHOD-model`), then that of
-/// prepared trials, see [`super::prepare_library`]. Without `beside`, all is computed anew.
-/// `progress` is called with the number of trials prepared so far and their total.
+/// Makes a model of the `entries` with indices in `wanted`. `beside` is the folder of the library. Its
+/// cache of models (`METHOD-model`) and its cache of prepared trials (see [`prepare_library`]) are
+/// read and updated. If `beside` is `None`, everything is computed anew. `progress` is called with the
+/// number of trials prepared so far and their total.
 ///
-/// The result is the same with and without a cache: a stored model is used only if the method, the
-/// files of all trials and this program are unchanged.
+/// The caches do not change the result: a stored model is used only if the method, the files of all
+/// trials and this program are unchanged.
 ///
 /// # Errors
-/// If a trial cannot be read or does not fit the scene; also the errors of [`Method::fit`].
+/// If a trial cannot be read or does not fit the scene, and the errors of [`Method::fit`].
 pub fn ready_model(
     method: &dyn Method,
     entries: &[Entry],
@@ -45,20 +156,30 @@ pub fn ready_model(
 ) -> Result<ReadyModel, RecogniseError> {
     let of_model: Vec<&Entry> = wanted.iter().map(|&i| &entries[i]).collect();
     let shape = Arc::new(LibraryShape::of(&of_model)?);
-    let kept = beside.and_then(|folder| Kept::open(method, &of_model, &shape, folder));
-    if let Some(model) = kept.as_ref().and_then(|kept| kept.model(method, &shape)) {
+    let kept = beside.and_then(|folder| {
+        // Another build of the program may make a different model of the same trials.
+        let key = [method.model_key(&shape)?, program_stamp()?].map(u64::to_le_bytes);
+        let key = seed::stable_hash(&[&key[0], &key[1]]);
+        let stamp = stamp(&of_model)?;
+        // A problem with this cache needs no remark, since the file is written again below.
+        Some((Cache::open(folder, &format!("{}-model", method.name()), key).0, stamp))
+    });
+    let stored = kept.as_ref().and_then(|(cache, stamp)| cache.get(RECORD, *stamp));
+    if let Some(model) = stored.and_then(|bytes| method.restore(&bytes, &shape)) {
         return Ok(ReadyModel { model, from_cache: true, remarks: Vec::new() });
     }
-    let prepared = prepare_for(method, shape.clone(), (entries, wanted), beside, progress)?;
+    let prepared = prepare_for(method, shape, (entries, wanted), beside, progress)?;
     let mut remarks = prepared.remarks;
-    // Moved, not borrowed, so that the method can free what it has used.
+    // The trials are moved, not borrowed, so that the method can free trials it has used.
     let model = method.fit(prepared.trials.into_iter().flatten().collect(), &prepared.shape)?;
-    // A model whose trials' files have changed meanwhile is used, but not stored.
-    if let Some(kept) = kept.filter(|kept| stamp(&of_model) == Some(kept.stamp))
-        && let Some(bytes) = model.clone().embedding().and_then(|model| model.store())
+    // If files of the trials have changed meanwhile, the model is used but not stored.
+    if let Some((cache, of_files)) = kept.filter(|kept| stamp(&of_model) == Some(kept.1))
+        && let Some(embedding) = model.clone().embedding()
     {
-        let why = kept.replace(bytes.into());
-        // If the trials could not be stored either, a remark already says so.
+        let why = cache.replace(1, |_, _| {
+            Some(Record { name: RECORD.into(), stamp: of_files, bytes: embedding.store()? })
+        });
+        // If the trials could not be stored, there is a remark already.
         if remarks.is_empty() {
             remarks.extend(why);
         }
@@ -66,7 +187,7 @@ pub fn ready_model(
     Ok(ReadyModel { model, from_cache: false, remarks })
 }
 
-/// Hash of the names and files of some trials as they are now.
+/// Hash of the names and current files of some trials; `None` if a file cannot be read.
 fn stamp(entries: &[&Entry]) -> Option<u64> {
     let trial = |entry: &&Entry| {
         let mut name = entry.cache_name().into_bytes();
@@ -75,37 +196,4 @@ fn stamp(entries: &[&Entry]) -> Option<u64> {
     };
     let trials: Vec<Vec<u8>> = entries.iter().map(trial).collect::<Option<_>>()?;
     Some(seed::stable_hash(&trials.iter().map(Vec::as_slice).collect::<Vec<_>>()))
-}
-
-/// The cache that holds the model of a library.
-struct Kept {
-    cache: Cache,
-    /// Hash of the trials that the model is made of, as `stamp` gives it.
-    stamp: u64,
-}
-
-impl Kept {
-    /// Opens the cache; `None` if models of this method or of these trials are not stored.
-    fn open(
-        method: &dyn Method,
-        entries: &[&Entry],
-        shape: &LibraryShape,
-        folder: &Path,
-    ) -> Option<Self> {
-        // Another build of the program may make another model of the same trials.
-        let key = [method.model_key(shape)?, program_stamp()?].map(u64::to_le_bytes);
-        let key = seed::stable_hash(&[&key[0], &key[1]]);
-        let stamp = stamp(entries)?;
-        // A problem with this cache needs no remark: the file is written again.
-        let (cache, _) = Cache::open(folder, &format!("{}-model", method.name()), key);
-        Some(Self { cache, stamp })
-    }
-
-    fn model(&self, method: &dyn Method, shape: &Arc<LibraryShape>) -> Option<Arc<dyn Model>> {
-        method.restore(&self.cache.get(RECORD, self.stamp)?, shape)
-    }
-
-    fn replace(self, bytes: std::borrow::Cow<'_, [u8]>) -> Option<String> {
-        self.cache.replace(&[Record { name: RECORD.into(), stamp: self.stamp, bytes }])
-    }
 }

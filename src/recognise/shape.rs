@@ -8,7 +8,7 @@ use crate::library::{Entry, LibraryError, Outline, Outlines};
 use crate::scene::SourceId;
 use crate::seed;
 
-/// The shape of each series source of a library; pictures have none.
+/// The shape of each source of a library, except pictures.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LibraryShape {
     sources: BTreeMap<SourceId, SourceShape>,
@@ -17,11 +17,11 @@ pub struct LibraryShape {
 /// The shape of one source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SourceShape {
-    /// Frames a second, of the first trial that has the source.
+    /// Frames a second, in the first trial that has the source.
     pub rate_hz: f64,
-    /// Channels of that trial: samples in a frame.
+    /// Samples in a frame, in the same trial.
     pub channels: usize,
-    /// Median length of a trial in frames; the upper middle one if the number of trials is even.
+    /// Median length of a trial in frames; for an even number of trials, the upper middle length.
     pub median_frames: usize,
 }
 
@@ -29,7 +29,7 @@ impl LibraryShape {
     /// The shape of some trials. Reads only as much of each file as its format requires.
     ///
     /// # Errors
-    /// If one of them cannot be read.
+    /// If a trial cannot be read.
     pub fn of(entries: &[&Entry]) -> Result<Self, LibraryError> {
         let all = entries.par_iter().map(|entry| entry.outlines());
         let all: Vec<Outlines> = all.collect::<Result<_, LibraryError>>()?;
@@ -60,32 +60,5 @@ impl LibraryShape {
 impl FromIterator<(SourceId, SourceShape)> for LibraryShape {
     fn from_iter<I: IntoIterator<Item = (SourceId, SourceShape)>>(shapes: I) -> Self {
         Self { sources: shapes.into_iter().collect() }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::trial::{Series, Signal, Trial, TrialKey};
-
-    #[test]
-    fn a_shape_has_the_median_length_of_the_trials_that_have_the_source() {
-        let trial = |number: u32, ir: Option<usize>| {
-            let series = |frames: usize| {
-                Signal::Series(Series::new(100.0, 2, vec![0.5; 2 * frames]).unwrap())
-            };
-            let id = |name: &str| SourceId::new(name).unwrap();
-            let mut signals = BTreeMap::from([(id("fr"), series(10 * number as usize))]);
-            signals.extend(ir.map(|frames| (id("ir"), series(frames))));
-            Entry::in_memory(Trial { key: TrialKey::new("oak", "expert", number), signals })
-        };
-        let trials = [trial(3, None), trial(1, Some(7)), trial(2, None)];
-        let shape = LibraryShape::of(&trials.iter().collect::<Vec<_>>()).unwrap();
-        let of = |name: &str| shape.get(&SourceId::new(name).unwrap());
-        let fr = SourceShape { rate_hz: 100.0, channels: 2, median_frames: 20 };
-        assert_eq!(of("fr"), Some(fr));
-        assert_eq!(of("ir"), Some(SourceShape { median_frames: 7, ..fr }));
-        assert_eq!(of("mi2"), None);
-        assert_ne!(shape.key(), LibraryShape::default().key());
     }
 }

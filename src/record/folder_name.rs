@@ -1,4 +1,4 @@
-//! Turns labels, which may be any text, into folder names that any file system accepts.
+//! Turns labels (any text) into folder names that every file system accepts.
 
 use std::fmt::Write;
 
@@ -7,12 +7,12 @@ use crate::library::recording::DESCRIPTION;
 use crate::seed::stable_hash;
 use crate::trial::normal;
 
-/// Longest name in bytes; file systems allow 255, and the trial's number follows.
+/// Longest encoded name, in bytes. File systems allow 255, and a trial's number may follow.
 const LONGEST: usize = 160;
 
-/// The folder name of a label. ASCII letters, digits, `_`, `-`, and inner dots and spaces stay;
-/// every other byte becomes `%XX`, as does the first letter of a name that means something else. So
-/// no label leads out of its folder, and different labels get different names.
+/// The folder name of a label. ASCII letters, digits, `_`, `-`, and inner dots and spaces stay.
+/// Every other byte becomes `%XX`, and so does the first letter of a reserved name. So no label
+/// leads out of its folder, and different labels get different names.
 pub(super) fn encode(label: &str) -> String {
     let label = &*normal(label);
     let last = label.len().saturating_sub(1);
@@ -30,7 +30,7 @@ pub(super) fn encode(label: &str) -> String {
         }
     }
     if name.len() > LONGEST {
-        // The name is ASCII, so it may be cut anywhere; the hash keeps different names different.
+        // The cut is safe: the name is ASCII. The hash distinguishes labels that begin alike.
         name.truncate(LONGEST - 17);
         let hash = stable_hash(&[label.as_bytes()]);
         write!(name, "~{hash:016x}").unwrap_or_default();
@@ -38,7 +38,7 @@ pub(super) fn encode(label: &str) -> String {
     name
 }
 
-/// Whether a label can be a folder's name without any change.
+/// Whether a label can be used as a folder's name without any change.
 pub(super) fn is_usable(label: &str) -> bool {
     let is_long = label.len() > LONGEST;
     !label.starts_with('.')
@@ -48,7 +48,7 @@ pub(super) fn is_usable(label: &str) -> bool {
         && !means_something_else(label)
 }
 
-/// Whether a name means something other than a surface: in a library, or on Windows, to which a
+/// Whether a name is reserved: by the library's format, or for a device on Windows, to which a
 /// library may be copied.
 fn means_something_else(label: &str) -> bool {
     let lower = label.to_ascii_lowercase();

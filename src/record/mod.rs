@@ -1,39 +1,37 @@
-//! Writes the recording format, version 1; `library::recording` reads it.
+//! Writes the recording format, version 1; `library::recording` reads this format.
 //!
-//! A trial is written into a folder that readers skip, and renamed when it is complete: after a
-//! crash there are complete trials and perhaps an unfinished folder, never half a trial.
+//! A trial is written into a folder that readers skip, and the folder is renamed when it is
+//! complete. So a crash may leave an unfinished folder, but never half a trial.
 
-mod date;
 pub mod edit;
 mod folder_name;
 #[cfg(feature = "mcap")]
 pub mod mcap;
-mod wav;
-
-#[doc(hidden)]
-pub use date::unix_ms;
-pub(crate) use date::utc;
 
 use std::fs::{self, File};
-use std::io::Write;
+use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
 
+use hound::{SampleFormat, WavSpec, WavWriter};
 use image::ImageEncoder;
+use jiff::Timestamp;
 
 use crate::dataset;
-use crate::library::recording::{DESCRIPTION, UNFINISHED, number_in};
+use crate::library::files::number_in;
+use crate::library::recording::{DESCRIPTION, UNFINISHED};
 use crate::library::{About, LibraryError};
 use crate::scene::{Domain, Scene, SourceSpec};
 use crate::system;
 use crate::trial::{Image, Series, Signal, Trial, TrialKey, normal};
 
-/// The content of a trial's `trial.toml`, and how its files are written.
+/// Options for writing a trial.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialOptions {
-    /// Start, notes and devices; surface, user and number are taken from the trial instead.
+    /// Start, notes and devices for `trial.toml`. The trial itself gives surface, user and number.
     pub about: About,
     /// Whether to wait until the disk holds each file, so that a power failure loses no finished
-    /// trial. `false` is much faster, for data that can be made again.
+    /// trial. `false` is much faster; use it for data that can be made again.
     pub durable: bool,
 }
 
@@ -68,10 +66,7 @@ pub fn write_library_toml(
 }
 
 /// Checks that trials can be written into a library, and creates its folder if it is missing.
-///
-/// # Errors
-/// With advice, if the folder cannot be created, nothing can be written there, or trials written
-/// there would never be read.
+/// Refuses a folder of another dataset layout, from which written trials would never be read.
 pub(crate) fn check_writable(dir: &Path) -> Result<(), LibraryError> {
     if dataset::is_foreign(dir) {
         let problem = "this holds the LMT108 database in a layout of its own, in which trials that are \
@@ -79,21 +74,21 @@ pub(crate) fn check_writable(dir: &Path) -> Result<(), LibraryError> {
         return Err(LibraryError::file(dir, problem));
     }
     fs::create_dir_all(dir).map_err(|error| failed(dir, error))?;
-    // A byte, since a full disk still takes empty files.
+    // The test file holds one byte, since even a full disk accepts empty files.
     let mut probe = unfinished(".probe.").tempfile_in(dir).map_err(|error| failed(dir, error))?;
     let written = probe.write_all(b"0").and_then(|()| probe.as_file().sync_all());
     written.map_err(|error| failed(dir, error))
 }
 
-/// Writes one trial into the library `dir` and returns its folder, `SURFACE/USER-NUMBER`.
+/// Writes one trial into the library `dir` and returns the trial's folder, `SURFACE/USER-NUMBER`.
 ///
-/// A trial is read back as it was written: series are stored as 16-bit WAV where that loses
-/// nothing and as f32 where it would, images as PNG. Characters that do not belong into folder
-/// names are encoded there; `trial.toml` holds the true names.
+/// Storage loses nothing: a series becomes a 16-bit WAV file where that is exact, and an f32 one
+/// where it is not; an image becomes PNG. A folder's name encodes the characters that folder names
+/// cannot hold; `trial.toml` holds the true names.
 ///
 /// # Errors
-/// If a name is empty, if there is such a trial already, if a signal is not what `scene` says of
-/// its source, if WAV cannot hold it, or if the file system refuses.
+/// If a name is empty, the trial exists already, a signal differs from what `scene` says of its
+/// source, WAV cannot hold a signal, or the file system refuses.
 pub fn write_trial(
     dir: &Path,
     trial: &Trial,
@@ -101,30 +96,23 @@ pub fn write_trial(
     options: &TrialOptions,
 ) -> Result<PathBuf, LibraryError> {
     let folder = trial_folder(dir, &trial.key);
-    let taken = || {
-        let problem = format!(
-            "there is a recording of {} already; choose another number, or remove it",
-            trial.key
-        );
-        LibraryError::file(&folder, problem)
-    };
-    // Checked first, so that nothing is written in vain.
-    if folder.exists() {
-        return Err(taken());
+    // Checks first whether the folder exists, so that no trial is written in vain.
+    let write = || UnfinishedTrial::write(dir, trial, scene, options)?.finish(&folder);
+    if !folder.exists() && write()? {
+        return Ok(folder);
     }
-    let unfinished = UnfinishedTrial::write(dir, trial, scene, options)?;
-    if !unfinished.finish(&folder)? {
-        return Err(taken());
-    }
-    Ok(folder)
+    let problem = format!(
+        "there is a recording of {} already; choose another number, or remove it",
+        trial.key
+    );
+    Err(LibraryError::file(&folder, problem))
 }
 
-/// Writes one trial into the library `dir`, like [`write_trial`], but if its number is taken, even
-/// by another process at the same moment, under the next free one. Returns the number and the
-/// folder.
+/// Writes one trial into the library `dir`, like [`write_trial`]. Uses the next free number if the
+/// trial's number is taken, even if another process takes it meanwhile. Returns number and folder.
 ///
 /// # Errors
-/// As [`write_trial`], except that a number may be taken.
+/// Like [`write_trial`], except that a taken number is no error.
 pub fn append_trial(
     dir: &Path,
     trial: &Trial,
@@ -145,13 +133,13 @@ pub fn append_trial(
     }
 }
 
-/// A trial that is complete except for its name.
+/// A trial whose files are all written, but whose folder does not have its final name yet.
 struct UnfinishedTrial<'a> {
     library: &'a Path,
-    /// The folder of the surface.
+    /// The folder of the trial's surface.
     surface: PathBuf,
     options: &'a TrialOptions,
-    /// A folder of a random name, created for this trial alone, and removed when this is dropped.
+    /// A temporary folder with a random name for this trial alone. It is removed on drop.
     folder: tempfile::TempDir,
 }
 
@@ -180,7 +168,7 @@ impl<'a> UnfinishedTrial<'a> {
             system::usual_permissions(&mut builder);
             builder.tempdir_in(&surface)
         };
-        // Tried twice: an edit may remove the empty folder of a surface at this very moment.
+        // Tries twice, since another program may just be removing the surface's empty folder.
         let folder = create().or_else(|_| create()).map_err(|error| failed(&surface, error))?;
         let unfinished = Self { library, surface, options, folder };
         write_signals(unfinished.folder.path(), trial, scene, options)?;
@@ -201,7 +189,7 @@ impl<'a> UnfinishedTrial<'a> {
         if durable { sync_folder(dir) } else { Ok(()) }
     }
 
-    /// Gives the folder its final name. False if another trial has that name.
+    /// Gives the folder its final name. Returns false if another trial has that name.
     fn finish(&self, folder: &Path) -> Result<bool, LibraryError> {
         use std::io::ErrorKind::{AlreadyExists, DirectoryNotEmpty, NotADirectory};
         match system::rename_new(self.folder.path(), folder) {
@@ -221,20 +209,20 @@ impl<'a> UnfinishedTrial<'a> {
     }
 }
 
-/// Creates files and folders of random names, which readers skip and no other writer has.
+/// Prepares to create files and folders with random names, which readers of a library skip.
 fn unfinished(prefix: &str) -> tempfile::Builder<'_, 'static> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(prefix).rand_bytes(16).suffix(UNFINISHED);
     builder
 }
 
-/// The folder that a trial of this name is written into.
+/// The folder `SURFACE/USER-NUMBER` of a trial, in the library `dir`.
 pub(crate) fn trial_folder(dir: &Path, key: &TrialKey) -> PathBuf {
     dir.join(folder_name::encode(&key.surface)).join(trial_name(key))
 }
 
-/// One more than the highest number in folder names of a surface's trials, removed ones included; 1
-/// if there are none. To save time, no `trial.toml` is read, which may give a trial another number.
+/// The highest number among the folder names of a surface's trials (removed trials, too), plus 1.
+/// To save time, this reads no `trial.toml`, which may give a trial another number.
 pub(crate) fn number_by_names(dir: &Path, surface: &str) -> u32 {
     let folder = folder_name::encode(surface);
     let folders = [dir.join(&folder), dir.join(edit::REMOVED).join(&folder)];
@@ -261,9 +249,7 @@ fn write_signals(
         })?;
         check(spec, signal).map_err(fail)?;
         let (path, bytes) = match signal {
-            Signal::Series(series) => {
-                (dir.join(format!("{id}.wav")), wav::encode(series).map_err(fail)?)
-            }
+            Signal::Series(series) => (dir.join(format!("{id}.wav")), wav(series).map_err(fail)?),
             Signal::Image(image) => (dir.join(format!("{id}.png")), png(image).map_err(fail)?),
         };
         write_file(&path, &bytes, options.durable)?;
@@ -271,7 +257,7 @@ fn write_signals(
     Ok(())
 }
 
-/// Refuses what a reader with the same scene would refuse.
+/// Refuses a signal that a reader with the same scene would refuse.
 fn check(spec: &SourceSpec, signal: &Signal) -> Result<(), String> {
     let series: &Series = match (signal, &spec.domain) {
         (Signal::Image(_), Domain::Image) => return Ok(()),
@@ -281,12 +267,9 @@ fn check(spec: &SourceSpec, signal: &Signal) -> Result<(), String> {
         }
         (Signal::Series(series), _) => series,
     };
-    if series.channels() != spec.channels {
-        return Err(format!(
-            "{} channels, but the scene says {}",
-            series.channels(),
-            spec.channels
-        ));
+    let (channels, expected) = (series.channels(), spec.channels);
+    if channels != expected {
+        return Err(format!("{channels} channels, but the scene says {expected}"));
     }
     match spec.rate_hz {
         Some(rate_hz) if rate_hz != series.rate_hz() => {
@@ -296,15 +279,56 @@ fn check(spec: &SourceSpec, signal: &Signal) -> Result<(), String> {
     }
 }
 
+const MOST_CHANNELS: usize = 1024;
+
+/// Encodes a series as WAV: as 16-bit integers if they hold every sample exactly, otherwise as f32.
+/// An error says why WAV cannot hold the series.
+fn wav(series: &Series) -> Result<Vec<u8>, String> {
+    let rate_hz = series.rate_hz();
+    let sample_rate = rate_hz as u32;
+    if f64::from(sample_rate) != rate_hz {
+        return Err(format!("WAV files hold whole rates, not {rate_hz} Hz; resample it"));
+    }
+    let (samples, channels) = (series.samples(), series.channels());
+    if samples.len() > Series::MOST_SAMPLES || channels > MOST_CHANNELS {
+        return Err(format!(
+            "{} samples in {channels} channels are too many for a WAV file; expected at most \
+             {} and {MOST_CHANNELS}",
+            samples.len(),
+            Series::MOST_SAMPLES
+        ));
+    }
+    let short: Option<Vec<i16>> = samples.iter().map(|&x| as_i16(x)).collect();
+    let (bits_per_sample, sample_format) = match short {
+        Some(_) => (16, SampleFormat::Int),
+        None => (32, SampleFormat::Float),
+    };
+    // There are at most MOST_CHANNELS channels, so the cast to u16 loses nothing.
+    let spec = WavSpec { channels: channels as u16, sample_rate, bits_per_sample, sample_format };
+    let mut bytes = Cursor::new(Vec::new());
+    let write = || -> Result<(), hound::Error> {
+        let mut writer = WavWriter::new(&mut bytes, spec)?;
+        match short {
+            Some(short) => short.into_iter().try_for_each(|x| writer.write_sample(x))?,
+            None => samples.iter().try_for_each(|&x| writer.write_sample(x))?,
+        }
+        writer.finalize()
+    };
+    write().map_err(|error| error.to_string())?;
+    Ok(bytes.into_inner())
+}
+
+/// The 16-bit integer that is exactly 2^15 times the sample; `None` if there is none.
+fn as_i16(sample: f32) -> Option<i16> {
+    // Safe for any sample: the cast limits the value to the range of i16.
+    let short = (sample * 32768.0) as i16;
+    ((f32::from(short) / 32768.0).to_bits() == sample.to_bits()).then_some(short)
+}
+
 fn png(image: &Image) -> Result<Vec<u8>, String> {
-    let mut bytes = Vec::new();
+    let (mut bytes, rgb8) = (Vec::new(), image::ExtendedColorType::Rgb8);
     image::codecs::png::PngEncoder::new(&mut bytes)
-        .write_image(
-            image.rgb(),
-            Image::COLS as u32,
-            Image::ROWS as u32,
-            image::ExtendedColorType::Rgb8,
-        )
+        .write_image(image.rgb(), Image::COLS as u32, Image::ROWS as u32, rgb8)
         .map_err(|error| error.to_string())?;
     Ok(bytes)
 }
@@ -318,7 +342,7 @@ fn write_file(path: &Path, bytes: &[u8], durable: bool) -> Result<(), LibraryErr
     write().map_err(|error| failed(path, error))
 }
 
-/// Makes new names in a folder last.
+/// Waits until the disk holds the names of the files in a folder.
 fn sync_folder(dir: &Path) -> Result<(), LibraryError> {
     system::names_written(dir).map_err(|error| failed(dir, error))
 }
@@ -332,6 +356,55 @@ fn failed(path: &Path, error: std::io::Error) -> LibraryError {
         std::io::ErrorKind::StorageFull => {
             LibraryError::file(path, "cannot write here: the disk is full; make room and try again")
         }
-        _ => LibraryError::Io { path: path.to_path_buf(), error },
+        _ => LibraryError::file(path, error),
+    }
+}
+
+/// Milliseconds from 1970 to `moment`; 0 for a moment before 1970.
+#[doc(hidden)]
+pub fn unix_ms(moment: SystemTime) -> u64 {
+    moment.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64)
+}
+
+/// A moment as text in UTC, to the second, such as `2025-01-31T12:00:00Z` (RFC 3339). A moment
+/// outside the years -9999 to 9999 counts as 1970.
+pub(crate) fn utc(moment: SystemTime) -> String {
+    let whole = Timestamp::try_from(moment)
+        .and_then(|moment| Timestamp::from_second(moment.as_second()))
+        .unwrap_or(Timestamp::UNIX_EPOCH);
+    whole.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn moments_become_calendar_dates() {
+        let at = |seconds| utc(UNIX_EPOCH + Duration::from_secs_f64(seconds));
+        // The expected texts are those of `date -u -d @SECONDS`.
+        assert_eq!(at(0.0), "1970-01-01T00:00:00Z");
+        assert_eq!(at(951_782_399.9), "2000-02-28T23:59:59Z");
+        assert_eq!(at(951_782_400.0), "2000-02-29T00:00:00Z");
+        assert_eq!(at(1_735_689_599.0), "2024-12-31T23:59:59Z");
+        assert_eq!(at(4_107_542_400.0), "2100-03-01T00:00:00Z");
+    }
+
+    #[test]
+    fn only_what_is_exact_goes_into_16_bits() {
+        assert_eq!(as_i16(-1.0), Some(-32768));
+        assert_eq!(as_i16(0.5), Some(16384));
+        assert_eq!(as_i16(1.0), None);
+        assert_eq!(as_i16(-0.0), None);
+        assert_eq!(as_i16(0.1), None);
+        assert_eq!(as_i16(f32::MAX), None);
+    }
+
+    #[test]
+    fn a_broken_rate_is_refused() {
+        let series = Series::new(0.5, 1, vec![0.0]).unwrap();
+        assert!(wav(&series).unwrap_err().contains("not 0.5 Hz"));
     }
 }

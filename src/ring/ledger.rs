@@ -1,9 +1,9 @@
-//! Both halves of a ring's bookkeeping: which indexes came through, and which are missing.
+//! Both halves of a ring's bookkeeping, which knows the indexes that came through and the missing ones.
 //!
-//! Stretches of missing indexes travel beside the samples, in a small ring of their own. A stretch
-//! is entered there before the first frame that follows it enters the ring of samples, so a
-//! consumer that sees the frame sees the stretch. The last stretch, which no frame follows yet,
-//! shows in the meter's `head`, the index of the next frame.
+//! A stretch is a range of consecutive missing indexes. Stretches travel beside the samples, in a
+//! small ring of their own. The producer enters a stretch before the frame that follows it, so a
+//! consumer that sees the frame sees the stretch. No frame follows the last stretch yet, so the
+//! consumer finds its end in the meter's `head`, which is the index of the next frame.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -16,32 +16,33 @@ use ringbuf::{HeapCons, HeapProd, HeapRb};
 
 use super::{Stop, Stopped, Waker};
 
-/// How long a waiting producer sleeps at most, in case that nobody wakes it.
+/// The longest sleep of a waiting producer, so that it goes on even if nothing wakes it.
 const NAP: Duration = Duration::from_millis(2);
-/// Most stretches under way at once; beyond that, frames are lost, so that the latest one grows.
+/// Most stretches that may wait for the consumer. If no more stretches fit, new frames are lost, too.
 const STRETCHES: usize = 256;
 
 /// The producer's half of the bookkeeping.
 pub(super) struct Ledger {
     meter: Arc<Meter>,
     stretches: HeapProd<(u64, u64)>,
-    /// The stretch that no frame follows yet.
+    /// The last stretch until a frame follows it; `None` if a frame came last.
     open: Option<Range<u64>>,
-    head: u64,
+    pub head: u64,
     waker: Waker,
     room: Receiver<()>,
 }
 
 /// The consumer's half of the bookkeeping.
-pub(super) struct Reckoning {
-    meter: Arc<Meter>,
+pub struct Reckoning {
+    pub meter: Arc<Meter>,
     stretches: HeapCons<(u64, u64)>,
-    position: u64,
+    /// Index of the next frame to come out.
+    pub position: u64,
     room: Sender<()>,
 }
 
 pub(super) fn pair(capacity: usize, waker: Waker) -> (Ledger, Reckoning) {
-    let meter = Meter::new(capacity);
+    let meter = Arc::new(Meter { capacity: capacity as u64, ..Meter::default() });
     let (enter, read) = HeapRb::new(STRETCHES).split();
     let (made, room) = crossbeam_channel::bounded(1);
     (
@@ -51,12 +52,8 @@ pub(super) fn pair(capacity: usize, waker: Waker) -> (Ledger, Reckoning) {
 }
 
 impl Ledger {
-    pub(super) fn head(&self) -> u64 {
-        self.head
-    }
-
-    /// Enters the open stretch, which must be done before frames enter the ring. False if there is
-    /// no room for it: then no frame may enter either.
+    /// Enters the open stretch, if there is one. Must be called before frames enter the ring; if it
+    /// returns false, there was no room for the stretch, and no frame may enter.
     pub(super) fn settle(&mut self) -> bool {
         if let Some(open) = &self.open {
             if self.stretches.try_push((open.start, open.end)).is_err() {
@@ -83,18 +80,21 @@ impl Ledger {
         self.meter.head.store(self.head, Ordering::Release);
     }
 
-    pub(super) fn wake_collector(&self) {
-        self.waker.wake();
+    /// Wakes the collector if the ring should be emptied soon.
+    pub(super) fn wake_if_half_full(&self, ring: &impl Observer) {
+        if ring.occupied_len() * 2 >= ring.capacity().get() {
+            self.waker.wake();
+        }
     }
 
-    /// Waits until the consumer has made room, or for a short time.
+    /// Waits until the consumer has made room, but at most for [`NAP`].
     pub(super) fn wait_for_room(&self, stop: &Stop) -> Result<(), Stopped> {
         if stop.requested() {
             return Err(Stopped);
         }
         self.meter.waiting.store(true, Ordering::Release);
         self.waker.wake();
-        // A wake-up that got lost before this line costs one nap.
+        // If room was made before `waiting` was set, no wake-up comes, and this costs one nap.
         let _ = self.room.recv_timeout(NAP);
         self.meter.waiting.store(false, Ordering::Release);
         Ok(())
@@ -109,26 +109,18 @@ impl Drop for Ledger {
 }
 
 impl Reckoning {
-    pub(super) fn meter(&self) -> &Arc<Meter> {
-        &self.meter
-    }
-
-    pub(super) fn position(&self) -> u64 {
-        self.position
-    }
-
-    /// The index after all frames so far. Read before the ring, which then shows all of them.
+    /// The index after all frames so far. Read before the ring, so that the ring holds all of them.
     pub(super) fn head(&self) -> u64 {
         self.meter.head.load(Ordering::Acquire)
     }
 
-    /// Whether the producer is gone and nothing is left to come.
-    pub(super) fn exhausted(&self) -> bool {
-        // `closed` is read first, so that all counts made before it was set are seen.
+    /// Whether the producer is gone and all its frames came out or were reported as missing.
+    pub(crate) fn exhausted(&self) -> bool {
+        // `closed` is read first, since `head` is final once `closed` is set.
         self.meter.closed.load(Ordering::Acquire) && self.position >= self.head()
     }
 
-    /// Skips the frames known to be missing at the position, and returns their number.
+    /// Skips the frames missing at the position, and returns their number; `None` if there are none.
     pub(super) fn missing_here(&mut self) -> Option<u64> {
         while let Some(&(start, end)) = self.stretches.try_peek() {
             if start > self.position {
@@ -144,7 +136,7 @@ impl Reckoning {
         None
     }
 
-    /// How many of the `available` frames follow each other without a gap.
+    /// How many of the `available` frames come before the next gap.
     pub(super) fn contiguous(&self, available: usize) -> usize {
         match self.stretches.try_peek() {
             Some(&(start, _)) => {
@@ -155,7 +147,7 @@ impl Reckoning {
         }
     }
 
-    /// Counts frames that left the ring, and wakes a producer that waits for their room.
+    /// Counts frames that left the ring, and wakes a producer that waits for room.
     pub(super) fn left(&mut self, frames: u64) {
         self.position += frames;
         self.meter.received.fetch_add(frames, Ordering::AcqRel);
@@ -164,7 +156,7 @@ impl Reckoning {
         }
     }
 
-    /// Skips the frames missing before `head`, once the ring is empty, and returns their number.
+    /// Skips the frames missing before `head`, and returns their number. Called when the ring is empty.
     pub(super) fn missing_before(&mut self, head: u64) -> Option<u64> {
         let missing = head.checked_sub(self.position).filter(|&frames| frames > 0)?;
         self.position = head;
@@ -172,54 +164,35 @@ impl Reckoning {
     }
 }
 
-/// Whether a ring should be emptied soon.
-pub(super) fn half_full<R: Observer>(ring: &R) -> bool {
-    ring.occupied_len() * 2 >= ring.capacity().get()
-}
-
-/// Counts of one ring, readable from any thread while the ring is in use.
-///
-/// Counts are in frames (one sample of every channel) or images.
-#[derive(Debug)]
+/// Counts of one ring, in frames (one sample of every channel) or images. Any thread may read them
+/// while the ring is in use.
+#[derive(Debug, Default)]
 pub struct Meter {
-    pub(super) capacity: u64,
-    /// Index of the next frame, which is the number of frames pushed or lost so far.
-    pub(super) head: AtomicU64,
-    pub(super) lost: AtomicU64,
-    pub(super) received: AtomicU64,
-    pub(super) closed: AtomicBool,
-    pub(super) waiting: AtomicBool,
+    capacity: u64,
+    /// Index of the next frame, which is the number of frames that entered or were lost so far.
+    head: AtomicU64,
+    lost: AtomicU64,
+    received: AtomicU64,
+    closed: AtomicBool,
+    waiting: AtomicBool,
 }
 
-/// Counts of a ring at one moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Counts {
-    /// Frames offered by the device: those in the ring, those that left it, and those lost.
+    /// Frames that the device offered, that is, the frames in the ring, received and lost.
     pub pushed: u64,
     /// Frames that came out of the ring.
     pub received: u64,
-    /// Frames that never entered the ring: it was full, or they never arrived at the device.
+    /// Frames that never entered the ring, since it was full or they never arrived at the device.
     pub lost: u64,
-    /// Frames in the ring now.
     pub fill: u64,
     /// Frames that the ring can hold.
     pub capacity: u64,
 }
 
 impl Meter {
-    pub(super) fn new(capacity: usize) -> Arc<Self> {
-        Arc::new(Self {
-            capacity: capacity as u64,
-            head: AtomicU64::new(0),
-            lost: AtomicU64::new(0),
-            received: AtomicU64::new(0),
-            closed: AtomicBool::new(false),
-            waiting: AtomicBool::new(false),
-        })
-    }
-
-    /// The counts now. While frames enter and leave, `fill` may be off by these; once the stream is
-    /// closed and emptied, `pushed = received + lost` exactly.
+    /// The present counts. While frames enter and leave, `fill` may be off by their number; once
+    /// the stream is closed and empty, `pushed = received + lost` exactly.
     pub fn counts(&self) -> Counts {
         let received = self.received.load(Ordering::Acquire);
         let lost = self.lost.load(Ordering::Acquire);

@@ -1,38 +1,36 @@
-//! One ring for each stream (one producer, one consumer): from a device's thread to the collector.
+//! A ring for each stream carries data from a device's thread to the collector.
 //!
-//! A device holds the [`Sink`], and the collector the tap, out of which the data come. Frames are
-//! counted from the start of the stream, **lost ones included**, so that an index always stands for
-//! the same moment, whatever was lost before it. Each frame ends in exactly one of two ways: it
-//! comes out of the tap, or the tap reports it as missing, at its place in the order.
+//! A device puts frames into the [`Sink`], and the collector takes them out of the tap. Frames are
+//! counted from the start of the stream, **lost frames included**, so that an index always stands
+//! for the same moment. Each frame ends in exactly one of two ways: it comes out of the tap, or the
+//! tap reports it as missing, at its place in the order.
 //!
 //! A producer pushes in one of two ways:
-//! - `push` never blocks, for sensors that cannot wait: data that do not fit are lost, and counted;
-//! - `push_waiting` waits for room, for sources that can wait: nothing is lost.
+//! - `push` never blocks, for sensors that cannot wait, so data that do not fit are lost and counted;
+//! - `push_waiting` waits for room, for sources that can wait, so nothing is lost.
+
+#![allow(missing_docs)] // Names that say everything need no comment.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crossbeam_channel::{Receiver, Sender};
 
-mod images;
 mod ledger;
 mod series;
 
-pub use images::ImageSink;
 pub use ledger::Counts;
-pub use series::SeriesSink;
+pub use series::{ImageSink, RingSink, SeriesSink};
 
 #[doc(hidden)] // For the project's own tests and tools.
 pub use series::{Piece, SeriesTap, series};
 
-pub(crate) use images::{ImageTap, images};
-pub(crate) use ledger::Meter;
+pub(crate) use ledger::{Meter, Reckoning};
+pub(crate) use series::{ImageTap, images};
 
 /// The end of a ring into which a device puts the data of one stream.
 pub enum Sink {
-    /// Samples in time.
     Series(SeriesSink),
-    /// Pictures.
     Images(ImageSink),
 }
 
@@ -45,7 +43,6 @@ impl Sink {
         }
     }
 
-    /// The sink of a series, if it is one.
     pub fn series(&mut self) -> Option<&mut SeriesSink> {
         match self {
             Self::Series(sink) => Some(sink),
@@ -53,7 +50,6 @@ impl Sink {
         }
     }
 
-    /// The sink of images, if it is one.
     pub fn images(&mut self) -> Option<&mut ImageSink> {
         match self {
             Self::Images(sink) => Some(sink),
@@ -62,28 +58,27 @@ impl Sink {
     }
 }
 
-/// A request that threads end; clones share it.
+/// Asks threads to end; all clones share the request.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// Requests the end; there is no way back.
+    /// Requests the end; this cannot be undone.
     pub fn request(&self) {
         self.0.store(true, Ordering::Release);
     }
 
-    /// Whether the end was requested.
     pub(crate) fn requested(&self) -> bool {
         self.0.load(Ordering::Acquire)
     }
 }
 
-/// The wait ended because the end was requested.
+/// A wait ended because a stop was requested.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("stopped")]
 pub struct Stopped;
 
-/// Wakes the thread that empties the rings; clones wake the same one.
+/// Wakes the thread that empties the rings; all clones wake the same thread.
 #[derive(Clone, Debug)]
 pub struct Waker(Sender<()>);
 
@@ -96,7 +91,7 @@ impl Waker {
 
     /// Wakes the thread, now or when it next waits. Never blocks.
     pub(crate) fn wake(&self) {
-        // A full channel: the thread is about to wake; a disconnected one: it has ended.
+        // An error means that a wake-up waits already or that the thread has ended, so it is ignored.
         let _ = self.0.try_send(());
     }
 }

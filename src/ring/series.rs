@@ -1,79 +1,97 @@
-//! The ring of a series: interleaved samples, moved in slices of whole frames.
+//! The ring itself, which holds interleaved samples and moves them in slices of whole frames. In
+//! the ring of a camera, a picture is a frame of one sample.
 
 use std::sync::Arc;
 
 use ringbuf::traits::{Consumer, Observer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
 
-use super::ledger::{Ledger, Reckoning, half_full, pair};
+use super::ledger::{Ledger, Reckoning, pair};
 use super::{Meter, Stop, Stopped, Waker};
+use crate::trial::Image;
 
-/// The device's end of a ring of samples.
-pub struct SeriesSink {
-    ring: HeapProd<f32>,
+/// The device's end of a ring.
+pub struct RingSink<T> {
+    ring: HeapProd<T>,
     channels: usize,
     ledger: Ledger,
 }
 
-/// The collector's end of a ring of samples.
-pub struct SeriesTap {
-    ring: HeapCons<f32>,
+/// The device's end of a ring of samples.
+pub type SeriesSink = RingSink<f32>;
+/// The device's end of a ring of pictures.
+pub type ImageSink = RingSink<Arc<Image>>;
+
+/// The collector's end of a ring.
+pub struct RingTap<T> {
+    ring: HeapCons<T>,
     channels: usize,
     reckoning: Reckoning,
 }
 
-/// Samples or a gap that come out of a ring; pieces come in order.
+/// The collector's end of a ring of samples.
+pub type SeriesTap = RingTap<f32>;
+/// The collector's end of a ring of pictures.
+pub type ImageTap = RingTap<Arc<Image>>;
+
+/// A piece of what comes out of a ring in order, either samples or a gap.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Piece<'a> {
+pub enum Piece<'a, T = f32> {
     /// Interleaved samples, in whole frames.
-    Samples(&'a [f32]),
+    Samples(&'a [T]),
     /// This many frames are missing here.
     Missing(u64),
 }
 
-/// A ring of `capacity` frames of `channels` samples each, where 0 counts as 1.
+/// A ring of `capacity` frames of `channels` samples each; a 0 counts as 1.
 pub fn series(channels: usize, capacity: usize, waker: Waker) -> (SeriesSink, SeriesTap) {
+    ring(channels, capacity, waker)
+}
+
+/// A ring of `capacity` pictures; a 0 counts as 1.
+pub fn images(capacity: usize, waker: Waker) -> (ImageSink, ImageTap) {
+    ring(1, capacity, waker)
+}
+
+fn ring<T>(channels: usize, capacity: usize, waker: Waker) -> (RingSink<T>, RingTap<T>) {
     let (channels, capacity) = (channels.max(1), capacity.max(1));
     let (enter, leave) = HeapRb::new(channels * capacity).split();
     let (ledger, reckoning) = pair(capacity, waker);
-    (SeriesSink { ring: enter, channels, ledger }, SeriesTap { ring: leave, channels, reckoning })
+    (RingSink { ring: enter, channels, ledger }, RingTap { ring: leave, channels, reckoning })
 }
 
-impl SeriesSink {
-    /// Samples a frame.
+impl<T: Clone> RingSink<T> {
     pub fn channels(&self) -> usize {
         self.channels
     }
 
-    /// Index of the next frame; lost ones are counted too.
+    /// Index of the next frame; lost frames are counted too.
     pub fn position(&self) -> u64 {
-        self.ledger.head()
+        self.ledger.head
     }
 
-    /// Puts frames into the ring without ever blocking. Returns how many did not fit: these are
-    /// lost, and counted.
+    /// Puts frames into the ring without ever blocking. Frames that do not fit are lost and counted
+    /// as lost; their number is returned.
     ///
     /// # Panics
     /// If `samples.len()` is not a multiple of the number of channels.
-    pub fn push(&mut self, samples: &[f32]) -> u64 {
+    pub fn push(&mut self, samples: &[T]) -> u64 {
         let frames = self.whole_frames(samples);
         let entered = self.enter(samples);
         let lost = (frames - entered) as u64;
         self.ledger.lose(lost);
-        if half_full(&self.ring) {
-            self.ledger.wake_collector();
-        }
+        self.ledger.wake_if_half_full(&self.ring);
         lost
     }
 
-    /// Puts all frames into the ring, waiting for room as often as it takes.
+    /// Puts all frames into the ring; waits for room as often as needed.
     ///
     /// # Errors
-    /// If a stop was requested; frames that had not entered by then were never counted.
+    /// If a stop was requested. Frames that had not entered by then are not counted.
     ///
     /// # Panics
     /// If `samples.len()` is not a multiple of the number of channels.
-    pub fn push_waiting(&mut self, samples: &[f32], stop: &Stop) -> Result<(), Stopped> {
+    pub fn push_waiting(&mut self, samples: &[T], stop: &Stop) -> Result<(), Stopped> {
         self.whole_frames(samples);
         let mut rest = samples;
         loop {
@@ -85,55 +103,52 @@ impl SeriesSink {
         }
     }
 
-    /// Counts frames as lost that the sensor took but that never arrived here, as a gap in a
-    /// device's own sample counter shows.
+    /// Counts frames as lost that the sensor took but that never arrived here. A gap in the
+    /// device's own sample counter gives their number.
     pub fn skip(&mut self, frames: u64) {
         self.ledger.lose(frames);
     }
 
-    fn whole_frames(&self, samples: &[f32]) -> usize {
+    fn whole_frames(&self, samples: &[T]) -> usize {
         let (len, channels) = (samples.len(), self.channels);
         assert!(len.is_multiple_of(channels), "{len} samples are not whole frames of {channels}");
         len / channels
     }
 
     /// Puts in the frames that fit, and returns their number.
-    fn enter(&mut self, samples: &[f32]) -> usize {
-        // Only whole frames enter and leave, so the room is a whole number of frames too.
+    fn enter(&mut self, samples: &[T]) -> usize {
+        // Rounds down to whole frames, so that a frame is never split between two calls.
         let fits = self.ring.vacant_len().min(samples.len()) / self.channels * self.channels;
         if fits == 0 || !self.ledger.settle() {
             return 0;
         }
-        let frames = self.ring.push_slice(&samples[..fits]) / self.channels;
+        let frames = self.ring.push_iter(samples[..fits].iter().cloned()) / self.channels;
         self.ledger.entered(frames as u64);
         frames
     }
 }
 
-impl SeriesTap {
-    /// Samples a frame.
+impl<T> RingTap<T> {
     pub fn channels(&self) -> usize {
         self.channels
     }
 
-    /// Index of the next frame to come out; lost ones are counted too.
+    /// Index of the next frame to come out; lost frames are counted too.
     pub(crate) fn position(&self) -> u64 {
-        self.reckoning.position()
+        self.reckoning.position
     }
 
-    /// The meter of this ring.
     pub fn meter(&self) -> &Arc<Meter> {
-        self.reckoning.meter()
+        &self.reckoning.meter
     }
 
-    /// Whether the device has ended and all its frames were taken.
-    pub(crate) fn exhausted(&self) -> bool {
-        self.reckoning.exhausted()
+    pub(crate) fn reckoning(&self) -> &Reckoning {
+        &self.reckoning
     }
 
     /// Takes all that the ring holds now, and calls `on` with samples and gaps in order. Returns
     /// whether there was anything.
-    pub fn drain(&mut self, mut on: impl FnMut(Piece<'_>)) -> bool {
+    pub fn drain(&mut self, mut on: impl FnMut(Piece<'_, T>)) -> bool {
         let before = self.position();
         let head = self.reckoning.head();
         let mut available = self.ring.occupied_len() / self.channels;
@@ -161,6 +176,21 @@ impl SeriesTap {
     }
 }
 
+impl ImageTap {
+    /// Takes all pictures that the ring holds now, and calls `on` with each picture and its index.
+    /// A skipped index is a lost picture. Returns whether there was anything.
+    pub(crate) fn drain_images(&mut self, mut on: impl FnMut(u64, &Arc<Image>)) -> bool {
+        let mut index = self.position();
+        self.drain(|piece| match piece {
+            Piece::Missing(lost) => index += lost,
+            Piece::Samples(pictures) => {
+                (index..).zip(pictures).for_each(|(index, picture)| on(index, picture));
+                index += pictures.len() as u64;
+            }
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -170,7 +200,7 @@ mod tests {
         series(channels, capacity, Waker::new().0)
     }
 
-    /// All that comes out; missing frames as NaN.
+    /// All samples that come out, with NaN for missing frames.
     fn take(tap: &mut SeriesTap) -> Vec<f32> {
         let (mut out, channels) = (Vec::new(), tap.channels());
         tap.drain(|piece| match piece {
@@ -232,6 +262,22 @@ mod tests {
         assert_eq!(waiting.join().unwrap(), Err(Stopped));
     }
 
+    #[test]
+    fn a_picture_that_does_not_fit_leaves_its_index_empty() {
+        let picture = |value: u8| {
+            let rgb = vec![value; Image::ROWS * Image::COLS * 3];
+            [Arc::new(Image::new(Image::COLS, Image::ROWS, rgb).unwrap())]
+        };
+        let (mut sink, mut tap) = images(1, Waker::new().0);
+        assert_eq!((sink.push(&picture(0)), sink.push(&picture(1))), (0, 1));
+        let mut seen = Vec::new();
+        tap.drain_images(|index, image| seen.push((index, image.pixel(0, 0)[0])));
+        assert_eq!(sink.push(&picture(2)), 0);
+        tap.drain_images(|index, image| seen.push((index, image.pixel(0, 0)[0])));
+        assert_eq!(seen, [(0, 0), (2, 2)]);
+        assert_eq!(tap.meter().counts().lost, 1);
+    }
+
     proptest! {
         #[test]
         fn waiting_carries_everything(
@@ -246,7 +292,7 @@ mod tests {
                 }
             });
             let mut got = Vec::new();
-            while !tap.exhausted() {
+            while !tap.reckoning.exhausted() {
                 got.extend(take(&mut tap));
                 std::thread::yield_now();
             }
@@ -271,7 +317,7 @@ mod tests {
             }
             drop(sink);
             out.extend(take(&mut tap));
-            prop_assert!(tap.exhausted());
+            prop_assert!(tap.reckoning.exhausted());
             prop_assert_eq!(out.len(), next);
             prop_assert!(out.iter().enumerate().all(|(i, x)| x.is_nan() || *x == i as f32));
             let counts = tap.meter().counts();

@@ -1,51 +1,51 @@
 //! Estimates when each frame of a stream was sampled, on one time base, from its arrival times.
 //!
-//! Buffers delay arrivals by an amount that is never negative and often large. So the line of
-//! sampling times lies *below* all points (index, arrival time). The clock takes the edge of their
-//! lower convex hull under the middle of their span: the closest line that lies below all of them
-//! (S. B. Moon, P. Skelly and D. Towsley, *Estimation and removal of clock skew from network delay
-//! measurements*, INFOCOM 1999). The smallest delay cannot be seen in arrival times: it remains as
-//! a constant offset of all frames.
+//! Buffers delay each arrival by a time that is never negative and often large. So the line of
+//! sampling times lies *below* all points (index, arrival time). The clock takes an edge of the
+//! lower convex hull of these points, the edge under the middle of their span, since this is the
+//! closest line below all points (S. B. Moon, P. Skelly and D. Towsley, *Estimation and removal of
+//! clock skew from network delay measurements*, INFOCOM 1999). Arrival times cannot show the
+//! smallest delay, which remains as a constant offset of all frames.
 //!
-//! No I/O: the arrival times are passed in.
+//! This module does no I/O, since the arrival times are passed in.
 
 use std::collections::VecDeque;
 
-/// Seconds of the daemon's time base.
+/// A time on the daemon's time base, or a duration, in seconds.
 pub type ClockSecond = f64;
 
-/// Length of a bin; of each bin, only the point with the least delay is kept.
+/// Length of a bin of arrivals. The clock keeps only the point with the least delay in each bin.
 const BIN_S: ClockSecond = 0.5;
-/// Bins that are kept: a minute.
+/// Number of bins kept; together they cover one minute.
 const BINS: usize = 120;
-/// A shorter span does not show the drift: with 1 ms of noise, 10 s leave an error of 100 ppm.
+/// Shortest span from which drift is estimated, since 1 ms of noise in 10 s makes an error of 100 ppm.
 const LEAST_SPAN_S: ClockSecond = 10.0;
-/// Largest drift that is believed; the stylus without its crystal is accurate to 1 %.
+/// Largest plausible drift, twice the drift of a stylus without a crystal (1 %).
 const WORST_DRIFT: f64 = 0.02;
-/// This many bins in a row off the line by [`STEP_S`] mean that the index has jumped.
+/// The index has jumped if this many bins in a row are off the line by more than [`STEP_S`].
 const STEP_BINS: usize = 3;
 const STEP_S: ClockSecond = 0.01;
 
-/// The line from a stream's index to the time base.
+/// Converts frame indexes of a stream to times of the time base, by a line fitted to arrivals.
 #[derive(Clone, Debug)]
 pub struct Clock {
     /// Nominal time from frame to frame.
     period_s: ClockSecond,
     /// Finished bins, oldest first, as points (nominal time, delay).
     bins: VecDeque<ClockPoint>,
-    /// The bin in progress: when it began, and its point so far.
+    /// The time when the unfinished bin began, and the bin's point with the least delay so far.
     current: Option<(ClockSecond, ClockPoint)>,
     line: Option<Line>,
 }
 
-/// `x` is the nominal time of an index, `y` how much later than that it arrived, both in seconds.
+/// `x` is the nominal time of an index; `y` is its delay, the arrival time minus `x`. Both in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct ClockPoint {
     x: ClockSecond,
     y: ClockSecond,
 }
 
-/// Delay at `x`: `at.y + slope · (x − at.x)`.
+/// The line of delays; the delay at `x` is `at.y + slope · (x − at.x)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Line {
     at: ClockPoint,
@@ -59,14 +59,14 @@ impl Line {
 }
 
 impl Clock {
-    /// A clock of a stream with this nominal rate in Hz; an invalid rate is taken as 1 Hz.
+    /// A clock for a stream of this nominal rate in Hz; an invalid rate counts as 1 Hz.
     pub fn new(rate_hz: f64) -> Self {
         let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 { rate_hz } else { 1.0 };
         Self { period_s: 1.0 / rate_hz, bins: VecDeque::new(), current: None, line: None }
     }
 
-    /// Notes that all frames before `index` had arrived at `arrival_s`. Observations whose index
-    /// goes back, or that are not finite, are ignored.
+    /// Notes that all frames before `index` had arrived at `arrival_s`. Ignores a time that is not
+    /// finite, and an index below the last one.
     pub fn observe(&mut self, index: u64, arrival_s: ClockSecond) {
         let x = index as f64 * self.period_s;
         let point = ClockPoint { x, y: arrival_s - x };
@@ -96,34 +96,26 @@ impl Clock {
         }
     }
 
-    /// When the frame `index` was sampled, plus the stream's constant delay; `None` before the
-    /// first arrival.
+    /// The time at which frame `index` was sampled, plus the stream's constant delay; `None` before
+    /// the first arrival.
     pub fn time_s(&self, index: u64) -> Option<ClockSecond> {
         let x = index as f64 * self.period_s;
         self.line.map(|line| x + line.y(x))
     }
 
-    /// Index of the first frame sampled at `time_s` or later; 0 for times before the stream.
+    /// Index of the first frame sampled at `time_s` or later (0 for times before the stream);
+    /// `None` before the first arrival.
     pub fn index_at(&self, time_s: ClockSecond) -> Option<u64> {
         let Line { at, slope } = self.line?;
         // time = x + at.y + slope · (x − at.x)
         let x = (time_s - at.y + slope * at.x) / (1.0 + slope);
-        // The cast saturates at both ends. 1e-6 absorbs rounding, so that an index finds itself.
+        // Subtracting 1e-6 absorbs rounding, so that the time of an index gives this index again.
         Some((x / self.period_s - 1e-6).ceil() as u64)
     }
 
-    /// By which fraction the stream's seconds are longer than nominal; 0 while unknown.
-    #[cfg(test)]
-    fn drift(&self) -> f64 {
-        self.line.map_or(0.0, |line| line.slope)
-    }
-
-    fn points(&self) -> impl Iterator<Item = ClockPoint> + '_ {
-        self.bins.iter().copied().chain(self.current.map(|(_, point)| point))
-    }
-
     fn fit(&mut self) {
-        let points: Vec<ClockPoint> = self.points().collect();
+        let current = self.current.map(|(_, point)| point);
+        let points: Vec<ClockPoint> = self.bins.iter().copied().chain(current).collect();
         let (Some(first), Some(last)) = (points.first(), points.last()) else { return };
         let span = last.x - first.x;
         let lowest = |slope: f64| {
@@ -141,21 +133,21 @@ impl Clock {
         };
     }
 
-    /// Forgets the bins before a jump of the index, which later arrivals contradict.
+    /// After a jump of the index, forgets the bins before it, since no line fits both old and new bins.
     fn forget_before_step(&mut self) {
         let Some(old) = self.bins.len().checked_sub(STEP_BINS).filter(|old| *old >= STEP_BINS)
         else {
             return;
         };
         let (Some(line), Some(first)) = (self.line, self.bins.front()) else { return };
-        // While the drift is unknown, it would look like a jump.
+        // Over a short span, the drift is unknown and would look like a jump, so all bins stay.
         if self.bins[old - 1].x - first.x < LEAST_SPAN_S {
             return;
         }
         let off = |point: &ClockPoint| point.y - line.y(point.x);
         let all =
             |far: fn(ClockSecond) -> bool| self.bins.range(old..).all(|point| far(off(point)));
-        // The line lies below all points: if new points are early, the old ones lie above it.
+        // If the new points are early, the line follows them, and the old points lie above the line.
         let late = all(|off| off > STEP_S);
         let early = self.bins.range(..old).all(|point| off(point) > STEP_S);
         if late || early {
@@ -173,7 +165,7 @@ fn edge_under(points: &[ClockPoint], middle: ClockSecond) -> Option<Line> {
             continue;
         }
         while let [.., a, b] = hull[..] {
-            // b is on or above the line from a to p
+            // if b is below the line from a to p, b stays in the hull
             if (b.y - a.y) * (p.x - a.x) < (p.y - a.y) * (b.x - a.x) {
                 break;
             }
@@ -197,13 +189,17 @@ mod tests {
         (*seed >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Simulated arrivals, in bursts: each has an exponential delay, and 5 % have a Pareto delay as
-    /// well (index 1.5, so that its variance is infinite).
+    /// Simulated arrivals in bursts. Each burst has an exponential delay; 5 % of the bursts have an
+    /// additional Pareto delay (index 1.5, so that its variance is infinite).
     struct SampleArrivals {
         rate_hz: f64,
         drift: f64,
         burst_s: f64,
         jitter_s: f64,
+    }
+
+    fn arrivals(rate_hz: f64, drift: f64, burst_s: f64, jitter_s: f64) -> SampleArrivals {
+        SampleArrivals { rate_hz, drift, burst_s, jitter_s }
     }
 
     impl SampleArrivals {
@@ -243,8 +239,7 @@ mod tests {
                 for (rate_hz, burst_s, jitter_s) in
                     [(10_000.0, 0.003, 0.000_5), (10_000.0, 0.016, 0.004), (44_100.0, 0.01, 0.002)]
                 {
-                    let line =
-                        SampleArrivals { rate_hz, drift: drift_ppm * 1e-6, burst_s, jitter_s };
+                    let line = arrivals(rate_hz, drift_ppm * 1e-6, burst_s, jitter_s);
                     let (_, error_s) = line.run(40.0, 6.0, seed);
                     worst = worst.max(error_s);
                 }
@@ -256,25 +251,20 @@ mod tests {
 
     #[test]
     fn the_drift_is_found() {
-        let line =
-            SampleArrivals { rate_hz: 10_000.0, drift: 100e-6, burst_s: 0.01, jitter_s: 0.002 };
-        let (clock, _) = line.run(60.0, 100.0, 7);
-        assert!((clock.drift() - 100e-6).abs() < 10e-6, "{}", clock.drift());
+        let (clock, _) = arrivals(10_000.0, 100e-6, 0.01, 0.002).run(60.0, 100.0, 7);
+        let drift = clock.line.unwrap().slope;
+        assert!((drift - 100e-6).abs() < 10e-6, "{drift}");
     }
 
     #[test]
     fn a_stylus_without_its_crystal_is_followed() {
-        let line =
-            SampleArrivals { rate_hz: 10_000.0, drift: 0.01, burst_s: 0.01, jitter_s: 0.001 };
-        let (_, error_s) = line.run(60.0, 16.0, 3);
+        let (_, error_s) = arrivals(10_000.0, 0.01, 0.01, 0.001).run(60.0, 16.0, 3);
         assert!(error_s <= 1e-3, "{error_s}");
     }
 
     #[test]
     fn an_index_and_its_time_belong_to_each_other() {
-        let line =
-            SampleArrivals { rate_hz: 44_100.0, drift: -80e-6, burst_s: 0.01, jitter_s: 0.001 };
-        let (clock, _) = line.run(30.0, 100.0, 1);
+        let (clock, _) = arrivals(44_100.0, -80e-6, 0.01, 0.001).run(30.0, 100.0, 1);
         for index in [0, 1, 44_099, 1_000_000] {
             assert_eq!(clock.index_at(clock.time_s(index).unwrap()), Some(index));
         }
@@ -290,7 +280,10 @@ mod tests {
                 clock.observe(i, 1.0 + i as f64 * 1e-3 + step);
             }
             let error = clock.time_s(29_999).unwrap() - (1.0 + 29.999 + step_s);
-            assert!(error.abs() < 1e-6 && clock.drift().abs() < 1e-6, "{step_s}: {error}");
+            assert!(
+                error.abs() < 1e-6 && clock.line.unwrap().slope.abs() < 1e-6,
+                "{step_s}: {error}"
+            );
         }
     }
 

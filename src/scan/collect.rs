@@ -1,8 +1,8 @@
-//! The collector: one thread that empties the rings and cuts scans out of them at their marks.
+//! The collector is a thread that empties the rings and cuts scans out of the streams at their marks.
 //!
-//! Each turn of its loop takes all that the rings hold, *then* reads the reports. A device reports
-//! the begin of a source before it pushes the source's first frame, so the marks of all frames
-//! taken are read in the same turn, before old frames are forgotten.
+//! Each turn of its loop first takes all frames from the rings and *then* reads the reports. A
+//! device reports the begin of a source before it pushes the source's first frame. So the marks of
+//! all frames taken are read in the same turn, before old frames are forgotten.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -12,18 +12,18 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Select};
 
 use super::event_queue::EventQueue;
-use super::marked_scan::{Marked, cut};
-use super::options::{Options, ScanCommand};
-use super::progress::{self, SnapshotLengths};
+use super::marked_scan::{Marked, cut, next_snapshot, trace};
 use super::scan_detector::ScanDetector;
 use super::stream::Stream;
-use super::{Event, Totals};
+use super::{Event, Options, ScanCommand, Totals};
 use crate::device::{DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark};
 use crate::ring::Stop;
 
 /// The longest wait between two turns of the loop.
 const TURN: Duration = Duration::from_millis(5);
-/// Stands for the detector where a mark names the device that set it.
+/// Seconds of each stream that are kept, so that marks can refer to past frames.
+const LOOKBACK_S: f64 = 5.0;
+/// The device number of marks that the detector sets.
 const DETECTOR: usize = usize::MAX;
 
 pub(super) struct Collector {
@@ -33,12 +33,12 @@ pub(super) struct Collector {
     pub woken: Receiver<()>,
     pub stop: Stop,
     pub event_queue: EventQueue,
-    /// Names of the devices, and whether each has ended.
+    /// For each device, its name and whether the device has ended.
     pub devices: Vec<(String, bool)>,
     pub scans: VecDeque<Marked>,
     /// The number of scans that have begun, for other threads.
     pub begun: Arc<AtomicU32>,
-    /// Sets marks if the devices set none.
+    /// Sets the marks of scans; `None` if the devices set them.
     pub detector: Option<ScanDetector>,
     pub commands: Receiver<ScanCommand>,
 }
@@ -48,7 +48,7 @@ impl Collector {
         let mut stop_seen: Option<Instant> = None;
         let mut next_trace = Instant::now();
         loop {
-            // Read before the drain, which then takes all that the ended devices have pushed.
+            // Checked before `drain`, so that `drain` takes all data of devices that have ended by now.
             let over = self.devices.iter().all(|(_, ended)| *ended);
             let looked = Instant::now();
             let mut moved = self.drain();
@@ -64,8 +64,8 @@ impl Collector {
             if let Some(every_s) = self.options.trace_every_s
                 && looked >= next_trace
             {
-                // Counted from when it was due, so that delays do not add up; a missed one is
-                // skipped.
+                // The next trace is due one period after this one was due, so that delays do not
+                // add up. Missed traces are skipped.
                 let every = Duration::from_secs_f64(every_s.clamp(1e-3, 3600.0));
                 next_trace = (next_trace + every).max(looked);
                 self.send_trace();
@@ -110,7 +110,8 @@ impl Collector {
             }
             DeviceReportKind::Rate(rate_hz) => {
                 let own = self.streams.iter_mut().filter(|stream| stream.device == device);
-                own.for_each(|stream| stream.set_rate_hz(rate_hz));
+                let series = own.filter(|stream| stream.rate_hz > 0.0);
+                series.for_each(|stream| stream.rate_hz = rate_hz);
                 if let Some(detector) = &mut self.detector {
                     detector.follow_rates(&self.streams, device);
                 }
@@ -128,13 +129,14 @@ impl Collector {
         }
     }
 
-    /// Applies a mark that the device number `device` has set; `name` is its name in warnings.
+    /// Applies a mark that device number `device` has set; warnings call the device `name`.
     fn mark(&mut self, device: usize, name: &str, mark: Mark) {
         match mark {
             Mark::Begin(begin) => {
                 self.abandon(|_| true, "another scan began before it ended");
                 let number = self.begun.fetch_add(1, Ordering::AcqRel) + 1;
-                return self.scans.push_back(Marked::new(number, device, begin));
+                let scan = Marked { number, device, begin, ..Marked::default() };
+                return self.scans.push_back(scan);
             }
             Mark::GiveUp { why } => return self.abandon(|_| true, &why),
             _ => {}
@@ -144,7 +146,7 @@ impl Collector {
         };
         let number = scan.number;
         let part = match &mark {
-            Mark::Open(open) => Some(open.phase).filter(|phase| scan.phase < Some(*phase)),
+            Mark::Open(open) => Some(open.cut.phase).filter(|phase| scan.phase < Some(*phase)),
             _ => None,
         };
         let over = matches!(mark, Mark::End { .. });
@@ -160,7 +162,8 @@ impl Collector {
     fn command(&mut self, command: ScanCommand) {
         match &mut self.detector {
             Some(detector) => {
-                let marks = detector.command(command, &self.streams);
+                detector.command(command, &self.streams);
+                let marks = std::mem::take(&mut detector.marks);
                 marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the command", mark));
             }
             None => self.event_queue.warn(
@@ -169,15 +172,17 @@ impl Collector {
         }
     }
 
-    /// Applies the marks, and passes on the warnings, of one `step` of the detector, if any.
-    fn detect(&mut self, step: impl Fn(&mut ScanDetector, &[Stream]) -> Vec<Mark>) {
+    /// Runs one `step` of the detector, if there is one; applies its marks and passes on its warnings.
+    fn detect(&mut self, step: impl Fn(&mut ScanDetector, &[Stream])) {
         let Some(detector) = &mut self.detector else { return };
-        let (marks, warnings) = (step(detector, &self.streams), detector.take_warnings());
+        step(detector, &self.streams);
+        let marks = std::mem::take(&mut detector.marks);
+        let warnings = std::mem::take(&mut detector.warnings);
         marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the detector", mark));
         warnings.into_iter().for_each(|text| self.event_queue.warn(text));
     }
 
-    /// Gives up the scan in progress, if `of` holds for it.
+    /// Gives up the scan in progress if `of` is true for it.
     fn abandon(&mut self, of: impl Fn(&Marked) -> bool, why: &str) {
         if let Some(scan) = self.scans.back().filter(|scan| scan.ended.is_none() && of(scan)) {
             let number = scan.number;
@@ -187,11 +192,12 @@ impl Collector {
         }
     }
 
-    /// Sends the first scan's progress and, once it is complete, the scan; then the next one.
+    /// Sends the progress of the first scan. Once that scan is complete, sends it and turns to the
+    /// next.
     ///
-    /// A scan with missing data is sent without them if the turn began, at `looked`, too long after
-    /// the scan's end became known (its begin counts, since sending may wait for a slow reader), or
-    /// if the session is `over`.
+    /// A scan with missing data is sent as it is if the session is `over`, or if its end had been
+    /// known for longer than the limit when this turn began, at `looked`. The limit is checked
+    /// against the begin of the turn, since sending may wait for a slow reader.
     fn send_scans(&mut self, looked: Instant, over: bool) {
         while let Some(mut scan) = self.scans.pop_front() {
             self.send_progress(&mut scan);
@@ -210,17 +216,18 @@ impl Collector {
     fn send_progress(&mut self, scan: &mut Marked) {
         let Some(every_s) = self.options.progress_every_s else { return };
         let exact = self.event_queue.waits;
-        while let Some((step, snapshot)) = progress::next(scan, &self.streams, every_s, exact) {
-            let lengths = SnapshotLengths::of(&snapshot);
+        while let Some((step, sent, snapshot)) = next_snapshot(scan, &self.streams, every_s, exact)
+        {
             if !self.event_queue.offer(Event::Progress(snapshot)) {
                 return;
             }
-            progress::sent(scan, step, &lengths);
+            scan.steps = step;
+            scan.cuts.values_mut().zip(sent).for_each(|(cut, sent)| cut.sent = sent);
         }
     }
 
     fn send_trace(&mut self) {
-        let (ends, trace) = progress::trace(&self.streams);
+        let (ends, trace) = trace(&self.streams);
         let anything = !(trace.fresh.is_empty() && trace.images.is_empty());
         if anything && self.event_queue.offer(Event::Trace(trace)) {
             for (stream, end) in self.streams.iter_mut().zip(ends) {
@@ -230,7 +237,7 @@ impl Collector {
     }
 
     fn forget(&mut self) {
-        // So that a scan of the longest duration is still whole when its last data arrive.
+        // Data are kept so long that the longest scan is still whole when its last data arrive.
         let kept_s = self.options.longest_scan_s + self.options.deliver_limit.as_secs_f64();
         for (index, stream) in self.streams.iter_mut().enumerate() {
             let cuts = self.scans.iter().flat_map(|scan| scan.cuts.values());
@@ -238,7 +245,7 @@ impl Collector {
                 .filter(|cut| cut.stream == index)
                 .map(|cut| (cut.start, cut.rate_hz))
                 .min_by_key(|(start, _)| *start);
-            stream.forget(needed, self.options.lookback_s, kept_s);
+            stream.forget(needed, LOOKBACK_S, kept_s);
         }
     }
 
@@ -247,7 +254,7 @@ impl Collector {
         self.detect(ScanDetector::update);
         self.detect(ScanDetector::finish);
         self.abandon(|_| true, "the session ended");
-        // Does not wait for the rest, which a device that hangs never delivers.
+        // Sends incomplete scans as they are, since a device that hangs never delivers the rest.
         self.drain();
         self.send_scans(Instant::now(), true);
         for (name, ended) in self.devices.clone() {
@@ -256,7 +263,7 @@ impl Collector {
                 self.event_queue.totals.abandoned.push(name);
             }
         }
-        let counts = |stream: &Stream| (stream.id().clone(), stream.meter().counts());
+        let counts = |stream: &Stream| (stream.id.clone(), stream.meter().counts());
         self.event_queue.totals.streams = self.streams.iter().map(counts).collect();
         self.event_queue.finish()
     }

@@ -1,18 +1,18 @@
-//! Detects taps and drags in levels of force and vibration: a state machine fed once a hop (5 ms).
+//! Detects taps and drags in levels of force and vibration, by a state machine with a step per hop.
 //!
-//! Contact begins where any stream reaches [`DetectorConfig::onset`] and ends once all are below
-//! [`DetectorConfig::quiet`]; the two differ so that a level near one of them does not begin and
-//! end contacts rapidly. A short contact is a tap. A longer one is a drag, which includes the tap
-//! before it, if any. All limits of level are multiples of each stream's own noise floor.
+//! Contact begins when any stream reaches [`DetectorConfig::onset`] and ends when all streams are
+//! below [`DetectorConfig::quiet`]. These limits differ so that a level near one of them does not
+//! begin and end contacts rapidly. A short contact is a tap. A longer contact is a drag, to which a
+//! tap shortly before belongs, too. [`SensorKind`] defines the unit of a level.
 
 use std::collections::VecDeque;
 
 /// Thresholds of taps and drags.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectorConfig {
-    /// Level at which contact begins, in multiples of the noise floor.
+    /// Level at which contact begins; [`SensorKind`] defines its unit.
     pub onset: f64,
-    /// Level below which there is no contact, in the same unit.
+    /// Level below which there is no contact, in the same unit as `onset`.
     pub quiet: f64,
     /// A tap is over after this much quiet, in seconds.
     pub tap_hold_s: f64,
@@ -26,37 +26,15 @@ pub struct DetectorConfig {
     pub longest_drag_s: f64,
 }
 
-/// For tests. A station's are from `[detection]` in `configs/stylus.toml`, which a test holds equal.
-impl Default for DetectorConfig {
-    fn default() -> Self {
-        Self {
-            onset: 6.0,
-            quiet: 3.0,
-            tap_hold_s: 0.05,
-            longest_tap_s: 0.3,
-            longest_pause_s: 3.0,
-            drag_hold_s: 0.3,
-            longest_drag_s: 60.0,
-        }
-    }
-}
-
-/// Events of the detector; hops are counted from the start of the streams, spans are half-open.
+/// Events of the detector. Hops are counted from the detector's first hop. In a pair (start, end),
+/// the hop `end` is not included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum DetectorEvent {
-    /// A drag is in progress.
-    Drag {
-        /// the tap before it
-        tap: Option<(u64, u64)>,
-        /// its first hop
-        start: u64,
-    },
-    /// The drag has ended.
-    End {
-        /// the first hop after it
-        end: u64,
-    },
-    /// Contact lasted too long: it was noise, and the noise floor must be learnt again.
+    /// A drag began at hop `start`; `tap` holds the begin and end of the tap before it, if any.
+    Drag { tap: Option<(u64, u64)>, start: u64 },
+    /// The drag is over; `end` is the first hop after it.
+    End { end: u64 },
+    /// Contact lasted too long, so it was noise, and the noise floor must be learnt again.
     NoiseTimeout,
 }
 
@@ -69,7 +47,7 @@ enum DetectorState {
 
 #[derive(Clone, Debug)]
 pub(crate) struct Detector {
-    config: DetectorConfig,
+    pub config: DetectorConfig,
     state: DetectorState,
     hop: u64,
 }
@@ -79,22 +57,18 @@ impl Detector {
         Self { config, state: DetectorState::Quiet { tap: None }, hop: 0 }
     }
 
-    pub fn config(&self) -> DetectorConfig {
-        self.config
-    }
-
     /// Whether there is contact, during which noise floors must not rise.
     pub fn in_contact(&self) -> bool {
         !matches!(self.state, DetectorState::Quiet { .. })
     }
 
-    /// Takes the level of the next hop, the highest among the streams.
+    /// Takes the level of the next hop, which is the highest level of all streams in this hop.
     pub fn hop(&mut self, level: f64) -> Option<DetectorEvent> {
         let at = self.hop;
         self.hop += 1;
         let config = self.config;
         let lasted = |since: u64, seconds: f64| (at + 1 - since) as f64 * HOP_S >= seconds - 1e-9;
-        // NaN counts as neither quiet nor the begin of contact.
+        // Both comparisons are false for NaN, so NaN is neither quiet nor the begin of contact.
         let is_quiet = level < config.quiet;
         match &mut self.state {
             DetectorState::Quiet { tap } => {
@@ -138,7 +112,7 @@ impl Detector {
         }
     }
 
-    /// Ends a drag in progress, since the streams have ended or stalled.
+    /// Ends a drag in progress. Called when the streams have ended or stalled.
     pub fn finish(&mut self) -> Option<DetectorEvent> {
         let state = std::mem::replace(&mut self.state, DetectorState::Quiet { tap: None });
         match state {
@@ -150,8 +124,8 @@ impl Detector {
     }
 }
 
-/// Finds where a tap begins in another stream: the first hop in `window` that reaches `onset` after
-/// a hop below it. `levels` holds the level of each hop, from hop `first` on.
+/// Finds where a tap begins in another stream, which is the first hop in `window` that reaches
+/// `onset` after a hop below `onset`. `levels` holds one level per hop, from hop `first` on.
 pub(crate) fn onset_in(
     levels: &[f64],
     first: u64,
@@ -165,24 +139,24 @@ pub(crate) fn onset_in(
 #[cfg(test)]
 mod tests;
 
-/// Length of a hop in seconds: the resolution of every onset and end.
+/// Length of a hop in seconds, which is the resolution of every onset and end.
 pub const HOP_S: f64 = 0.005;
-/// Hops (0.3 s) before the noise floor is first used; until then, the level is 0.
+/// Number of hops (0.3 s) before the noise floor is first used; until then, every level is 0.
 const LEARN: u64 = 60;
-/// Hops over which the floor is smoothed (0.1 s), so that one quiet hop does not lower it.
+/// Number of hops (0.1 s) over which the floor is smoothed, so that one quiet hop does not lower it.
 const SMOOTH: f64 = 20.0;
-/// Hops of a block (0.5 s), and number of blocks (10 s) whose minimum is the floor.
+/// The floor is the minimum over the last [`BLOCKS`] blocks (10 s) of [`BLOCK`] hops (0.5 s) each.
 const BLOCK: u64 = 100;
 const BLOCKS: usize = 20;
-/// Vibration below this share of full scale is noise of the converter: about 6 steps of 16 bits.
+/// Vibration below this share of full scale (about 6 steps of 16 bits) is noise of the converter.
 const LEAST_VIBRATION: f64 = 2e-4;
-/// Force of level 1, as a share of full scale.
+/// Force above the floor at level 1, as a share of full scale.
 const FORCE: f64 = 5e-3;
-/// Vibration lies above this frequency in Hz; tilt and movements of the hand lie below.
+/// Cut-off frequency in Hz. Vibration lies above it; tilt and movements of the hand lie below it.
 const HIGH_PASS_HZ: f64 = 20.0;
 
-/// The kind of sensor behind a stream.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum SensorKind {
     /// Level 1 is 0.5 % of full scale above the floor, which is the lowest recent force.
     Force,
@@ -191,13 +165,12 @@ pub enum SensorKind {
     Vibration,
 }
 
-/// The level of one stream.
 #[derive(Debug)]
 pub struct StreamLevel {
     kind: SensorKind,
     channels: usize,
     hop: f64,
-    /// Share of the running mean that remains after one frame.
+    /// Factor by which the mean `slow` shrinks at each frame, as in a low-pass at [`HIGH_PASS_HZ`].
     keep: f64,
     /// The last finite sample of each channel.
     last: Vec<f64>,
@@ -211,7 +184,7 @@ pub struct StreamLevel {
 }
 
 impl StreamLevel {
-    /// The level of a stream of `channels` samples a frame, at this rate in Hz.
+    /// Measures the level of a stream of this many channels, at this rate in Hz.
     pub fn new(kind: SensorKind, channels: usize, rate_hz: f64) -> Self {
         Self {
             kind,
@@ -229,14 +202,14 @@ impl StreamLevel {
         }
     }
 
-    /// The level of the same stream at another rate in Hz, without what it has learnt.
+    /// A new meter of the same stream at another rate in Hz; it has learnt nothing yet.
     pub(crate) fn at_rate(&self, rate_hz: f64) -> Self {
         Self::new(self.kind, self.channels, rate_hz)
     }
 
-    /// Takes interleaved frames and passes `on` the level of every hop that they complete. While
-    /// `held`, as during a drag, the floor may sink but not rise. A sample that is not a finite
-    /// number counts as the one before it.
+    /// Takes interleaved frames and passes the level of each completed hop to `on`. While `held`
+    /// (during contact), the noise floor may fall but not rise. A sample that is not finite is
+    /// replaced by the last finite one.
     pub fn feed(&mut self, samples: &[f32], held: bool, mut on: impl FnMut(f64)) {
         for frame in samples.chunks_exact(self.channels) {
             self.last.resize(self.channels, 0.0);
@@ -271,7 +244,7 @@ impl StreamLevel {
     fn finish_hop(&mut self, held: bool) -> f64 {
         let mean = std::mem::take(&mut self.sum) / self.hop;
         self.hops += 1;
-        // A plain mean to begin with, so that the first hop weighs no more than any other.
+        // Begins with a plain mean, so that the first hop weighs no more than any other.
         self.smooth += (mean - self.smooth) / SMOOTH.min(self.hops as f64);
         if self.hops as f64 >= SMOOTH {
             self.lowest = self.lowest.min(self.smooth);

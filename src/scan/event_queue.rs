@@ -1,26 +1,26 @@
-//! The queue of events between the collector and its reader: a slow reader never holds up live
-//! devices.
+//! The queue of events between the collector and its reader, so that a slow reader never holds up
+//! live devices.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{SendTimeoutError, Sender, TrySendError};
+use crossbeam_channel::{SendTimeoutError, Sender};
 
 use super::{Event, Totals};
 use crate::ring::Stop;
 
-/// Events kept for a reader that is late, besides those in the channel.
+/// Most events kept for a slow reader, in addition to those in the channel.
 const BACKLOG: usize = 256;
-/// The time that a stop waits for the reader.
+/// How long a stop waits for the reader.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 pub(super) struct EventQueue {
     events: Sender<Event>,
     stop: Stop,
     backlog: VecDeque<Event>,
-    /// After a stop: until when to wait for the reader.
+    /// The time when the wait for the reader ends; `None` until a stop is requested.
     patience: Option<Instant>,
-    /// Whether sending waits for the reader: true if no device would lose data by it.
+    /// Whether sending waits for the reader. True only if no device loses data during the wait.
     pub waits: bool,
     pub totals: Totals,
 }
@@ -37,7 +37,7 @@ impl EventQueue {
         }
     }
 
-    /// Sends an event that must not be missed.
+    /// Sends an event, or keeps it for later. Drops an event if more than [`BACKLOG`] are kept.
     pub fn push(&mut self, event: Event) {
         match &event {
             Event::Scan(_) => self.totals.scans += 1,
@@ -47,7 +47,7 @@ impl EventQueue {
         self.backlog.push_back(event);
         self.flush();
         while self.backlog.len() > BACKLOG {
-            // Drops scans last: a flood of warnings must not displace them.
+            // Drops scans last, since a flood of warnings must not displace scans.
             let other = self.backlog.iter().position(|event| !matches!(event, Event::Scan(_)));
             self.backlog.remove(other.unwrap_or(0));
             self.totals.dropped_events += 1;
@@ -58,15 +58,13 @@ impl EventQueue {
         self.push(Event::Warning(text));
     }
 
-    /// Sends a snapshot; false if the reader was busy: then the next one will include its data.
+    /// Sends a snapshot; returns false if the reader is busy. The next snapshot then includes this one.
     pub fn offer(&mut self, event: Event) -> bool {
         self.flush();
-        let sent = self.backlog.is_empty() && self.send(event).is_ok();
-        self.totals.late_snapshots += u64::from(!sent);
-        sent
+        self.backlog.is_empty() && self.send(event).is_ok()
     }
 
-    /// Sends the backlog, as far as the reader takes it.
+    /// Sends as much of the backlog as the reader takes.
     pub fn flush(&mut self) {
         while let Some(event) = self.backlog.pop_front() {
             if let Err(back) = self.send(event) {
@@ -75,32 +73,29 @@ impl EventQueue {
         }
     }
 
-    /// Sends all that is left, as far as the reader takes it, and then the totals.
+    /// Sends as much of the backlog as the reader takes, and then the totals.
     pub fn finish(mut self) -> Totals {
         self.waits = true;
         self.flush();
-        // The reader takes no more: the totals, which the session returns too, count this.
+        // The reader takes no more, so the events left are dropped, and the totals count them.
         self.totals.dropped_events += self.backlog.len() as u64;
         self.backlog.clear();
         let _ = self.send(Event::Finished(self.totals.clone()));
         self.totals
     }
 
-    /// Whether to wait for the reader now.
     fn patient(&mut self) -> bool {
-        let stopping = self.stop.requested();
-        if !stopping {
-            return self.waits;
-        }
         let now = Instant::now();
-        self.waits && now < *self.patience.get_or_insert(now + PATIENCE)
+        let mut has_time = || now < *self.patience.get_or_insert(now + PATIENCE);
+        self.waits && (!self.stop.requested() || has_time())
     }
 
-    fn send(&mut self, event: Event) -> Result<(), Event> {
-        let mut event = event;
-        while self.patient() {
-            match self.events.send_timeout(event, Duration::from_millis(20)) {
+    fn send(&mut self, mut event: Event) -> Result<(), Event> {
+        loop {
+            let wait = if self.patient() { Duration::from_millis(20) } else { Duration::ZERO };
+            match self.events.send_timeout(event, wait) {
                 Ok(()) => return Ok(()),
+                Err(SendTimeoutError::Timeout(back)) if wait.is_zero() => return Err(back),
                 Err(SendTimeoutError::Timeout(back)) => event = back,
                 Err(SendTimeoutError::Disconnected(back)) => {
                     self.stop.request();
@@ -108,13 +103,6 @@ impl EventQueue {
                 }
             }
         }
-        self.events.try_send(event).map_err(|error| match error {
-            TrySendError::Full(back) => back,
-            TrySendError::Disconnected(back) => {
-                self.stop.request();
-                back
-            }
-        })
     }
 }
 

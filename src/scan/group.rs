@@ -1,4 +1,4 @@
-//! The streams of one device that show contact: they share a sample counter and a detector.
+//! A group holds the streams of one device that show contact, which share a counter and a detector.
 
 use std::collections::VecDeque;
 
@@ -6,16 +6,15 @@ use super::detect::{Detector, DetectorConfig, DetectorEvent, HOP_S, SensorKind, 
 use super::stream::{Stream, StreamBuffer};
 use crate::scene::SourceId;
 
-/// Levels that are kept: 10 s.
+/// Number of levels that are kept, which cover 10 s.
 const KEPT_HOPS: usize = 2_000;
 
-/// The streams of one device that show contact.
 pub(super) struct Group {
-    /// Index and level of each stream.
+    /// For each stream of the group, its index among all streams, and the meter of its level.
     pub channels: Vec<(usize, StreamLevel)>,
     pub rate_hz: f64,
     pub detector: Detector,
-    /// Index of the first frame of hop 0, and of the next frame to take.
+    /// `base` is the index of the first frame of hop 0; `next` is the index of the next frame to take.
     base: u64,
     next: u64,
     /// The highest level over all streams in each of the latest hops, from hop `first` on.
@@ -26,18 +25,18 @@ pub(super) struct Group {
 }
 
 impl Group {
-    /// The group of those of `channels` that are among the streams; `None` if there are none.
+    /// A group of the `channels` that exist among the streams; `None` if none of them exists.
     pub fn new(
         channels: &[(SourceId, SensorKind)],
         config: DetectorConfig,
         streams: &[Stream],
     ) -> Option<Self> {
-        let index = |id: &SourceId| streams.iter().position(|stream| stream.id() == id);
+        let index = |id: &SourceId| streams.iter().position(|stream| stream.id == *id);
         let found: Vec<(usize, SensorKind)> =
             channels.iter().filter_map(|(id, feel)| Some((index(id)?, *feel))).collect();
-        let rate_hz = streams[found.first()?.0].rate_hz();
+        let rate_hz = streams[found.first()?.0].rate_hz;
         let level = |&(at, feel): &(usize, SensorKind)| {
-            (at, StreamLevel::new(feel, streams[at].channels(), rate_hz))
+            (at, StreamLevel::new(feel, streams[at].channels, rate_hz))
         };
         Some(Self {
             channels: found.iter().map(level).collect(),
@@ -51,18 +50,17 @@ impl Group {
         })
     }
 
-    /// Sets the group's rate to that of its streams, before any of them has had a frame.
+    /// Sets the group's rate to the rate of its streams. Called before their first frame.
     pub fn follow_rate(&mut self, streams: &[Stream]) {
-        self.rate_hz = streams[self.channels[0].0].rate_hz();
+        self.rate_hz = streams[self.channels[0].0].rate_hz;
         self.channels.iter_mut().for_each(|(_, level)| *level = level.at_rate(self.rate_hz));
     }
 
-    /// Whether a drag ended only because its data stopped.
+    /// Whether `last` ended a drag only because the data stopped.
     pub fn cut_off(&self, last: DetectorEvent) -> bool {
         last == DetectorEvent::End { end: self.first + self.levels.len() as u64 }
     }
 
-    /// Index of the first frame of a hop.
     pub fn frame(&self, hop: u64) -> u64 {
         self.base + (hop as f64 * self.rate_hz * HOP_S).round() as u64
     }
@@ -71,14 +69,14 @@ impl Group {
         (frame.saturating_sub(self.base) as f64 / (self.rate_hz * HOP_S)).round() as u64
     }
 
-    /// Takes the new frames that all `alive` streams have delivered.
+    /// Takes the new frames that all `alive` streams have delivered; returns the events found in them.
     pub fn update(
         &mut self,
         streams: &[Stream],
         alive: impl Fn(usize) -> bool,
     ) -> Vec<DetectorEvent> {
-        let kept = |at: usize| match streams[at].buffer() {
-            StreamBuffer::Series { history, .. } => history.start(),
+        let kept = |at: usize| match &streams[at].buffer {
+            StreamBuffer::Series { history, .. } => history.base,
             StreamBuffer::Images { .. } => 0,
         };
         let channels = || self.channels.iter().map(|(at, _)| *at).filter(|at| alive(*at));
@@ -88,7 +86,7 @@ impl Group {
             return Vec::new();
         };
         if from > self.next {
-            // The gap exceeds any scan: a drag ends here, and the next call begins behind the gap.
+            // The gap is longer than any scan, so this ends a drag, or restarts after the gap.
             let found = self.detector.finish();
             if found.is_none() {
                 self.restart(from);
@@ -98,7 +96,7 @@ impl Group {
         let held = self.detector.in_contact();
         let mut fresh: Vec<f64> = Vec::new();
         for (at, level) in &mut self.channels {
-            let StreamBuffer::Series { history, .. } = streams[*at].buffer() else { continue };
+            let StreamBuffer::Series { history, .. } = &streams[*at].buffer else { continue };
             if !alive(*at) {
                 continue;
             }
@@ -113,7 +111,7 @@ impl Group {
             });
         }
         self.next = end;
-        // A stream that was silent for a while may finish more or fewer hops than the others, so
+        // A stream that was silent for a while may complete more or fewer hops than the others. So
         // the sample counter determines the number of hops.
         let count = ((end - self.base) as f64 / (self.rate_hz * HOP_S)) as u64;
         let so_far = self.first + self.levels.len() as u64;
@@ -133,11 +131,11 @@ impl Group {
         events
     }
 
-    /// Counts hops from frame `base` on, and forgets levels and noise floors.
+    /// Makes frame `base` the begin of hop 0; forgets levels and noise floors.
     fn restart(&mut self, base: u64) {
         (self.base, self.next, self.first) = (base, base, 0);
         self.levels.clear();
-        self.detector = Detector::new(self.detector.config());
+        self.detector = Detector::new(self.detector.config);
         self.channels.iter_mut().for_each(|(_, level)| level.relearn());
     }
 }

@@ -1,35 +1,36 @@
-//! A scan that has begun: marks say where its sources begin and end, and once all its data have
-//! come, it is cut out of the streams.
+//! A scan in progress. Marks say where its sources begin and end. Once all its data have come, the
+//! scan is cut out of the streams; until then, snapshots show its progress, in steps of scan time.
+//! Gaps in the data spoil a scan, unless they are so short that they are bridged.
+//!
+//! A snapshot carries only new data. If the reader is busy, a snapshot is not sent, and the next
+//! one carries its data too. So a reader that joins all snapshots has the scan without a gap.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
 use super::Scan;
-use super::stream::{SeriesHistory, Stream, StreamBuffer, narrow};
-use crate::device::{Begin, Mark, Open};
+use super::stream::{SeriesHistory, Stream, StreamBuffer, image, narrow};
+use crate::device::{Begin, CutFrom, Mark, Open};
 use crate::scene::{Phase, SourceId};
-use crate::trial::{Series, Signal, Trial, TrialKey};
+use crate::trial::{Image, Series, Signal, Trial, TrialKey};
 
 /// A scan that has begun and is not sent yet.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Marked {
     pub number: u32,
     pub begin: Begin,
-    /// The device that began it.
     pub device: usize,
     pub cuts: BTreeMap<SourceId, SourceSpan>,
-    /// The time of its last sample, and the time when its end became known.
+    /// The times when the last sample was taken and when the end became known; `None` before the end.
     pub ended: Option<(Instant, Instant)>,
     /// Number of the last step of progress that was sent.
     pub steps: u64,
-    /// Reasons why the scan should not be trusted, besides those found in its data.
+    /// Reasons why the scan should not be trusted, apart from reasons found in its data.
     pub spoiled: Vec<String>,
-    /// The part that it has reached.
     pub phase: Option<Phase>,
 }
 
-/// The span of one source in its stream.
 #[derive(Debug)]
 pub(super) struct SourceSpan {
     pub stream: usize,
@@ -38,7 +39,7 @@ pub(super) struct SourceSpan {
     pub phase: Phase,
     pub rate_hz: f64,
     pub channels: usize,
-    /// Frames that were sent as progress.
+    /// Number of frames that were sent as progress.
     pub sent: u64,
 }
 
@@ -49,39 +50,28 @@ impl SourceSpan {
         streams[self.stream].end().min(end).max(self.start)
     }
 
-    /// Whether all frames of the source have come out of the ring, or never will.
+    /// Whether the source has ended and no more of its frames will come out of the ring.
     pub fn delivered(&self, streams: &[Stream]) -> bool {
         let stream = &streams[self.stream];
         self.end.is_some_and(|end| stream.end() >= end || stream.exhausted())
     }
+
+    /// Index after the last frame of the source's first `seconds`, rounded up.
+    fn until(&self, seconds: f64) -> u64 {
+        self.start + (seconds * self.rate_hz).ceil() as u64
+    }
 }
 
 impl Marked {
-    pub fn new(number: u32, device: usize, begin: Begin) -> Self {
-        Self {
-            number,
-            begin,
-            device,
-            cuts: BTreeMap::new(),
-            ended: None,
-            steps: 0,
-            spoiled: Vec::new(),
-            phase: None,
-        }
-    }
-
     /// Whether the scan has ended and the rings have delivered all of its frames.
     pub fn complete(&self, streams: &[Stream]) -> bool {
         self.ended.is_some() && self.cuts.values().all(|cut| cut.delivered(streams))
     }
 
-    /// Applies a mark other than a begin.
-    ///
-    /// # Errors
-    /// With a message, if the marks contradict each other.
+    /// Applies a mark that belongs to the scan; returns an error if it contradicts earlier marks.
     pub fn follow(&mut self, mark: Mark, streams: &[Stream]) -> Result<(), String> {
         match mark {
-            // The collector applies these itself.
+            // The collector applies these marks itself.
             Mark::Begin(_) | Mark::GiveUp { .. } => {}
             Mark::Spoil { why } => self.spoiled.push(why),
             Mark::Open(open) => self.open(open, streams)?,
@@ -104,14 +94,14 @@ impl Marked {
     }
 
     fn open(&mut self, open: Open, streams: &[Stream]) -> Result<(), String> {
-        let Open { source, stream, start, phase, rate_hz, channels } = open;
-        let Some(index) = streams.iter().position(|s| s.id() == &stream) else {
+        let Open { cut: CutFrom { source, stream, phase, channels }, start, rate_hz } = open;
+        let Some(index) = streams.iter().position(|s| s.id == stream) else {
             return Err(format!("{source} would be cut from {stream}, which does not exist"));
         };
         if !(rate_hz.is_finite() && rate_hz > 0.0) {
             return Err(format!("{source} would have a rate of {rate_hz} Hz"));
         }
-        let widest = streams[index].channels();
+        let widest = streams[index].channels;
         if channels == 0 || channels > widest {
             return Err(format!("{source} would have {channels} of {widest} channels"));
         }
@@ -121,29 +111,28 @@ impl Marked {
     }
 }
 
-/// The longest gap that is bridged, in seconds.
+/// The longest gap in seconds that does not spoil a scan, since repeating a frame bridges the gap.
 const BRIDGED_S: f64 = 1e-3;
 
-/// The signal cut for one source.
-struct CutPiece {
-    signal: Option<Signal>,
-    lost: u64,
-    spoiled: Option<String>,
-}
+/// The signal of one source, the number of its lost frames, and why the signal should not be trusted.
+type CutPiece = (Option<Signal>, u64, Option<String>);
 
-/// Cuts a scan out of the streams once its data have come; `None` if it has not ended.
+/// Cuts a scan out of the streams; `None` if the scan has not ended.
 pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
     let (ended_at, _) = marked.ended?;
-    let mut signals = BTreeMap::new();
-    let mut lost_by_source = BTreeMap::new();
+    let (mut signals, mut lost_samples) = (BTreeMap::new(), 0);
     let mut spoiled = marked.spoiled;
     for (source, cut) in &marked.cuts {
-        let piece = cut_source(source, cut, &streams[cut.stream]);
-        lost_by_source.insert(source.clone(), piece.lost);
-        spoiled.extend(piece.spoiled);
-        if let Some(signal) = piece.signal {
-            signals.insert(source.clone(), signal);
-        }
+        let (signal, lost, why) = match &streams[cut.stream].buffer {
+            StreamBuffer::Series { history, .. } => cut_series(source, cut, history),
+            StreamBuffer::Images { recent, .. } => match image(recent, cut.start) {
+                Some(image) => (Some(Signal::Image(Image::clone(image))), 0, None),
+                None => (None, 1, Some(format!("{source}: the picture was lost"))),
+            },
+        };
+        lost_samples += lost;
+        spoiled.extend(why);
+        signals.extend(signal.map(|signal| (source.clone(), signal)));
     }
     if signals.is_empty() {
         spoiled.push("no source of the scene has any data in this scan".into());
@@ -158,45 +147,26 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
         truth: marked.begin.truth,
         synthetic: marked.begin.synthetic,
         scan_s,
-        lost_samples: lost_by_source.values().sum(),
-        lost_by_source,
+        lost_samples,
         spoiled,
         ended_at,
     })
 }
 
-fn cut_source(source: &SourceId, cut: &SourceSpan, stream: &Stream) -> CutPiece {
+fn cut_series(source: &SourceId, cut: &SourceSpan, history: &SeriesHistory) -> CutPiece {
     let end = cut.end.unwrap_or(cut.start);
-    match stream.buffer() {
-        StreamBuffer::Series { history, .. } => cut_series(source, cut, end, history),
-        StreamBuffer::Images { history, .. } => match history.get(cut.start) {
-            Some(image) => {
-                let image = Arc::unwrap_or_clone(image.clone());
-                CutPiece { signal: Some(Signal::Image(image)), lost: 0, spoiled: None }
-            }
-            None => CutPiece {
-                signal: None,
-                lost: 1,
-                spoiled: Some(format!("{source}: the picture was lost")),
-            },
-        },
-    }
-}
-
-fn cut_series(source: &SourceId, cut: &SourceSpan, end: u64, history: &SeriesHistory) -> CutPiece {
-    let span = cut.start..end;
     let ms = |frames: u64| frames as f64 / cut.rate_hz * 1e3;
-    let (first, samples) = history.frames(span.clone());
-    let kept = (samples.len() / history.channels()) as u64;
-    let mut gaps: Vec<_> = history.missing_in(first..first + kept).collect();
-    // Forgotten and undelivered frames are missing as well.
+    let (first, samples) = history.frames(cut.start..end);
+    let kept = (samples.len() / history.channels) as u64;
+    let gaps: Vec<_> = history.missing_in(first..first + kept).collect();
+    // Frames that were forgotten or never delivered are lost, too.
     let gone = (end - cut.start).saturating_sub(kept);
     let in_gaps: u64 = gaps.iter().map(|gap| gap.end - gap.start).sum();
     let lost = gone + in_gaps;
     let mut spoiled = None;
     if lost == end - cut.start {
         let spoiled = format!("{source}: none of its {:.1} ms arrived", ms(lost));
-        return CutPiece { signal: None, lost, spoiled: Some(spoiled) };
+        return (None, lost, Some(spoiled));
     }
     let worst = gaps.iter().map(|gap| gap.end - gap.start).max().unwrap_or(0);
     if gone > 0 {
@@ -208,9 +178,9 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, end: u64, history: &SeriesHis
             BRIDGED_S * 1e3
         ));
     }
-    let mut own = narrow(samples, history.channels(), cut.channels);
-    // A gap at the very begin has no frame of this source before it: repeat the one after it.
-    if let Some(gap) = gaps.drain(..).find(|gap| gap.start <= first && gap.end > first) {
+    let mut own = narrow(samples, history.channels, cut.channels);
+    // At the very begin, no frame of this source precedes a gap, so the frame after it fills it.
+    if let Some(gap) = gaps.into_iter().find(|gap| gap.start <= first && gap.end > first) {
         let at = (gap.end - first) as usize * cut.channels;
         if at < own.len() {
             let next = own[at..at + cut.channels].to_vec();
@@ -218,10 +188,173 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, end: u64, history: &SeriesHis
         }
     }
     match Series::new(cut.rate_hz, cut.channels, own) {
-        Ok(series) => CutPiece { signal: Some(Signal::Series(series)), lost, spoiled },
-        Err(error) => {
-            let spoiled = Some(format!("{source} is left out: {error}"));
-            CutPiece { signal: None, lost, spoiled }
+        Ok(series) => (Some(Signal::Series(series)), lost, spoiled),
+        Err(error) => (None, lost, Some(format!("{source} is left out: {error}"))),
+    }
+}
+
+/// New frames of one source (in a [`Progress`]) or of one stream (in a [`Trace`]).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fresh {
+    pub source: SourceId,
+    /// Frames a second.
+    pub rate_hz: f64,
+    pub channels: usize,
+    /// Index of the first frame, counted from the start of the source or stream.
+    pub start: u64,
+    pub samples: Vec<f32>,
+}
+
+#[derive(Clone, Debug)]
+pub struct Progress {
+    pub number: u32,
+    /// The true label, as in [`Scan::truth`].
+    pub truth: Option<TrialKey>,
+    /// Seconds of drag that this snapshot and all earlier ones hold together.
+    pub scan_s: f64,
+    /// New frames, one item for each source.
+    pub fresh: Vec<Fresh>,
+    pub images: Vec<(SourceId, Arc<Image>)>,
+}
+
+impl Progress {
+    /// Appends the data of a `later` snapshot of the same scan.
+    pub(crate) fn append(&mut self, later: Self) {
+        self.scan_s = later.scan_s;
+        for fresh in later.fresh {
+            match self.fresh.iter_mut().find(|own| own.source == fresh.source) {
+                Some(own) => own.samples.extend(fresh.samples),
+                None => self.fresh.push(fresh),
+            }
         }
+        self.images.extend(later.images);
+    }
+}
+
+/// New data of the streams, during scans and between them.
+#[derive(Clone, Debug)]
+pub struct Trace {
+    /// New frames, one item for each stream.
+    pub fresh: Vec<Fresh>,
+    /// The latest picture of each camera stream that has a new one.
+    pub images: Vec<(SourceId, Arc<Image>)>,
+}
+
+/// Makes the next snapshot of a scan. Returns the number of its step (of `every_s` seconds of drag),
+/// the number of frames of each source sent so far, and the snapshot; `None` if no new step is reached.
+///
+/// With `exact`, no step is skipped, and the snapshot waits until every source has reached its
+/// step, so that the snapshot does not depend on how data arrive. Without `exact`, the snapshot
+/// covers the latest step that any source has reached.
+pub(super) fn next_snapshot(
+    marked: &Marked,
+    streams: &[Stream],
+    every_s: f64,
+    exact: bool,
+) -> Option<(u64, Vec<u64>, Progress)> {
+    let drags = || marked.cuts.values().filter(|cut| cut.phase == Phase::Drag);
+    let reached = |step: u64| {
+        let seconds = step as f64 * every_s;
+        drags().any(|cut| cut.available(streams) >= cut.until(seconds))
+    };
+    let mut step = marked.steps + 1;
+    if !reached(step) {
+        return None;
+    }
+    if exact {
+        let there = |cut: &SourceSpan| {
+            let seconds = step as f64 * every_s;
+            let far = cut.phase == Phase::Drag && cut.available(streams) >= cut.until(seconds);
+            far || cut.delivered(streams)
+        };
+        if !marked.cuts.values().all(there) {
+            return None;
+        }
+    } else {
+        while reached(step + 1) {
+            step += 1;
+        }
+    }
+    let scan_s = step as f64 * every_s;
+    let (number, truth) = (marked.number, marked.begin.truth.clone());
+    let mut progress = Progress { number, truth, scan_s, fresh: vec![], images: vec![] };
+    let mut sent: Vec<u64> = marked.cuts.values().map(|cut| cut.sent).collect();
+    for ((source, cut), sent) in marked.cuts.iter().zip(&mut sent) {
+        match &streams[cut.stream].buffer {
+            StreamBuffer::Series { history, .. } => {
+                let until = match cut.phase {
+                    Phase::Drag => cut.until(scan_s).min(cut.available(streams)),
+                    _ => cut.available(streams),
+                };
+                let (_, samples) = history.frames(cut.start + cut.sent..until);
+                if !samples.is_empty() {
+                    *sent += (samples.len() / history.channels) as u64;
+                    progress.fresh.push(Fresh {
+                        source: source.clone(),
+                        rate_hz: cut.rate_hz,
+                        channels: cut.channels,
+                        start: cut.sent,
+                        samples: narrow(samples, history.channels, cut.channels),
+                    });
+                }
+            }
+            StreamBuffer::Images { recent, .. } => {
+                if let Some(image) = image(recent, cut.start).filter(|_| cut.sent == 0) {
+                    *sent = 1;
+                    progress.images.push((source.clone(), image.clone()));
+                }
+            }
+        }
+    }
+    Some((step, sent, progress))
+}
+
+/// For each stream, the index after its new data; and the new data of all streams since the last trace.
+pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
+    let (mut fresh, mut images) = (Vec::new(), Vec::new());
+    for stream in streams {
+        match &stream.buffer {
+            StreamBuffer::Series { history, .. } => {
+                let (start, samples) = history.frames(stream.traced..u64::MAX);
+                if !samples.is_empty() {
+                    fresh.push(Fresh {
+                        source: stream.id.clone(),
+                        rate_hz: stream.rate_hz,
+                        channels: history.channels,
+                        start,
+                        samples: samples.to_vec(),
+                    });
+                }
+            }
+            StreamBuffer::Images { recent, .. } => {
+                let new = recent.back().filter(|(at, _)| *at >= stream.traced);
+                images.extend(new.map(|(_, image)| (stream.id.clone(), image.clone())));
+            }
+        }
+    }
+    (streams.iter().map(Stream::end).collect(), Trace { fresh, images })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn progress(scan_s: f64, parts: &[(&str, u64, &[f32])]) -> Progress {
+        let fresh = parts.iter().map(|(source, start, samples)| Fresh {
+            source: SourceId::new(source).unwrap(),
+            rate_hz: 10.0,
+            channels: 1,
+            start: *start,
+            samples: samples.to_vec(),
+        });
+        Progress { number: 1, truth: None, scan_s, fresh: fresh.collect(), images: Vec::new() }
+    }
+
+    #[test]
+    fn appended_snapshots_hold_what_each_of_them_held() {
+        let mut all = progress(0.2, &[("ac", 0, &[1.0, 2.0])]);
+        all.append(progress(0.4, &[("ac", 2, &[3.0]), ("ir", 0, &[9.0])]));
+        let expected = progress(0.4, &[("ac", 0, &[1.0, 2.0, 3.0]), ("ir", 0, &[9.0])]);
+        assert_eq!((all.scan_s, all.fresh), (expected.scan_s, expected.fresh));
     }
 }

@@ -1,9 +1,11 @@
-//! Makes scans out of streams: empties the rings and cuts out sources between their marks.
+//! Makes scans out of streams, by emptying the rings and cutting out sources between their marks.
 //!
-//! A mark says where a scan or one of its sources begins or ends; a replayed recording sets marks
-//! itself, for live devices a detector does. A [`Session`] runs devices and one collector, each on
-//! its own thread, and sends [`Event`]s. A [`Scan`] holds only data from the rings; its true label
-//! is kept separately.
+//! A mark says where a scan or one of its sources begins or ends. A replayed recording sets marks
+//! itself; for live devices, a detector sets them. A [`Session`] runs devices and one collector,
+//! each on its own thread, and sends [`Event`]s. A [`Scan`] holds the data from the rings; its true
+//! label is kept apart from these.
+
+#![allow(missing_docs)] // Names that say everything need no comment.
 
 pub(crate) mod clock;
 mod collect;
@@ -11,52 +13,48 @@ pub mod detect;
 mod event_queue;
 mod group;
 mod marked_scan;
-mod options;
-mod progress;
 mod scan_detector;
 mod session;
 mod stream;
-mod timeline;
 
-pub use options::{CutFrom, Detection, Options, ScanCommand};
-pub use progress::{Fresh, Progress, Trace};
+pub use crate::device::CutFrom;
+pub use marked_scan::{Fresh, Progress, Trace};
 pub(crate) use session::StreamMeter;
 pub use session::{Session, SessionError};
 
 use std::collections::BTreeMap;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::device::DeviceState;
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Trial, TrialKey};
+use detect::{DetectorConfig, SensorKind};
 
-/// One interaction, as it came out of the rings.
+/// The data of one interaction, as they came out of the rings.
 #[derive(Clone, Debug)]
 pub struct Scan {
     /// Number of the scan in its session, counted from 1.
     pub number: u32,
-    /// The data. Its key is neutral: no surface, no user, and the number of the scan.
+    /// The data. Their key holds no surface and no user, only the number of the scan.
     pub trial: Trial,
-    /// The true label, where a recording has it: for reports, not for recognition.
+    /// The true label, if a recording has one. Reports use this label; recognition never does.
     pub truth: Option<TrialKey>,
-    /// Whether a generator made the data.
     pub synthetic: bool,
-    /// Duration in seconds of the longest source of the drag, or, if there was no drag, of all.
+    /// Duration in seconds of the longest source of the drag; without a drag, of the longest source.
     pub scan_s: f64,
     /// Frames (and pictures) lost within the scan, over all sources.
     pub lost_samples: u64,
-    /// Frames (or pictures) lost of each source.
-    pub lost_by_source: BTreeMap<SourceId, u64>,
-    /// Reasons why the scan should not be trusted, a line each; empty if there are none. A gap of
-    /// at most 1 ms is filled by repeating the frame before it, and is no such reason.
+
+    /// Reasons why the scan should not be trusted, one line each; empty if there are none. A gap of
+    /// at most 1 ms is no reason, since the frame before the gap is repeated to fill it.
     pub spoiled: Vec<String>,
-    /// The time of its last sample.
+    /// The time of the scan's last sample.
     pub ended_at: Instant,
 }
 
 impl Scan {
-    /// A scan of these signals, nothing lost, that has just ended; its duration is left at 0.
+    /// A scan of these signals that has just ended and has lost nothing; its `scan_s` is 0.
     pub fn of_signals(number: u32, signals: BTreeMap<SourceId, crate::trial::Signal>) -> Self {
         Self {
             number,
@@ -65,66 +63,108 @@ impl Scan {
             synthetic: false,
             scan_s: 0.0,
             lost_samples: 0,
-            lost_by_source: BTreeMap::new(),
+
             spoiled: Vec::new(),
             ended_at: Instant::now(),
         }
     }
 }
 
-/// Events of a session.
 #[derive(Debug)]
 pub enum Event {
-    /// A scan is complete.
     Scan(Box<Scan>),
-    /// A scan has reached a part, such as the drag, or has ended; its data may still be under way.
+    /// A scan has reached a part, such as the drag, or has ended; some of its data may still come.
     Phase {
-        /// number of the scan
         scan: u32,
-        /// the part; `None` when it is over
+        /// the part; `None` if the scan has ended
         phase: Option<Phase>,
     },
-    /// New data of the scan in progress.
     Progress(Progress),
-    /// New data of the streams, during scans and between them.
     Trace(Trace),
-    /// A device has changed its state.
     Device {
-        /// its name
         device: String,
-        /// its new state
         state: DeviceState,
         /// the reason, and what to do
         detail: String,
     },
-    /// A warning: something was lost, damaged or not understood, and work continues.
+    /// Something was lost, damaged or not understood, and work continues.
     Warning(String),
-    /// All devices have ended and all that they sent was processed; the last event.
+    /// The last event. All devices have ended, and all that they sent was processed.
     Finished(Totals),
 }
 
-/// Totals over a session.
 #[derive(Clone, Debug, Default)]
 pub struct Totals {
-    /// Scans that were sent.
     pub scans: u32,
-    /// Counts of each stream.
     pub streams: BTreeMap<SourceId, Counts>,
     /// Devices that failed or panicked, and why.
     pub failed: Vec<(String, String)>,
     /// Devices that did not stop in time and were abandoned.
     pub abandoned: Vec<String>,
-    /// Warnings that were sent.
     pub warnings: u32,
-    /// Snapshots (progress, traces) not sent to a busy reader; the next one held their data.
-    pub late_snapshots: u64,
-    /// Other events that were dropped because their reader did not keep up or was gone.
+    /// Events that were dropped because their reader was too slow or gone.
     pub dropped_events: u64,
 }
 
 impl Totals {
-    /// Frames lost over all streams, within scans or between them.
+    /// Number of frames lost in all streams, within scans and between them.
     pub fn lost(&self) -> u64 {
         self.streams.values().map(|counts| counts.lost).sum()
     }
+}
+
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Length of the ring of a series, in seconds at its nominal rate; at least one frame.
+    pub ring_s: f64,
+    pub ring_images: usize,
+    /// Seconds of drag from one [`Progress`] to the next; for example, `Some(0.05)` makes 20 a
+    /// second in real time. Off by default.
+    pub progress_every_s: Option<f64>,
+    /// Seconds of real time from one [`Trace`] to the next. Off by default.
+    pub trace_every_s: Option<f64>,
+    /// The longest scan, in seconds. A scan of live devices ends after this time; a longer scan of
+    /// a recording loses its beginning.
+    pub longest_scan_s: f64,
+    /// How long a scan waits for missing data after its end.
+    pub deliver_limit: Duration,
+    /// How long a stop waits for the devices.
+    pub stop_limit: Duration,
+    /// Capacity of the queue of events.
+    pub events: usize,
+    /// Detects scans in streams that carry no marks. Off by default.
+    pub detection: Option<Detection>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            ring_s: 1.0,
+            ring_images: 4,
+            progress_every_s: None,
+            trace_every_s: None,
+            longest_scan_s: 120.0,
+            deliver_limit: Duration::from_secs(2),
+            stop_limit: Duration::from_secs(2),
+            events: 64,
+            detection: None,
+        }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detection {
+    pub detector: DetectorConfig,
+    /// Streams that show contact, one group per device, since streams of a group share a sample
+    /// counter and a rate. The first group with data leads, so only its detections make scans.
+    pub groups: Vec<Vec<(SourceId, SensorKind)>>,
+    pub cuts: Vec<CutFrom>,
+}
+
+/// A command by a person or a program; a detector does not overrule it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScanCommand {
+    /// Begins a drag now. If a detected scan is in progress, only a command can end it from now on.
+    Begin,
+    End,
 }

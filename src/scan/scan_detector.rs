@@ -1,64 +1,65 @@
-//! Sets marks in streams that carry none, around taps and drags: one span of time in all sources.
+//! Sets marks around taps and drags in streams without marks, over one span of time in all sources.
 //!
 //! Streams of one device share one sample counter and form a [`Group`] with a detector of its own.
-//! The first group whose data arrive leads: its detections make the marks. The [`Timeline`] turns
-//! their times into indexes of the other streams. The constant offset between two devices, which
-//! arrival times cannot show, is read off the tap that both sensed.
+//! The first group with data leads, so only its detections make marks. The [`Timeline`] converts
+//! the times of detections to indexes of the other streams. A tap that two devices sensed gives the
+//! constant offset between them, since arrival times cannot show this offset.
 
+use std::time::{Duration, Instant};
+
+use super::clock::{Clock, ClockSecond};
 use super::detect::{DetectorEvent, HOP_S, onset_in};
 use super::group::Group;
-use super::options::{CutFrom, Detection, ScanCommand};
 use super::stream::{Stream, StreamBuffer};
-use super::timeline::Timeline;
+use super::{CutFrom, Detection, ScanCommand};
 use crate::device::{Begin, Mark, Open};
 use crate::scene::Phase;
 
-/// The largest offset between two devices that a tap can show, in seconds.
+/// The largest offset between two devices that a tap may give, in seconds.
 const LARGEST_OFFSET_S: f64 = 0.3;
-/// A tap's source begins this long before its onset, in seconds, and lasts as in LMT108.
+/// In seconds, as in LMT108, a tap's source begins this long before the onset and lasts `TAP_S`.
 const BEFORE_TAP_S: f64 = 0.02;
 const TAP_S: f64 = 10_501.0 / 44_100.0;
 
-/// A detected drag, in hops of its group.
+/// A detected drag of group number `lead`; its times are hops of this group.
 struct Contact {
     lead: usize,
     tap: Option<(u64, u64)>,
     start: u64,
 }
 
-/// A source, and the index of its stream.
 struct PlacedCut {
     cut: CutFrom,
     stream: usize,
 }
 
 struct Running {
-    /// The group that detected it; none if a command began it.
+    /// The group that ends the scan when its drag ends; `None` if only a command ends the scan.
     lead: Option<usize>,
     begun_s: f64,
-    /// The sources that were opened for its drag, as indexes into `cuts`.
+    /// The sources opened for the scan's drag, as indexes into `cuts`.
     opened: Vec<usize>,
 }
 
-/// Detects scans in the streams of a session.
 pub(super) struct ScanDetector {
     timeline: Timeline,
     groups: Vec<Group>,
     cuts: Vec<PlacedCut>,
-    /// Level at which contact begins.
     onset: f64,
     longest_scan_s: f64,
     scan: Option<Running>,
-    warnings: Vec<String>,
+    /// Marks and warnings that the collector has not taken yet.
+    pub marks: Vec<Mark>,
+    pub warnings: Vec<String>,
 }
 
 impl ScanDetector {
-    /// A detector for these streams, by those parts of `detection` that concern them. No scan lasts
-    /// longer than `longest_scan_s` seconds.
+    /// A detector for these streams; it ignores parts of `detection` that name other streams. No
+    /// scan lasts longer than `longest_scan_s` seconds.
     pub fn new(detection: Detection, streams: &[Stream], longest_scan_s: f64) -> Self {
         let Detection { detector, groups, cuts } = detection;
         let place = |cut: CutFrom| {
-            let stream = streams.iter().position(|stream| stream.id() == &cut.stream)?;
+            let stream = streams.iter().position(|stream| stream.id == cut.stream)?;
             Some(PlacedCut { cut, stream })
         };
         let group = |channels: &Vec<_>| Group::new(channels, detector, streams);
@@ -69,21 +70,21 @@ impl ScanDetector {
             onset: detector.onset,
             longest_scan_s,
             scan: None,
+            marks: Vec::new(),
             warnings: Vec::new(),
         }
     }
 
-    /// Takes over the rates of one device's streams, which have had no frame yet.
+    /// Takes over the new rates of a device's streams. Called before the first frame of these streams.
     pub fn follow_rates(&mut self, streams: &[Stream], device: usize) {
         self.timeline.follow_rates(streams, device);
         let of = |group: &&mut Group| streams[group.channels[0].0].device == device;
         self.groups.iter_mut().filter(of).for_each(|group| group.follow_rate(streams));
     }
 
-    /// Looks at what has come out of the rings, and gives the marks that follow from it.
-    pub fn update(&mut self, streams: &[Stream]) -> Vec<Mark> {
+    /// Detects taps and drags in the frames that have come out of the rings, and sets marks.
+    pub fn update(&mut self, streams: &[Stream]) {
         let now_s = self.timeline.observe(streams);
-        let mut marks = Vec::new();
         for at in 0..self.groups.len() {
             let (group, timeline) = (&mut self.groups[at], &self.timeline);
             let mut events = group.update(streams, |stream| timeline.alive(stream, now_s));
@@ -91,75 +92,59 @@ impl ScanDetector {
                 let last = group.detector.finish();
                 let cut_off = last.is_some_and(|last| group.cut_off(last));
                 if cut_off && self.leads(at) {
-                    marks.push(Mark::Spoil { why: "its data stopped before it was over".into() });
+                    let why = "its data stopped before it was over";
+                    self.marks.push(Mark::Spoil { why: why.into() });
                 }
                 events.extend(last);
             }
             for event in events {
-                self.on_detection(at, event, streams, now_s, &mut marks);
+                self.on_detection(at, event, streams, now_s);
             }
         }
         if self.scan.as_ref().is_some_and(|scan| now_s - scan.begun_s >= self.longest_scan_s) {
             let longest_s = self.longest_scan_s;
             let text = format!("a scan was ended after {longest_s} s, the longest allowed");
             self.warnings.push(text);
-            self.end_now(streams, now_s, &mut marks);
+            self.end_now(streams, now_s);
         }
-        marks
     }
 
-    /// Begins or ends a scan, regardless of the detectors.
-    pub fn command(&mut self, command: ScanCommand, streams: &[Stream]) -> Vec<Mark> {
+    pub fn command(&mut self, command: ScanCommand, streams: &[Stream]) {
         let now_s = self.timeline.now_s();
-        let mut marks = Vec::new();
         match (command, &mut self.scan) {
             (ScanCommand::Begin, Some(scan)) => scan.lead = None,
-            (ScanCommand::Begin, None) => self.begin(None, streams, now_s, &mut marks),
+            (ScanCommand::Begin, None) => self.begin(None, streams, now_s),
             (ScanCommand::End, None) => {}
-            (ScanCommand::End, Some(_)) => self.end_now(streams, now_s, &mut marks),
+            (ScanCommand::End, Some(_)) => self.end_now(streams, now_s),
         }
-        marks
     }
 
-    /// Ends the scan in progress, since no more data will come.
-    pub fn finish(&mut self, streams: &[Stream]) -> Vec<Mark> {
+    /// Ends the scan in progress. Called when no more data will come.
+    pub fn finish(&mut self, streams: &[Stream]) {
         let now_s = self.timeline.now_s();
-        let mut marks = Vec::new();
         match self.scan.as_ref().map(|scan| scan.lead) {
-            None => return marks,
-            Some(None) => self.end_now(streams, now_s, &mut marks),
+            None => return,
+            Some(None) => self.end_now(streams, now_s),
             Some(Some(at)) => {
                 if let Some(event) = self.groups[at].detector.finish() {
-                    self.on_detection(at, event, streams, now_s, &mut marks);
+                    self.on_detection(at, event, streams, now_s);
                 }
             }
         }
-        // No more data will come: frames that have not arrived were never sampled, so a cut ends
-        // where its stream does, and they do not count as lost.
-        for mark in &mut marks {
+        // No more data will come, so frames that have not arrived were never sampled. A cut
+        // therefore ends where its stream ends, and frames after that do not count as lost.
+        for mark in &mut self.marks {
             let Mark::Close { source, end } = mark else { continue };
             let placed = self.cuts.iter().find(|placed| placed.cut.source == *source);
             *end = placed.map_or(*end, |placed| streams[placed.stream].end().min(*end));
         }
-        marks
-    }
-
-    pub fn take_warnings(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.warnings)
     }
 
     fn leads(&self, group: usize) -> bool {
         self.scan.as_ref().is_some_and(|scan| scan.lead == Some(group))
     }
 
-    fn on_detection(
-        &mut self,
-        at: usize,
-        event: DetectorEvent,
-        streams: &[Stream],
-        now_s: f64,
-        marks: &mut Vec<Mark>,
-    ) {
+    fn on_detection(&mut self, at: usize, event: DetectorEvent, streams: &[Stream], now_s: f64) {
         match event {
             DetectorEvent::Drag { tap, start } => {
                 let alive = |group: &Group| {
@@ -171,45 +156,32 @@ impl ScanDetector {
                 if let Some((onset, _)) = tap {
                     self.align(at, onset);
                 }
-                self.begin(Some(Contact { lead: at, tap, start }), streams, now_s, marks);
+                self.begin(Some(Contact { lead: at, tap, start }), streams, now_s);
             }
             DetectorEvent::End { end } if self.leads(at) => {
-                let opened = self.scan.take().map(|scan| scan.opened).unwrap_or_default();
-                for placed in opened.into_iter().map(|cut| &self.cuts[cut]) {
-                    if let Some(end) = self.index(at, end, placed.stream, streams) {
-                        marks.push(Mark::Close { source: placed.cut.source.clone(), end });
-                    }
-                }
-                self.mark_images(streams, marks);
                 let ended_s = self.time_s(at, end).unwrap_or(now_s).clamp(0.0, now_s);
-                marks.push(Mark::End { at: self.timeline.instant(ended_s) });
+                self.end(streams, ended_s, |this, stream| this.index(at, end, stream, streams));
             }
             DetectorEvent::NoiseTimeout if self.leads(at) => {
                 self.scan = None;
                 let why = "contact never ended, so it was noise and not a drag";
-                marks.push(Mark::GiveUp { why: why.into() });
+                self.marks.push(Mark::GiveUp { why: why.into() });
             }
             DetectorEvent::End { .. } | DetectorEvent::NoiseTimeout => {}
         }
     }
 
-    /// Begins the scan of `contact`; without one, a scan whose drag begins now.
-    fn begin(
-        &mut self,
-        contact: Option<Contact>,
-        streams: &[Stream],
-        now_s: f64,
-        marks: &mut Vec<Mark>,
-    ) {
-        marks.push(Mark::Begin(Begin::default()));
-        self.mark_images(streams, marks);
-        let mut opened = Vec::new();
+    /// Begins the scan of a detected `contact`; if it is `None`, a scan whose drag begins now.
+    fn begin(&mut self, contact: Option<Contact>, streams: &[Stream], now_s: f64) {
+        self.marks.push(Mark::Begin(Begin::default()));
+        self.mark_images(streams);
+        let (mut opened, mut marks) = (Vec::new(), Vec::new());
         for (number, placed) in self.cuts.iter().enumerate() {
             let at = placed.stream;
             if !self.timeline.alive(at, now_s) {
                 continue;
             }
-            let rate_hz = streams[at].rate_hz();
+            let rate_hz = streams[at].rate_hz;
             let index = |contact: &Contact, hop| self.index(contact.lead, hop, at, streams);
             match (placed.cut.phase, &contact) {
                 (Phase::Tap, Some(contact @ Contact { tap: Some((onset, _)), start, .. })) => {
@@ -236,41 +208,52 @@ impl ScanDetector {
                 _ => {}
             }
         }
+        self.marks.extend(marks);
         let lead = contact.map(|contact| contact.lead);
         self.scan = Some(Running { lead, begun_s: now_s, opened });
     }
 
-    /// Ends the scan in progress at this moment.
-    fn end_now(&mut self, streams: &[Stream], now_s: f64, marks: &mut Vec<Mark>) {
-        let opened = self.scan.take().map(|scan| scan.opened).unwrap_or_default();
-        for placed in opened.into_iter().map(|cut| &self.cuts[cut]) {
-            let end = self.timeline.index_now(placed.stream, now_s);
-            marks.push(Mark::Close { source: placed.cut.source.clone(), end });
-        }
-        self.mark_images(streams, marks);
-        marks.push(Mark::End { at: self.timeline.instant(now_s) });
+    fn end_now(&mut self, streams: &[Stream], now_s: f64) {
+        self.end(streams, now_s, |this, stream| Some(this.timeline.index_now(stream, now_s)));
     }
 
-    /// Marks the latest pictures, however old. Called when a scan begins, and again when it ends,
-    /// since pictures with flash are taken during the drag.
-    fn mark_images(&self, streams: &[Stream], marks: &mut Vec<Mark>) {
+    /// Ends the scan in progress; `end_of` gives the index of this end in a stream.
+    fn end(
+        &mut self,
+        streams: &[Stream],
+        ended_s: f64,
+        end_of: impl Fn(&Self, usize) -> Option<u64>,
+    ) {
+        let opened = self.scan.take().map(|scan| scan.opened).unwrap_or_default();
+        for placed in opened.into_iter().map(|cut| &self.cuts[cut]) {
+            let source = placed.cut.source.clone();
+            let end = end_of(self, placed.stream);
+            self.marks.extend(end.map(|end| Mark::Close { source, end }));
+        }
+        self.mark_images(streams);
+        self.marks.push(Mark::End { at: self.timeline.instant(ended_s) });
+    }
+
+    /// Marks the latest picture of each camera, however old. Called when a scan begins and again
+    /// when it ends, since pictures with flash are taken during the drag.
+    fn mark_images(&mut self, streams: &[Stream]) {
         for placed in &self.cuts {
-            if let StreamBuffer::Images { history, .. } = streams[placed.stream].buffer()
-                && let Some((latest, _)) = history.latest()
+            if let StreamBuffer::Images { recent, .. } = &streams[placed.stream].buffer
+                && let Some((latest, _)) = recent.back()
             {
-                marks.push(placed.open(*latest, 1.0));
-                marks.push(Mark::Close { source: placed.cut.source.clone(), end: latest + 1 });
+                let source = placed.cut.source.clone();
+                self.marks.push(placed.open(*latest, 1.0));
+                self.marks.push(Mark::Close { source, end: latest + 1 });
             }
         }
     }
 
-    /// The time at which a hop of a group began.
     fn time_s(&self, group: usize, hop: u64) -> Option<f64> {
         let group = &self.groups[group];
         self.timeline.time_s(group.channels[0].0, group.frame(hop))
     }
 
-    /// Reads the other groups' offsets off the tap that began at hop `onset` of group `lead`.
+    /// Measures the offsets of the other groups by the tap that began at hop `onset` of group `lead`.
     fn align(&mut self, lead: usize, onset: u64) {
         let Some(tap_s) = self.time_s(lead, onset) else { return };
         self.groups[lead].offset_s = 0.0;
@@ -287,11 +270,11 @@ impl ScanDetector {
         }
     }
 
-    /// Index of the frame of stream number `at` sampled when hop `hop` of group `lead` began.
+    /// Index of the frame in stream number `at` that was sampled when hop `hop` of group `lead` began.
     fn index(&self, lead: usize, hop: u64, at: usize, streams: &[Stream]) -> Option<u64> {
         let group = &self.groups[lead];
         let leading = &streams[group.channels[0].0];
-        if streams[at].device == leading.device && streams[at].rate_hz() == leading.rate_hz() {
+        if streams[at].device == leading.device && streams[at].rate_hz == leading.rate_hz {
             return Some(group.frame(hop));
         }
         let offset_s = (self.groups.iter())
@@ -302,16 +285,91 @@ impl ScanDetector {
 }
 
 impl PlacedCut {
-    /// The mark that opens the source at frame `start`.
     fn open(&self, start: u64, rate_hz: f64) -> Mark {
-        let CutFrom { source, stream, phase, channels } = &self.cut;
-        Mark::Open(Open {
-            source: source.clone(),
-            stream: stream.clone(),
-            start,
-            phase: *phase,
-            rate_hz,
-            channels: *channels,
-        })
+        Mark::Open(Open { cut: self.cut.clone(), start, rate_hz })
+    }
+}
+
+/// A stream that has delivered nothing for this long takes no part in detection.
+const SILENT_S: ClockSecond = 0.5;
+/// A drag is over if its streams have delivered nothing for this long. The time is longer than any
+/// machine suspends a driver.
+const GONE_S: ClockSecond = 3.0;
+
+/// Times at which the frames of all streams were sampled, on the one time base of a session. Each
+/// stream has one clock, in the order of the streams.
+struct Timeline {
+    begin: Instant,
+    streams: Vec<Arrivals>,
+}
+
+struct Arrivals {
+    clock: Clock,
+    /// `end` is the index after the last frame; `at_s` is the time when that frame arrived.
+    end: u64,
+    at_s: ClockSecond,
+}
+
+impl Timeline {
+    fn new(streams: &[Stream]) -> Self {
+        let arrivals = |stream: &Stream| Arrivals {
+            clock: Clock::new(stream.rate_hz),
+            end: 0,
+            at_s: f64::NEG_INFINITY,
+        };
+        Self { begin: Instant::now(), streams: streams.iter().map(arrivals).collect() }
+    }
+
+    /// Notes which frames have arrived, and returns the present time.
+    fn observe(&mut self, streams: &[Stream]) -> ClockSecond {
+        let now_s = self.now_s();
+        for (stream, known) in streams.iter().zip(&mut self.streams) {
+            if stream.end() > known.end {
+                (known.end, known.at_s) = (stream.end(), now_s);
+                known.clock.observe(stream.end(), now_s);
+            }
+        }
+        now_s
+    }
+
+    /// Takes over the new rates of a device's streams. Called before the first frame of these streams.
+    fn follow_rates(&mut self, streams: &[Stream], device: usize) {
+        let pairs = streams.iter().zip(&mut self.streams);
+        for (stream, known) in pairs.filter(|(stream, _)| stream.device == device) {
+            known.clock = Clock::new(stream.rate_hz);
+        }
+    }
+
+    fn now_s(&self) -> ClockSecond {
+        self.begin.elapsed().as_secs_f64()
+    }
+
+    fn instant(&self, at_s: ClockSecond) -> Instant {
+        self.begin + Duration::from_secs_f64(at_s)
+    }
+
+    fn alive(&self, stream: usize, now_s: ClockSecond) -> bool {
+        now_s - self.streams[stream].at_s <= SILENT_S
+    }
+
+    /// Whether a stream's data have been missing long enough to end its drag.
+    fn gone(&self, stream: usize, now_s: ClockSecond) -> bool {
+        now_s - self.streams[stream].at_s > GONE_S
+    }
+
+    /// The time at which a frame was sampled; `None` before the stream's first arrival.
+    fn time_s(&self, stream: usize, frame: u64) -> Option<ClockSecond> {
+        self.streams[stream].clock.time_s(frame)
+    }
+
+    /// Index of the frame that was sampled at a time; `None` before the stream's first arrival.
+    fn index_at(&self, stream: usize, time_s: ClockSecond) -> Option<u64> {
+        self.streams[stream].clock.index_at(time_s)
+    }
+
+    /// Index of the frame that is sampled now; if the stream is silent, the index of its next frame.
+    fn index_now(&self, stream: usize, now_s: ClockSecond) -> u64 {
+        let by_clock = self.index_at(stream, now_s).filter(|_| self.alive(stream, now_s));
+        by_clock.unwrap_or(self.streams[stream].end)
     }
 }

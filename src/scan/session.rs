@@ -1,4 +1,4 @@
-//! Runs devices and their collector, each on its own thread, and ends them.
+//! Runs devices and their collector, each on its own thread, and stops them.
 
 use std::any::Any;
 use std::collections::{BTreeSet, VecDeque};
@@ -11,22 +11,19 @@ use crossbeam_channel::{Receiver, Sender};
 
 use super::collect::Collector;
 use super::event_queue::EventQueue;
-use super::options::{Options, ScanCommand};
 use super::scan_detector::ScanDetector;
-use super::stream::Stream;
-use super::{Event, Totals};
+use super::stream::{RecentImages, SeriesHistory, Stream, StreamBuffer};
+use super::{Event, Options, ScanCommand, Totals};
 use crate::device::{
     Device, DeviceError, DeviceLink, DeviceReport, DeviceReportKind, StreamKind, StreamSpec,
 };
 use crate::ring::{self, Counts, Meter, Sink, Stop, Waker};
 use crate::scene::SourceId;
 
-/// Reports that may be under way before a device has to wait.
+/// Capacity of the queue of reports; a device whose report does not fit has to wait.
 const REPORTS: usize = 1024;
 
-/// Errors of the start and the end of a session.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages describe the variants.
 pub enum SessionError {
     #[error("two devices have a stream called {0}; rename one of them in the configuration")]
     SameStream(SourceId),
@@ -38,24 +35,21 @@ pub enum SessionError {
     Collector(String),
 }
 
-/// The counts of one stream, readable at any time.
+/// The numbers of pushed and lost frames of one stream, readable at any time.
 #[derive(Clone, Debug)]
 pub struct StreamMeter {
-    /// The stream.
     pub id: SourceId,
-    /// Name of its device.
     pub device: String,
     meter: Arc<Meter>,
 }
 
 impl StreamMeter {
-    /// The counts at this moment.
     pub fn counts(&self) -> Counts {
         self.meter.counts()
     }
 }
 
-/// Devices at work. Dropping it requests their stop, without waiting for it.
+/// Running devices and their collector. Dropping the session asks them to stop, and does not wait.
 #[derive(Debug)]
 pub struct Session {
     events: Receiver<Event>,
@@ -69,11 +63,11 @@ pub struct Session {
 }
 
 impl Session {
-    /// Starts the devices.
+    /// Starts the devices and their collector.
     ///
     /// # Errors
-    /// If two streams have one name, an option is impossible, or a thread cannot be started. A
-    /// device that fails is no error here: an event reports it.
+    /// If two streams have the same name, an option is not a positive time, or a thread cannot be
+    /// started. A device that fails is no error here, since an event reports it.
     pub fn start(devices: Vec<Box<dyn Device>>, options: Options) -> Result<Self, SessionError> {
         check(&options)?;
         let stop = Stop::default();
@@ -119,7 +113,7 @@ impl Session {
             commands: cued,
         };
         let collector = spawn("collector", move || {
-            // However the collector ends, no device may go on waiting for it.
+            // Stops the devices however the collector ends, since devices would wait for it for ever.
             let _end = EndsAll(collector.stop.clone());
             collector.run()
         })?;
@@ -144,53 +138,37 @@ impl Session {
         Ok(session)
     }
 
-    /// The events; they end after [`Event::Finished`]. All clones draw from one queue.
+    /// The events; the last is [`Event::Finished`]. All clones of the receiver draw from one queue.
     pub fn events(&self) -> &Receiver<Event> {
         &self.events
     }
 
-    /// A meter for each stream.
     pub fn meters(&self) -> &[StreamMeter] {
         &self.meters
     }
 
-    /// Number of the next scan to begin.
     pub fn next_scan(&self) -> u32 {
         self.begun.load(Ordering::Acquire).saturating_add(1)
     }
 
-    /// Begins or ends a scan by command.
     pub fn command(&self, command: ScanCommand) {
-        // Fails only when the session has ended, and with it every scan.
+        // Sending fails only if the session has ended, and then there is no scan to command.
         let _ = self.commands.send(command);
         self.waker.wake();
     }
 
-    /// Requests the end of all devices, without waiting for it; events continue until the last.
+    /// Asks all devices to end, without waiting; events go on until [`Event::Finished`].
     pub fn request_stop(&self) {
         self.stop.request();
         self.waker.wake();
     }
 
-    /// Ends all devices and the collector, and returns the totals. Events that were not read are
-    /// lost. A device that does not end in time is abandoned, and named in the totals.
-    ///
-    /// # Errors
-    /// If the collector panicked.
-    pub fn stop(mut self) -> Result<Totals, SessionError> {
-        self.request_stop();
-        self.join()
-    }
-
-    /// Waits until all devices have ended by themselves, dropping events that were not read.
+    /// Waits until all devices and the collector have ended; drops events that were not read. If a
+    /// device does not end soon after a stop, it is abandoned and named in the totals.
     ///
     /// # Errors
     /// If the collector panicked.
     pub fn wait(mut self) -> Result<Totals, SessionError> {
-        self.join()
-    }
-
-    fn join(&mut self) -> Result<Totals, SessionError> {
         let Some(collector) = self.collector.take() else { return Ok(Totals::default()) };
         // Reads until the collector ends, so that it never waits for a reader.
         while self.events.recv().is_ok() {}
@@ -198,7 +176,7 @@ impl Session {
             collector.join().map_err(|panic| SessionError::Collector(what(panic.as_ref())))?;
         for (name, thread) in self.devices.drain(..) {
             if !totals.abandoned.contains(&name) {
-                // A panic was caught and reported before the thread ended.
+                // A panic was caught and reported before the thread ended, so this result is ignored.
                 let _ = thread.join();
             }
         }
@@ -226,7 +204,6 @@ fn check(options: &Options) -> Result<(), SessionError> {
         ("ring_s", Some(options.ring_s)),
         ("progress_every_s", options.progress_every_s),
         ("trace_every_s", options.trace_every_s),
-        ("lookback_s", Some(options.lookback_s)),
         ("longest_scan_s", Some(options.longest_scan_s)),
     ];
     for (what, value) in seconds {
@@ -238,25 +215,28 @@ fn check(options: &Options) -> Result<(), SessionError> {
 }
 
 fn join(spec: &StreamSpec, device: usize, options: &Options, waker: Waker) -> (Sink, Stream) {
-    let id = spec.id.clone();
-    match spec.kind {
+    let (rate_hz, channels, sink, buffer) = match spec.kind {
         StreamKind::Series { channels, rate_hz } => {
             let capacity = (options.ring_s * rate_hz).ceil() as usize;
             let (sink, tap) = ring::series(channels, capacity, waker);
-            (Sink::Series(sink), Stream::series(id, device, tap, rate_hz))
+            let channels = channels.max(1);
+            let history = SeriesHistory::new(channels);
+            (rate_hz, channels, Sink::Series(sink), StreamBuffer::Series { tap, history })
         }
         StreamKind::Images => {
             let (sink, tap) = ring::images(options.ring_images, waker);
-            (Sink::Images(sink), Stream::images(id, device, tap))
+            let recent = RecentImages::new();
+            (0.0, 3, Sink::Images(sink), StreamBuffer::Images { tap, recent })
         }
-    }
+    };
+    (sink, Stream { id: spec.id.clone(), device, rate_hz, channels, buffer, traced: 0 })
 }
 
 fn spawn<T: Send + 'static>(
     name: &str,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<JoinHandle<T>, SessionError> {
-    // A thread's name must not hold NUL.
+    // Leaves NUL out, since a thread's name must not hold it.
     let builder = std::thread::Builder::new().name(name.replace('\0', ""));
     builder.spawn(work).map_err(|error| SessionError::Thread { name: name.into(), error })
 }

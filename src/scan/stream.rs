@@ -1,87 +1,54 @@
-//! The collector's end of one stream: its ring, and the recent frames that came out of it.
+//! The collector's end of one stream holds its ring, and the recent frames that came out of the ring.
 
 use std::collections::VecDeque;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::ring::{ImageTap, Meter, Piece, SeriesTap};
+use crate::ring::{ImageTap, Meter, Piece, Reckoning, SeriesTap};
 use crate::scene::SourceId;
 use crate::trial::Image;
 
-/// Pictures that are kept for later marks.
+/// Number of latest pictures that are kept, so that later marks can refer to them.
 const RECENT_IMAGES: u64 = 8;
-/// Pictures that are kept at most.
+/// Most pictures that are kept, even if a scan needs older ones.
 const MOST_IMAGES: usize = 64;
 
 pub(super) struct Stream {
-    id: SourceId,
-    /// Number of its device: streams of one device and one rate share one sample counter.
+    pub id: SourceId,
+    /// Number of its device. Streams of the same device and rate share a sample counter.
     pub device: usize,
-    buffer: StreamBuffer,
+    /// Nominal rate in Hz; 0 for pictures.
+    pub rate_hz: f64,
+    /// Channels of a frame; 3 for pictures.
+    pub channels: usize,
+    pub buffer: StreamBuffer,
     /// Index after the last frame that was sent in a trace.
     pub traced: u64,
 }
 
 pub(super) enum StreamBuffer {
-    Series { tap: SeriesTap, history: SeriesHistory, rate_hz: f64 },
-    Images { tap: ImageTap, history: ImageHistory },
+    Series { tap: SeriesTap, history: SeriesHistory },
+    Images { tap: ImageTap, recent: RecentImages },
 }
 
+/// The latest pictures with their indexes; lost pictures are left out.
+pub(super) type RecentImages = VecDeque<(u64, Arc<Image>)>;
+
 impl Stream {
-    pub fn series(id: SourceId, device: usize, tap: SeriesTap, rate_hz: f64) -> Self {
-        let history = SeriesHistory::new(tap.channels());
-        Self { id, device, buffer: StreamBuffer::Series { tap, history, rate_hz }, traced: 0 }
-    }
-
-    pub fn images(id: SourceId, device: usize, tap: ImageTap) -> Self {
-        let history = ImageHistory::default();
-        Self { id, device, buffer: StreamBuffer::Images { tap, history }, traced: 0 }
-    }
-
-    pub fn id(&self) -> &SourceId {
-        &self.id
-    }
-
-    pub fn buffer(&self) -> &StreamBuffer {
-        &self.buffer
-    }
-
-    /// Nominal rate in Hz; of pictures, 0.
-    pub fn rate_hz(&self) -> f64 {
+    fn reckoning(&self) -> &Reckoning {
         match &self.buffer {
-            StreamBuffer::Series { rate_hz, .. } => *rate_hz,
-            StreamBuffer::Images { .. } => 0.0,
-        }
-    }
-
-    /// Sets the rate of a series, in Hz, before its first frame.
-    pub fn set_rate_hz(&mut self, new_hz: f64) {
-        if let StreamBuffer::Series { rate_hz, .. } = &mut self.buffer {
-            *rate_hz = new_hz;
+            StreamBuffer::Series { tap, .. } => tap.reckoning(),
+            StreamBuffer::Images { tap, .. } => tap.reckoning(),
         }
     }
 
     pub fn meter(&self) -> &Arc<Meter> {
-        match &self.buffer {
-            StreamBuffer::Series { tap, .. } => tap.meter(),
-            StreamBuffer::Images { tap, .. } => tap.meter(),
-        }
-    }
-
-    /// Channels of a frame; of a picture, 3.
-    pub fn channels(&self) -> usize {
-        match &self.buffer {
-            StreamBuffer::Series { tap, .. } => tap.channels(),
-            StreamBuffer::Images { .. } => 3,
-        }
+        &self.reckoning().meter
     }
 
     /// Index after the last frame that came out of the ring.
     pub fn end(&self) -> u64 {
-        match &self.buffer {
-            StreamBuffer::Series { history, .. } => history.end(),
-            StreamBuffer::Images { history, .. } => history.end(),
-        }
+        self.reckoning().position
     }
 
     /// Index after the last frame that was put into the ring.
@@ -89,78 +56,66 @@ impl Stream {
         self.meter().counts().pushed
     }
 
-    /// Whether nothing more will come.
     pub fn exhausted(&self) -> bool {
-        match &self.buffer {
-            StreamBuffer::Series { tap, .. } => tap.exhausted(),
-            StreamBuffer::Images { tap, .. } => tap.exhausted(),
-        }
+        self.reckoning().exhausted()
     }
 
-    /// Takes all that is in the ring, and returns whether there was anything. Gaps longer than
+    /// Takes all that is in the ring, and returns whether the ring held anything. Gaps longer than
     /// `longest_s` seconds are not filled.
     pub fn drain(&mut self, longest_s: f64) -> bool {
         match &mut self.buffer {
-            StreamBuffer::Series { tap, history, rate_hz } => {
-                let most = (longest_s * *rate_hz) as u64;
+            StreamBuffer::Series { tap, history } => {
+                let most = (longest_s * self.rate_hz) as u64;
                 tap.drain(|piece| history.extend(piece, most))
             }
-            StreamBuffer::Images { tap, history } => {
-                let any = tap.drain(|index, image| history.push(index, image));
-                history.reach(tap.position());
-                any
+            StreamBuffer::Images { tap, recent } => {
+                tap.drain_images(|index, image| recent.push_back((index, image.clone())))
             }
         }
     }
 
-    /// Forgets frames older than `lookback_s`, except those from `needed` on (an index, and the
-    /// rate in Hz of the scan that needs it), which are kept up to an age of `longest_s`.
+    /// Forgets frames older than `lookback_s` seconds. `needed` is the first index that a scan needs
+    /// and the scan's rate in Hz; frames from there on are kept until they are `longest_s` seconds old.
     pub fn forget(&mut self, needed: Option<(u64, f64)>, lookback_s: f64, longest_s: f64) {
         match &mut self.buffer {
-            StreamBuffer::Series { history, rate_hz, .. } => {
+            StreamBuffer::Series { history, .. } => {
+                let own_hz = self.rate_hz;
                 let back = |seconds: f64, rate_hz: f64| {
                     history.end().saturating_sub((seconds * rate_hz) as u64)
                 };
-                let lookback = back(lookback_s, *rate_hz);
+                let lookback = back(lookback_s, own_hz);
                 let keep = needed.map_or(lookback, |(index, scan_rate_hz)| {
-                    index.min(lookback).max(back(longest_s, rate_hz.max(scan_rate_hz)))
+                    index.min(lookback).max(back(longest_s, own_hz.max(scan_rate_hz)))
                 });
                 history.forget_before(keep);
             }
-            StreamBuffer::Images { history, .. } => {
-                let recent = history.end().saturating_sub(RECENT_IMAGES);
-                let keep = needed.map_or(recent, |(index, _)| index.min(recent));
-                history.forget_before(keep, MOST_IMAGES);
+            StreamBuffer::Images { tap, recent } => {
+                let lookback = tap.position().saturating_sub(RECENT_IMAGES);
+                let keep = needed.map_or(lookback, |(index, _)| index.min(lookback));
+                let is_old = |(at, _): &(u64, _)| *at < keep;
+                while recent.front().is_some_and(is_old) || recent.len() > MOST_IMAGES {
+                    recent.pop_front();
+                }
             }
         }
     }
 }
 
-/// The latest frames of a series. A gap is filled by repeating the frame before it, so that an
+/// The latest frames of a series. The frame before a gap is repeated to fill the gap, so that an
 /// index always means the same moment; the gaps are remembered.
 #[derive(Debug)]
 pub struct SeriesHistory {
-    channels: usize,
+    pub channels: usize,
     /// Index of the first frame that is kept.
-    base: u64,
+    pub base: u64,
     samples: Vec<f32>,
-    /// The gaps, in order, not touching each other.
+    /// The gaps as ranges of indexes, in order; no two of them touch.
     missing: VecDeque<Range<u64>>,
 }
 
 impl SeriesHistory {
-    /// An empty history of a stream of `channels` samples a frame.
     pub fn new(channels: usize) -> Self {
         Self { channels, base: 0, samples: Vec::new(), missing: VecDeque::new() }
-    }
-
-    pub fn channels(&self) -> usize {
-        self.channels
-    }
-
-    /// Index of the first frame that is kept.
-    pub fn start(&self) -> u64 {
-        self.base
     }
 
     pub fn end(&self) -> u64 {
@@ -175,7 +130,6 @@ impl SeriesHistory {
         (start, &self.samples[at(start)..at(end)])
     }
 
-    /// The gaps within `span`.
     pub fn missing_in(&self, span: Range<u64>) -> impl Iterator<Item = Range<u64>> + '_ {
         self.missing
             .iter()
@@ -183,8 +137,8 @@ impl SeriesHistory {
             .filter(|gap| gap.start < gap.end)
     }
 
-    /// Adds frames or a gap that came out of the ring. A gap of more than `most` frames is not
-    /// filled: the frames before it are forgotten instead.
+    /// Adds frames or a gap from the ring. A gap of more than `most` frames is not filled; instead,
+    /// all frames before it are forgotten.
     pub(super) fn extend(&mut self, piece: Piece<'_>, most: u64) {
         match piece {
             Piece::Samples(samples) => self.samples.extend_from_slice(samples),
@@ -208,13 +162,13 @@ impl SeriesHistory {
                 }
             }
         }
-        // Many gaps may come in one turn, before anything is forgotten.
+        // Many gaps may come in one turn of the collector, so old frames are forgotten here, too.
         if self.samples.len() as u64 / self.channels as u64 > most.saturating_mul(2) {
             self.forget_before(self.end() - most);
         }
     }
 
-    /// Forgets frames before `keep`; in large steps, so that it costs little.
+    /// Forgets frames before `keep` once they are half of all frames, so that few copies are made.
     pub(super) fn forget_before(&mut self, keep: u64) {
         let old = keep.min(self.end()).saturating_sub(self.base) as usize;
         if old * 2 * self.channels < self.samples.len() || old == 0 {
@@ -232,40 +186,8 @@ impl SeriesHistory {
     }
 }
 
-#[derive(Debug, Default)]
-pub struct ImageHistory {
-    images: VecDeque<(u64, Arc<Image>)>,
-    end: u64,
-}
-
-impl ImageHistory {
-    pub fn end(&self) -> u64 {
-        self.end
-    }
-
-    /// The picture with an index, unless it was lost or forgotten.
-    pub fn get(&self, index: u64) -> Option<&Arc<Image>> {
-        self.images.iter().find(|(at, _)| *at == index).map(|(_, image)| image)
-    }
-
-    pub fn latest(&self) -> Option<&(u64, Arc<Image>)> {
-        self.images.back()
-    }
-
-    pub(super) fn push(&mut self, index: u64, image: Arc<Image>) {
-        self.images.push_back((index, image));
-    }
-
-    pub(super) fn reach(&mut self, end: u64) {
-        self.end = end;
-    }
-
-    /// Forgets pictures before index `keep`, and the oldest beyond `most`.
-    pub(super) fn forget_before(&mut self, keep: u64, most: usize) {
-        while self.images.front().is_some_and(|(at, _)| *at < keep) || self.images.len() > most {
-            self.images.pop_front();
-        }
-    }
+pub(super) fn image(recent: &RecentImages, index: u64) -> Option<&Arc<Image>> {
+    recent.iter().find(|(at, _)| *at == index).map(|(_, image)| image)
 }
 
 /// The first `channels` channels of frames that have `wide` channels.
@@ -300,7 +222,7 @@ mod tests {
             history.extend(Piece::Missing(999), 1000);
         }
         assert_eq!(history.end(), 1_000_000);
-        assert!(history.end() - history.start() <= 2000, "{}", history.start());
+        assert!(history.end() - history.base <= 2000, "{}", history.base);
         assert!(history.samples.capacity() <= 7 * 8000);
         assert!(history.missing.len() <= 3);
     }
@@ -319,6 +241,6 @@ mod tests {
         let mut history = SeriesHistory::new(1);
         history.extend(Piece::Samples(&[0.0, 1.0, 2.0, 3.0]), 10);
         history.forget_before(3);
-        assert_eq!((history.start(), history.frames(3..4)), (3, (3, &[3.0][..])));
+        assert_eq!((history.base, history.frames(3..4)), (3, (3, &[3.0][..])));
     }
 }

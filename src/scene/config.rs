@@ -1,4 +1,4 @@
-//! The TOML form of a scene: what was said, checked, and turned into [`Scene`].
+//! Parses and checks the TOML form of a scene, and turns it into a [`Scene`].
 
 use std::collections::BTreeMap;
 
@@ -6,17 +6,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{Colour, Domain, Phase, Scene, SceneError, SourceId, SourceSpec};
 
-/// A file as it stands.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SceneFile {
     format: toml::Spanned<u32>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     name: Option<String>,
-    /// A text for readers of the file, which the program ignores.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Text for readers of the file; the program ignores it.
     notes: Option<String>,
-    /// A library that was made by a generator says so.
+    /// Whether a generator made the library.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     synthetic: bool,
     #[serde(default)]
@@ -35,88 +32,82 @@ enum DomainName {
 #[derive(Clone, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SourceBlock {
-    #[serde(skip_serializing_if = "Option::is_none")]
     what: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     sensor: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     phase: Option<Phase>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     domain: Option<DomainName>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     colour: Option<Colour>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     rate_hz: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     band_hz: Option<[f64; 2]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     align_mean: Option<bool>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     weight: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     sigma: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     score_offset: Option<f64>,
 }
 
 impl Scene {
-    /// The eight sources of LMT108.
     pub fn lmt108() -> Self {
-        // A test parses the embedded file.
-        parse(include_str!("../../configs/lmt108.toml")).expect("the embedded scene parses")
+        let text = include_str!("../../configs/lmt108.toml");
+        // This cannot fail, since a test parses the embedded file.
+        Self::from_toml(text).expect("the embedded scene parses")
     }
 
     /// A scene from the text of a TOML file (`configs/lmt108.toml` shows the form).
     ///
     /// # Errors
-    /// With line and column, if the text is not TOML, has an unknown key, or describes an
-    /// impossible source.
+    /// If the text is not TOML, has an unknown key, or describes an impossible source. The error
+    /// names the line.
     pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        parse(text)
+        let file = SceneFile::parse(text)?;
+        scene(file.name.unwrap_or_default(), file.sources, text, None)
     }
 
-    /// The scene as the `library.toml` of a library, in the form that
-    /// [`LibraryToml::parse`] reads.
+    /// The text of a `library.toml` with this scene; [`LibraryToml::parse`] reads it.
     pub fn to_library_toml(&self, synthetic: bool) -> String {
-        write(self, synthetic)
+        let spanned = |block| toml::Spanned::new(0..0, block);
+        let block = |spec: &SourceSpec| (spec.id.to_string(), spanned(SourceBlock::of(spec)));
+        let file = SceneFile {
+            format: toml::Spanned::new(0..0, 1),
+            name: (!self.name.is_empty()).then(|| self.name.clone()),
+            notes: None,
+            synthetic,
+            sources: self.sources().map(block).collect(),
+        };
+        // This cannot fail, since TOML can express all that a scene holds (strings, numbers, tables).
+        toml::to_string(&file).expect("a scene is plain TOML")
     }
 }
 
-/// The line of a TOML text that the byte `at` lies in, counted from 1.
+/// Number of the line that holds byte `at` of a text, counted from 1.
 pub(crate) fn line_of(text: &str, at: usize) -> usize {
     1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }
 
-/// The settings of one source in a `library.toml`.
+/// The rate that a `library.toml` gives a source, and whether the file sets a band and channels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Declared {
-    /// The rate in Hz that recordings must have.
     pub rate_hz: Option<f64>,
-    /// Whether it gives a band.
     pub band: bool,
-    /// Whether it gives a number of channels.
     pub channels: bool,
 }
 
-/// The content of a `library.toml`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LibraryToml {
-    /// The sources that it describes, and the library's name.
+    /// The sources that the file describes, and the library's name.
     pub sources: Scene,
-    /// Its own settings for each of them, which go before the defaults.
+    /// The file's own description of each source, which takes precedence over the defaults.
     pub declared: BTreeMap<SourceId, Declared>,
-    /// Whether it carries `synthetic = true`.
+    /// Whether the file holds `synthetic = true`.
     pub synthetic: bool,
 }
 
 impl LibraryToml {
-    /// Parses the file's text. A source that `defaults` know needs only what differs from them;
-    /// one that is of another domain than theirs is described anew.
+    /// Parses the file's text. A source that `defaults` know as well takes its missing settings
+    /// from them, unless the file gives it another domain.
     ///
     /// # Errors
-    /// As [`Scene::from_toml`].
+    /// The same as for [`Scene::from_toml`].
     pub fn parse(text: &str, defaults: &Scene) -> Result<Self, SceneError> {
         let file = SceneFile::parse(text)?;
         let declared = |(name, block): (&String, &toml::Spanned<SourceBlock>)| {
@@ -143,13 +134,8 @@ impl SceneFile {
     }
 }
 
-fn parse(text: &str) -> Result<Scene, SceneError> {
-    let file = SceneFile::parse(text)?;
-    scene(file.name.unwrap_or_default(), file.sources, text, None)
-}
-
-/// A scene of what a file with this `text` said of each source; what it does not say of one that
-/// `defaults` know is as they have it.
+/// Makes a scene of the `blocks` of a file. `text` is the file's text, in which errors find their
+/// line. A source that `defaults` know as well takes its missing settings from them.
 pub(crate) fn scene(
     name: String,
     blocks: BTreeMap<String, toml::Spanned<SourceBlock>>,
@@ -171,15 +157,15 @@ pub(crate) fn scene(
     Ok(Scene { name, sources })
 }
 
-/// Most channels of a source, as of a WAV file.
+/// Most channels of a source; a WAV file has the same limit.
 const MOST_CHANNELS: usize = 1024;
-/// Least and greatest rate of a source; what lies outside is a slip, and could not be worked with.
+/// Lowest and highest rate of a source; any other rate is taken for a mistake.
 const RATES_HZ: (f64, f64) = (1e-3, 1e7);
 const WEIGHTS: (f64, f64) = (1e-6, 1e3);
 const SIGMAS: (f64, f64) = (1e-12, 1e12);
 const OFFSETS: (f64, f64) = (0.0, 1e12);
 
-/// A number, if it lies between two others, both included.
+/// Returns `value`, or an error if it is a number outside `low..=high`.
 fn within(key: &str, value: Option<f64>, (low, high): (f64, f64)) -> Result<Option<f64>, String> {
     match value {
         Some(x) if !(low..=high).contains(&x) => {
@@ -190,31 +176,20 @@ fn within(key: &str, value: Option<f64>, (low, high): (f64, f64)) -> Result<Opti
 }
 
 impl SourceBlock {
-    /// This description, with missing fields taken from `default` if both have the same domain.
+    /// This description, with missing fields taken from `default` unless the two domains differ.
     fn over(&self, default: Option<&SourceSpec>) -> Self {
-        let Some(default) = default.map(Self::from_spec) else { return self.clone() };
+        let Some(default) = default.map(Self::of) else { return self.clone() };
         if self.domain.is_some() && self.domain != default.domain {
             return self.clone();
         }
-        let own = self.clone();
-        Self {
-            what: own.what.or(default.what),
-            sensor: own.sensor.or(default.sensor),
-            phase: own.phase.or(default.phase),
-            domain: default.domain,
-            colour: own.colour.or(default.colour),
-            channels: own.channels.or(default.channels),
-            // A rate is asked for only where somebody says so.
-            rate_hz: own.rate_hz,
-            band_hz: own.band_hz.or(default.band_hz),
-            align_mean: own.align_mean.or(default.align_mean),
-            weight: own.weight.or(default.weight),
-            sigma: own.sigma.or(default.sigma),
-            score_offset: own.score_offset.or(default.score_offset),
-        }
+        let table = |block: &Self| toml::Table::try_from(block).expect("a block is plain TOML");
+        // Without the default rate, recordings must have a given rate only if this file gives one.
+        let mut all = table(&Self { rate_hz: None, ..default });
+        all.extend(table(self));
+        all.try_into().expect("two blocks of sources make one")
     }
 
-    fn resolve(&self, id: SourceId) -> Result<SourceSpec, String> {
+    pub(super) fn resolve(&self, id: SourceId) -> Result<SourceSpec, String> {
         let channels = match (self.channels, self.domain) {
             (Some(channels), _) => channels,
             (None, Some(DomainName::Image)) => 3,
@@ -262,7 +237,7 @@ impl SourceBlock {
             (Some(DomainName::Time), band_hz) => {
                 Ok(Domain::Time { band_hz: band_hz.map(|[low, high]| (low, high)) })
             }
-            // A source that no table knows needs no more than its name.
+            // A source that no file describes is taken for a series in time.
             (None, None) => Ok(Domain::Time { band_hz: None }),
             (Some(DomainName::Spectrum), None) => {
                 Err("a spectrum needs band_hz = [low, high], in Hz".into())
@@ -274,7 +249,7 @@ impl SourceBlock {
         }
     }
 
-    fn from_spec(spec: &SourceSpec) -> Self {
+    fn of(spec: &SourceSpec) -> Self {
         let (domain, band_hz) = match spec.domain {
             Domain::Spectrum { band_hz: (low, high) } => (DomainName::Spectrum, Some([low, high])),
             Domain::Time { band_hz } => (DomainName::Time, band_hz.map(|(low, high)| [low, high])),
@@ -295,107 +270,5 @@ impl SourceBlock {
             sigma: spec.sigma,
             score_offset: unless(spec.score_offset, 0.0),
         }
-    }
-}
-
-fn write(scene: &Scene, synthetic: bool) -> String {
-    let spanned = |block| toml::Spanned::new(0..0, block);
-    let file = SceneFile {
-        format: toml::Spanned::new(0..0, 1),
-        name: (!scene.name.is_empty()).then(|| scene.name.clone()),
-        notes: None,
-        synthetic,
-        sources: scene
-            .sources()
-            .map(|spec| (spec.id.to_string(), spanned(SourceBlock::from_spec(spec))))
-            .collect(),
-    };
-    // Plain strings, numbers and tables: nothing here that TOML cannot express.
-    toml::to_string(&file).expect("a scene is plain TOML")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_embedded_scene_holds_the_eight_sources() {
-        let scene = Scene::lmt108();
-        let names: Vec<_> = scene.sources().map(|s| s.id.as_str()).collect();
-        assert_eq!(names, ["ac", "ca1", "ca2", "fr", "ir", "me", "mi1", "mi2"]);
-        assert_eq!(scene.get("me").unwrap().sigma, Some(1.0));
-    }
-
-    #[test]
-    fn a_scene_survives_being_written() {
-        let scene = Scene::lmt108();
-        assert_eq!(parse(&scene.to_library_toml(false)).unwrap(), scene);
-    }
-
-    #[test]
-    fn an_unknown_key_is_refused_with_its_line() {
-        let text = "format = 1\n[sources.pac]\ndomain = \"time\"\nalign = true\n";
-        let error = parse(text).unwrap_err().to_string();
-        assert!(error.contains("line 4") && error.contains("align"), "{error}");
-    }
-
-    #[test]
-    fn an_impossible_band_is_refused_with_its_line() {
-        let text = "format = 1\n[sources.pac]\ndomain = \"spectrum\"\nband_hz = [9, 1]\n";
-        let error = parse(text).unwrap_err().to_string();
-        assert!(error.contains("line 2") && error.contains("low < high"), "{error}");
-    }
-
-    #[test]
-    fn numbers_that_nothing_could_work_with_are_refused() {
-        for (line, part) in [
-            ("rate_hz = 1e300", "rate_hz"),
-            ("rate_hz = 0", "rate_hz"),
-            ("rate_hz = nan", "rate_hz"),
-            ("channels = 0", "channels"),
-            ("channels = 1000000000000", "channels"),
-            ("weight = 1e300", "weight"),
-            ("weight = -1", "weight"),
-            ("sigma = 1e-300", "sigma"),
-            ("score_offset = inf", "score_offset"),
-        ] {
-            let text = format!("format = 1\n\n[sources.pac]\ndomain = \"time\"\n{line}\n");
-            let error = parse(&text).unwrap_err().to_string();
-            assert!(error.contains("line 3") && error.contains(part), "{line}: {error}");
-        }
-    }
-
-    #[test]
-    fn a_source_that_the_defaults_know_needs_only_what_differs() {
-        let of = |lines: &str, name: &str| {
-            let text = format!("format = 1\n[sources.{name}]\n{lines}\n");
-            let parsed = LibraryToml::parse(&text, &Scene::lmt108());
-            parsed.map(|library| library.sources.get(name).unwrap().clone())
-        };
-        let default = |name: &str| Scene::lmt108().get(name).unwrap().clone();
-        let stereo = of("channels = 2", "mi2").unwrap();
-        assert_eq!(stereo, SourceSpec { channels: 2, rate_hz: None, ..default("mi2") });
-        let band = of("band_hz = [50, 5000]", "mi2").unwrap();
-        assert_eq!(band.domain, Domain::Spectrum { band_hz: (50.0, 5000.0) });
-        assert!(band.align_mean && band.what == "sound while dragging");
-        let anew = of("domain = \"time\"", "mi2").unwrap();
-        assert!(
-            !anew.align_mean && anew.domain == Domain::Time { band_hz: None },
-            "another domain is another source"
-        );
-        let unknown = of("channels = 2", "pac").unwrap();
-        assert_eq!((unknown.domain, unknown.channels), (Domain::Time { band_hz: None }, 2));
-        assert_eq!(of("domain = \"image\"", "top").unwrap().channels, 3);
-    }
-
-    #[test]
-    fn a_band_above_half_the_rate_is_refused() {
-        let text = "format = 1\n[sources.pac]\ndomain = \"spectrum\"\nband_hz = [1500, 3000]\n";
-        let scene = parse(text).unwrap();
-        let spec = scene.get("pac").unwrap();
-        assert!(spec.check_rate(6000.0).is_ok());
-        assert!(spec.check_rate(2000.0).unwrap_err().contains("lower its upper end to 1000"));
-        let error = parse(&format!("{text}rate_hz = 2000\n")).unwrap_err().to_string();
-        assert!(error.contains("above half"), "{error}");
     }
 }

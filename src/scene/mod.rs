@@ -1,7 +1,8 @@
 //! The sources of a station. A source is described by configuration, not by code of its own.
 //!
-//! Two steps: `config` holds what a file said; [`Scene`] and [`SourceSpec`] are what the program
-//! works with.
+//! Module `config` reads and checks a file; the program works with [`Scene`] and [`SourceSpec`].
+
+#![allow(missing_docs)] // Names that say everything need no comment.
 
 pub(crate) mod config;
 
@@ -12,15 +13,15 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
-/// Short name of a source, such as `mi2`: letters, digits, `_` and `-`.
-#[derive(
-    Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
-)]
+use serde::{Deserialize, Serialize};
+
+/// Short name of a source, such as `mi2`, made of letters, digits, `_` and `-`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String")]
 pub struct SourceId(Arc<str>);
 
 impl SourceId {
-    /// A source name.
+    /// Makes a source id of a name.
     ///
     /// # Errors
     /// If the name is empty or holds anything but letters, digits, `_` and `-`, since it also
@@ -33,7 +34,6 @@ impl SourceId {
         Ok(Self(name.into()))
     }
 
-    /// The name as text.
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -60,7 +60,7 @@ impl Borrow<str> for SourceId {
 }
 
 /// The domain in which samples are drawn from a source.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Domain {
     /// Random bins of the amplitude spectrum between two frequencies in Hz, both included.
     Spectrum {
@@ -69,15 +69,14 @@ pub enum Domain {
     },
     /// Equidistant samples in time.
     Time {
-        /// lowest and highest frequency that `embedding` compares, where one is configured
+        /// lowest and highest frequency that `embedding` compares, in Hz; `None` if not configured
         band_hz: Option<(f64, f64)>,
     },
-    /// A grid of pixels.
     Image,
 }
 
 impl Domain {
-    /// The lowest and the highest frequency that are compared, in Hz, where they are configured.
+    /// The lowest and the highest frequency that are compared, in Hz; `None` if not configured.
     pub fn band_hz(&self) -> Option<(f64, f64)> {
         match *self {
             Self::Spectrum { band_hz } => Some(band_hz),
@@ -87,79 +86,57 @@ impl Domain {
     }
 }
 
-/// The part of a pixel that is compared.
-#[derive(
-    Clone,
-    Copy,
-    Debug,
-    Default,
-    PartialEq,
-    Eq,
-    PartialOrd,
-    Ord,
-    serde::Serialize,
-    serde::Deserialize,
-)]
+/// The part of each pixel that is compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Colour {
-    /// Hue, saturation and value.
     #[default]
     Hsv,
-    /// Red, green and blue.
     Rgb,
-    /// Hue alone.
     Hue,
-    /// Saturation alone.
     Saturation,
-    /// Value alone.
     Value,
 }
 
 /// The part of a scan that a source is cut from; parts are ordered by time.
-#[derive(
-    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
-)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Phase {
-    /// No part: a picture.
+    /// A picture, which belongs to no part of the scan.
     Still,
     /// The tap that opens a scan.
     Tap,
-    /// The drag that follows.
     Drag,
 }
 
-/// One source: what it is and how it is compared.
-#[derive(Clone, Debug, PartialEq)]
+/// Describes one source and how it is compared.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SourceSpec {
     /// Short name of the source and of its files.
     pub id: SourceId,
-    /// A name for messages.
     pub what: String,
     /// The physical sensor.
     pub sensor: String,
-    /// The part of a scan it is cut from.
+    /// The part of a scan that the source is cut from.
     pub phase: Phase,
-    /// The domain in which samples are drawn.
     pub domain: Domain,
     /// The part of each pixel that is compared, if the source is an image.
     pub colour: Colour,
-    /// Number of channels.
     pub channels: usize,
-    /// Sample rate in Hz, if recordings must have this one.
+    /// The sample rate that recordings must have, in Hz; `None` if any rate is accepted.
     pub rate_hz: Option<f64>,
-    /// Shift the query's mean to the library trial's, channel by channel (Eq. 8).
+    /// Whether the query's mean is shifted to the library trial's, channel by channel (Eq. 8).
     pub align_mean: bool,
     /// Exponent of the source's score in the discrepancy score (Eq. 9).
     pub weight: f64,
-    /// A fixed length scale of the kernel, instead of the median heuristic.
+    /// The fixed length scale of the kernel; `None` if the median heuristic chooses the scale.
     pub sigma: Option<f64>,
     /// Added to the score n·MMD²_b.
     pub score_offset: f64,
 }
 
 impl SourceSpec {
-    /// Ends the band at a frequency in Hz; a band that began above it then begins at 0.
+    /// Makes the band end at `end_hz`; a band that began above `end_hz` then begins at 0.
     pub(crate) fn end_band_at(&mut self, end_hz: f64) {
         if let Domain::Spectrum { band_hz } | Domain::Time { band_hz: Some(band_hz) } =
             &mut self.domain
@@ -171,7 +148,7 @@ impl SourceSpec {
     /// Checks that the band reaches no higher than half the sample rate of a recording.
     ///
     /// # Errors
-    /// With what is wrong, and what to do.
+    /// If the band reaches higher; the error says what to do.
     pub fn check_rate(&self, rate_hz: f64) -> Result<(), String> {
         match self.domain.band_hz() {
             Some((low, high)) if high > rate_hz / 2.0 => Err(format!(
@@ -186,10 +163,8 @@ impl SourceSpec {
     }
 }
 
-/// The sources of a station, by name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// A name for messages.
     pub name: String,
     sources: BTreeMap<SourceId, SourceSpec>,
 }
@@ -204,7 +179,7 @@ impl Scene {
         self
     }
 
-    /// This scene, with `change` applied to each of its sources, whose names must stay.
+    /// This scene, with `change` applied to each of its sources; `change` must keep the ids.
     pub fn changed(mut self, change: impl FnMut(&mut SourceSpec)) -> Self {
         self.sources.values_mut().for_each(change);
         self
@@ -223,36 +198,23 @@ impl Scene {
         Ok(self)
     }
 
-    /// One source, to be changed; its name must stay.
+    /// A source that the caller may change, except its id.
     pub(crate) fn get_mut(&mut self, id: &str) -> Option<&mut SourceSpec> {
         self.sources.get_mut(id)
     }
 
-    /// Adds a series of which no more than its name and its channels is known.
+    /// Adds a series of which only its name and its number of channels are known.
     pub(crate) fn add_unknown(&mut self, id: SourceId, channels: usize) {
-        let spec = SourceSpec {
-            what: id.to_string(),
-            sensor: id.to_string(),
-            phase: Phase::Drag,
-            domain: Domain::Time { band_hz: None },
-            colour: Colour::default(),
-            channels,
-            rate_hz: None,
-            align_mean: false,
-            weight: 1.0,
-            sigma: None,
-            score_offset: 0.0,
-            id: id.clone(),
-        };
+        let spec = config::SourceBlock::default().resolve(id.clone());
+        let spec = SourceSpec { channels, ..spec.expect("an empty description is valid") };
         self.sources.insert(id, spec);
     }
 
-    /// One source.
     pub fn get(&self, id: &str) -> Option<&SourceSpec> {
         self.sources.get(id)
     }
 
-    /// Whether a source is recorded during the drag; false for one that the scene lacks.
+    /// Whether a source is recorded during the drag; false if the scene lacks the source.
     pub fn is_dragged(&self, id: &SourceId) -> bool {
         self.get(id.as_str()).is_some_and(|spec| spec.phase == Phase::Drag)
     }
@@ -263,9 +225,7 @@ impl Scene {
     }
 }
 
-/// Errors of a description of sources.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages describe the variants.
 pub enum SceneError {
     #[error("{0}")]
     Toml(#[from] toml::de::Error),

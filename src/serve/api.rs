@@ -1,36 +1,30 @@
-//! The interface for programs and the files of the page: the handler of each path.
+//! The HTTP API and the files of the page, with the handler of each path.
 
 use std::sync::Arc;
 
 use axum::Router;
-use axum::body::{Body, Bytes};
-use axum::extract::rejection::{BytesRejection, QueryRejection};
+use axum::body::Body;
+use axum::extract::rejection::QueryRejection;
 use axum::extract::{DefaultBodyLimit, Query, State};
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::{MethodRouter, get, post};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
+use serde_json::json;
 
 use super::guard::{Guard, Traffic, guard};
-use super::hub::{Hub, Undelivered};
-use super::request::{Problem, Shared};
+use super::hub::{Hub, Shared};
+use super::request::{Problem, Said, body, label};
 use super::settings::{LARGEST_BODY, Settings};
 use super::subscribers::EventFilter;
-use super::{library, metrics, order, scans};
+use super::{library, metrics, scans};
 use crate::station::Command;
+use crate::trial::EXPERT;
 
-impl From<Undelivered> for Problem {
-    fn from(undelivered: Undelivered) -> Self {
-        match undelivered {
-            Undelivered::Busy => Self::Busy,
-            Undelivered::Ended => Self::Ended,
-            Undelivered::NoLibrary => Self::NoLibrary,
-        }
-    }
-}
+const MOST_TRIALS: u32 = 1000;
 
-/// All paths, behind the guard.
+/// The router of all paths, protected by the guard.
 pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
     let api = Router::new()
         .route("/state", get(state))
@@ -39,21 +33,12 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .route("/library", get(library))
         .route("/events", get(events))
         .route("/openapi.json", get(open_api))
-        .route(
-            "/start",
-            post(|State(hub): Shared| async move { send(&hub, "start", Command::Start) }),
-        )
-        .route("/stop", post(|State(hub): Shared| async move { send(&hub, "stop", Command::Stop) }))
-        .route(
-            "/reload",
-            post(|State(hub): Shared| async move { send(&hub, "reload", Command::Reload) }),
-        )
+        .route("/start", order_by_post("start", Command::Start))
+        .route("/stop", order_by_post("stop", Command::Stop))
+        .route("/reload", order_by_post("reload", Command::Reload))
         .route("/enroll", post(enroll))
         .route("/enroll/keep", post(keep_refused))
-        .route(
-            "/enroll/end",
-            post(|State(hub): Shared| async move { send(&hub, "enroll/end", Command::EndEnroll) }),
-        );
+        .route("/enroll/end", order_by_post("enroll/end", Command::EndEnroll));
     let mut router = Router::new()
         .nest("/api/v1", api)
         .route("/metrics", get(all_metrics))
@@ -64,7 +49,7 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
     guarded(router, hub.traffic.clone(), settings).with_state(hub)
 }
 
-/// Paths behind the guard, and a refusal of all others.
+/// Protects the paths of a router by the guard, and refuses all other paths.
 pub fn guarded<S: Clone + Send + Sync + 'static>(
     router: Router<S>,
     traffic: Arc<Traffic>,
@@ -103,42 +88,52 @@ async fn events(
     Ok((headers, Body::from_stream(stream)).into_response())
 }
 
-async fn enroll(
-    State(hub): Shared,
-    body: Result<Bytes, BytesRejection>,
-) -> Result<Response, Problem> {
-    send(&hub, "enroll", order::enroll(&body?).map_err(Problem::Bad)?)
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Enroll {
+    surface: String,
+    user: Option<String>,
+    trials: Option<u32>,
 }
 
-async fn keep_refused(
-    State(hub): Shared,
-    body: Result<Bytes, BytesRejection>,
-) -> Result<Response, Problem> {
-    send(&hub, "enroll/keep", order::keep_refused(&body?).map_err(Problem::Bad)?)
+async fn enroll(State(hub): Shared, said: Said) -> Result<Response, Problem> {
+    let expected = "{\"surface\": \"oak\", \"user\": \"anna\", \"trials\": 3}";
+    let Enroll { surface, user, trials } = body(said, expected)?;
+    let surface = label("surface", &surface)?;
+    let user = label("user", user.as_deref().unwrap_or(EXPERT))?;
+    let trials = trials.unwrap_or(1);
+    if !(1..=MOST_TRIALS).contains(&trials) {
+        return Err(Problem::Bad(format!("`trials` is {trials}; expected 1 to {MOST_TRIALS}")));
+    }
+    send(&hub, "enroll", Command::Enroll { surface, user, trials })
 }
 
-/// The description of all paths, for programs.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct KeepRefused {
+    scan: u32,
+}
+
+async fn keep_refused(State(hub): Shared, said: Said) -> Result<Response, Problem> {
+    let KeepRefused { scan } = body(said, "{\"scan\": 7}")?;
+    send(&hub, "enroll/keep", Command::KeepRefused(scan))
+}
+
 async fn open_api() -> Response {
     ([(CONTENT_TYPE, "application/json")], include_str!("openapi.json")).into_response()
 }
 
-#[derive(Serialize)]
-struct Accepted {
-    accepted: &'static str,
+fn order_by_post(accepted: &'static str, order: Command) -> MethodRouter<Arc<Hub>> {
+    post(move |State(hub): Shared| async move { send(&hub, accepted, order) })
 }
 
 fn send(hub: &Hub, accepted: &'static str, order: Command) -> Result<Response, Problem> {
     hub.order(order)?;
-    Ok((StatusCode::ACCEPTED, Json(Accepted { accepted })).into_response())
+    Ok((StatusCode::ACCEPTED, Json(json!({ "accepted": accepted }))).into_response())
 }
 
 async fn all_metrics(State(hub): Shared) -> Response {
     ([(CONTENT_TYPE, metrics::CONTENT_TYPE)], hub.metrics()).into_response()
-}
-
-#[derive(Serialize)]
-struct Health {
-    status: &'static str,
 }
 
 async fn health(State(hub): Shared) -> Response {
@@ -146,10 +141,10 @@ async fn health(State(hub): Shared) -> Response {
         false => (StatusCode::OK, "ok"),
         true => (StatusCode::SERVICE_UNAVAILABLE, "ended"),
     };
-    (status, Json(Health { status: text })).into_response()
+    (status, Json(json!({ "status": text }))).into_response()
 }
 
-/// (path, content type, text) of each file.
+/// The files of the page: path, content type and text of each.
 pub const FILES: [(&str, &str, &str); 16] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
@@ -169,12 +164,12 @@ pub const FILES: [(&str, &str, &str); 16] = [
     ("/favicon.svg", "image/svg+xml", include_str!("page/favicon.svg")),
 ];
 
-/// Answers with one of them.
+/// Handles a path by answering with a file.
 pub fn file<S: Clone + Send + Sync + 'static>(
     content_type: &'static str,
     text: &'static str,
 ) -> MethodRouter<S> {
-    // So that no browser shows the old page after an update of the program.
+    // Without this header, a browser might show the old page after an update of the program.
     let headers = [(CONTENT_TYPE, content_type), (CACHE_CONTROL, "no-cache")];
     get(move || async move { (headers, text).into_response() })
 }

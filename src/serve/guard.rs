@@ -1,8 +1,8 @@
-//! Decides which requests pass, by rate, token, host and origin, and adds headers to every answer.
+//! Accepts or refuses requests, by rate, token, host and origin, and adds headers to all answers.
 
 use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
-use std::net::IpAddr;
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -19,27 +19,26 @@ use axum::response::{AppendHeaders, Html, IntoResponse, Response};
 use rand::TryRng;
 use rand::rngs::SysRng;
 
-use super::client::{Client, neighbourhood};
 use super::request::Problem;
 use super::settings::{Limits, Settings, Token};
 
 /// The cookie that holds the token.
 const TOKEN_COOKIE: &str = "surfaced_token";
-/// The cookie that shows that a browser knew the token before.
+/// The cookie by which a browser that knew the token is recognised later.
 const SESSION_COOKIE: &str = "surfaced_session";
-/// Sessions that are remembered.
+/// How many sessions are remembered.
 const MOST_SESSIONS: usize = 1024;
-/// Refusals a minute that are logged one by one.
+/// How many refusals a minute are logged.
 const LOGGED: u32 = 10;
 
-/// Paths that need no token: they reveal nothing, and the form for the token uses them.
+/// Paths that need no token, since they reveal nothing and the token form needs them.
 const OPEN: [&str; 3] = ["/healthz", "/style.css", "/favicon.svg"];
 
-/// The page with the form for the token, and the place in it for the text of a problem.
+/// The page with the token form; the text of a problem takes the place of `PROBLEM_PLACE` there.
 const TOKEN_FORM: &str = include_str!("page/token.html");
 const PROBLEM_PLACE: &str = "<!-- problem -->";
 
-/// The page loads only its own files, and no other page may frame it.
+/// The browser may load only files of this server, and no other page may embed this one.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; \
                       media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'self'; \
                       frame-ancestors 'none'";
@@ -53,34 +52,31 @@ const HEADERS: [(HeaderName, &str); 6] = [
     (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
 ];
 
-/// Counts of requests.
 #[derive(Debug, Default)]
 pub struct Traffic {
-    /// Requests that were answered, and those that were refused.
+    /// Number of requests, both answered and refused.
     pub requests: AtomicU64,
-    /// Requests and connections that were refused.
+    /// Number of requests and connections that were refused.
     pub refused: AtomicU64,
 }
 
-/// The checks of every request.
-#[derive(Debug)]
 pub struct Guard {
     traffic: Arc<Traffic>,
     settings: Settings,
     budgets: Mutex<Budgets>,
 }
 
-/// Rates of requests and of wrong tokens, by client.
+/// The budgets of clients: how many requests and how many wrong tokens each may still send.
 #[derive(Debug)]
 struct Budgets {
-    /// Requests of clients that need no token or have none, by address.
+    /// Requests of clients that need no token or gave none, by address.
     strangers: Rates<IpAddr>,
-    /// Requests of clients that know the token, by address: strangers cannot use these up.
+    /// Requests of clients that gave the token, by address. Strangers cannot use up this budget.
     known: Rates<IpAddr>,
-    /// Wrong tokens, by address, or by the session of a browser that knew the token before.
+    /// Wrong tokens by address; browsers with a session use `session_guesses` instead.
     guesses: Rates<IpAddr>,
     session_guesses: Rates<u128>,
-    /// Sessions that were given to browsers that knew the token, the newest last.
+    /// Sessions of browsers that gave the token, the newest last.
     sessions: VecDeque<u128>,
     logged: Option<(Instant, u32)>,
 }
@@ -98,8 +94,8 @@ impl Budgets {
         }
     }
 
-    /// Compares a token that a client gave. Each attempt first takes one of the guesses that the
-    /// client may make, which a right token gives back.
+    /// Compares the token that a client gave. Each attempt takes one guess from the client's
+    /// budget; a correct token gives the guess back.
     fn try_token(
         &mut self,
         (token, given): (&Token, &str),
@@ -124,7 +120,7 @@ impl Budgets {
         self.known.admit(address, now).then_some(()).ok_or(Problem::TooOften)
     }
 
-    /// A new session, if the system has random numbers; of too many sessions, the oldest ends.
+    /// Starts a session, and drops the oldest of too many; `None` if there are no random numbers.
     fn begin_session(&mut self) -> Option<u128> {
         let half = || SysRng.try_next_u64().ok().map(u128::from);
         let session = half()? << 64 | half()?;
@@ -135,7 +131,6 @@ impl Budgets {
         Some(session)
     }
 
-    /// Whether a refusal is to be logged.
     fn logs(&mut self, now: Instant) -> bool {
         let fresh =
             self.logged.filter(|(since, _)| now.saturating_duration_since(*since).as_secs() < 60);
@@ -146,19 +141,18 @@ impl Budgets {
 }
 
 impl Guard {
-    /// A guard that remembers nothing yet.
     pub fn new(traffic: Arc<Traffic>, settings: &Settings) -> Self {
         let budgets = Mutex::new(Budgets::new(&settings.limits));
         Self { traffic, settings: settings.clone(), budgets }
     }
 
     fn budgets(&self) -> MutexGuard<'_, Budgets> {
-        // Even after a panic, these are plain numbers.
+        // The budgets are plain numbers, so they are valid even after a panic.
         self.budgets.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets a request pass (`None`), or answers it: a person opens `/?token=…` once, and gets the
-    /// cookies and the address of the page without the token.
+    /// Lets a request pass (`None`), or answers it. A person opens `/?token=…` once; the answer
+    /// sets the cookies and redirects to the page's address without the token.
     fn check(&self, request: &Request, client: Client) -> Result<Option<Response>, Problem> {
         let (headers, address) = (request.headers(), neighbourhood(client.address));
         let host = text(headers, &HOST).unwrap_or_default();
@@ -182,9 +176,9 @@ impl Guard {
                 if !self.budgets().strangers.admit(address, Instant::now()) {
                     return Err(Problem::TooOften);
                 }
-                // Without a token, the host must be a name of this machine: a stranger's DNS may
-                // point any other name here. With a token, any name will do, since the stranger
-                // does not know the token.
+                // Without a token, the host must be a name of this machine, since a stranger's DNS may
+                // point any other name here. With a token, any host is allowed, since a stranger does
+                // not know the token.
                 match token {
                     Some(_) if is_open => {}
                     Some(_) => return Err(Problem::Token),
@@ -199,7 +193,7 @@ impl Guard {
         Ok(None)
     }
 
-    /// Answers with the cookies, and sends the browser to the page without the token.
+    /// Sets the cookies, and redirects the browser to the page's address without the token.
     fn enter(&self, token: &Token, client: Client) -> Response {
         let secure = if client.tls { "; Secure" } else { "" };
         let session = self.budgets().begin_session().map(|session| format!("{session:032x}"));
@@ -215,7 +209,7 @@ impl Guard {
     }
 }
 
-/// Lets a request through to its handler, or refuses it.
+/// Passes a request to its handler, or refuses it.
 pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let settings = &guard.settings;
     let client = Client::of(&request, &settings.proxies, settings.address.ip());
@@ -245,7 +239,7 @@ pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next
     if status.is_client_error() {
         guard.traffic.refused.fetch_add(1, Ordering::Relaxed);
         if guard.budgets().logs(Instant::now()) {
-            // A stranger chose the path; the log stays one plain line.
+            // A stranger may have chosen the path, so it is shortened and escaped for the log.
             let path: String = path.chars().take(100).collect();
             tracing::warn!("refused {method} {path:?} from {}: {status}", client.address);
         }
@@ -270,7 +264,7 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
 }
 
-/// The token in the address of the page.
+/// The token in the query string of the page's address.
 fn in_address(request: &Request) -> Option<&str> {
     let query = request.uri().query().filter(|_| request.uri().path() == "/")?;
     query.split('&').find_map(|part| part.strip_prefix("token="))
@@ -281,8 +275,8 @@ fn cookie<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
     pairs.filter_map(|pair| pair.trim().split_once('=')).find(|(n, _)| *n == name).map(|p| p.1)
 }
 
-/// Whether a `Host` header names this machine: `localhost`, 127.x.x.x or `[::1]`, with any port,
-/// since a tunnel may change the port.
+/// Whether a `Host` header names this machine: `localhost`, 127.x.x.x or `[::1]`. Any port is
+/// accepted, since a tunnel may change it.
 fn is_loopback(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or_default(),
@@ -292,7 +286,7 @@ fn is_loopback(host: &str) -> bool {
         || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-/// Refuses requests from pages of other sites. Programs send neither `Origin` nor `Sec-Fetch-Site`.
+/// Refuses requests from pages of other sites; browsers send `Origin` or `Sec-Fetch-Site` for them.
 fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
     if let Some(origin) = headers.get(ORIGIN) {
         let origin = origin.to_str().unwrap_or_default();
@@ -308,25 +302,74 @@ fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
     }
 }
 
-/// Clients whose buckets are kept.
+/// The address of the other end of a connection.
+#[derive(Clone, Copy, Debug)]
+pub struct Peer(pub SocketAddr);
+
+/// The client of a request, at the other end of the connection or behind a trusted proxy.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Client {
+    pub address: IpAddr,
+    /// Whether the client uses TLS to reach a trusted proxy.
+    pub tls: bool,
+}
+
+impl Client {
+    /// The client of a request. `X-Forwarded-For` and `X-Forwarded-Proto` are used only if the
+    /// connection comes from one of `proxies`. The client is the last address that is not a
+    /// proxy's, since a client may invent the earlier addresses.
+    pub fn of(request: &Request, proxies: &[IpAddr], unknown: IpAddr) -> Self {
+        let peer = request.extensions().get::<Peer>().map_or(unknown, |peer| peer.0.ip());
+        let peer = peer.to_canonical();
+        if !proxies.contains(&peer) {
+            return Self { address: peer, tls: false };
+        }
+        let headers = request.headers();
+        let forwarded: Vec<IpAddr> = words(headers, "x-forwarded-for")
+            .filter_map(|word| word.parse::<IpAddr>().ok())
+            .map(|address| address.to_canonical())
+            .collect();
+        let address = forwarded.into_iter().rfind(|address| !proxies.contains(address));
+        let tls = words(headers, "x-forwarded-proto").last().is_some_and(|word| word == "https");
+        Self { address: address.unwrap_or(peer), tls }
+    }
+}
+
+/// The comma-separated parts of all header lines with this name.
+fn words<'a>(headers: &'a HeaderMap, name: &str) -> impl Iterator<Item = &'a str> {
+    let lines = headers.get_all(name).into_iter().filter_map(|value| value.to_str().ok());
+    lines.flat_map(|line| line.split(',')).map(str::trim)
+}
+
+/// The address by which a client is counted. An IPv6 address counts as its 64-bit network, since a
+/// subscriber owns the whole network.
+pub fn neighbourhood(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(address) => {
+            IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() & !u128::from(u64::MAX)))
+        }
+        address => address,
+    }
+}
+
 const MOST_CLIENTS: usize = 4096;
 
-/// A bucket of permits for each client, which limits its rate (token bucket).
+/// A token bucket for each client: a store of permits, which limits the client's rate.
 #[derive(Debug)]
 pub struct Rates<K> {
     a_second: f64,
     burst: f64,
-    /// The permits in each bucket, and the time when they were counted.
+    /// The permits in each client's bucket, and the time of that count.
     buckets: HashMap<K, (f64, Instant)>,
 }
 
 impl<K: Copy + Eq + Hash> Rates<K> {
-    /// Buckets that hold at most `burst` permits, are full at first, and gain `a_second` a second.
+    /// Each bucket starts full with `burst` permits, and gains `a_second` permits a second.
     pub fn new(a_second: f64, burst: f64) -> Self {
         Self { a_second, burst, buckets: HashMap::new() }
     }
 
-    /// Takes a permit from the bucket of a client, if one is left.
+    /// Takes a permit from a client's bucket; false if the bucket is empty.
     pub fn admit(&mut self, client: K, now: Instant) -> bool {
         let (a_second, burst) = (self.a_second, self.burst);
         let filled = |(left, since): (f64, Instant)| {
@@ -334,7 +377,7 @@ impl<K: Copy + Eq + Hash> Rates<K> {
             (left + more).min(burst)
         };
         if self.buckets.len() >= MOST_CLIENTS && !self.buckets.contains_key(&client) {
-            // A full bucket need not be kept.
+            // A full bucket is like a new bucket, so it need not be kept.
             self.buckets.retain(|_, bucket| filled(*bucket) < burst);
             if self.buckets.len() >= MOST_CLIENTS {
                 return false;
@@ -347,7 +390,6 @@ impl<K: Copy + Eq + Hash> Rates<K> {
         admitted
     }
 
-    /// Puts a permit back.
     pub fn give_back(&mut self, client: K) {
         if let Some((left, _)) = self.buckets.get_mut(&client) {
             *left = (*left + 1.0).min(self.burst);
@@ -359,36 +401,9 @@ impl<K: Copy + Eq + Hash> Rates<K> {
 mod tests {
     use std::time::Duration;
 
+    use axum::body::Body;
+
     use super::*;
-
-    #[test]
-    fn only_names_of_this_machine_pass_without_a_token() {
-        for host in ["localhost", "LOCALHOST:1", "127.0.0.1:8080", "127.1.2.3", "[::1]:8080"] {
-            assert!(is_loopback(host), "{host}");
-        }
-        for host in
-            ["", "evil.example", "127.0.0.1.evil.example", "localhost.evil", "[::2]", "10.0.0.1"]
-        {
-            assert!(!is_loopback(host), "{host}");
-        }
-    }
-
-    #[test]
-    fn a_page_of_another_site_cannot_order() {
-        let passes = |name: &'static str, value: &'static str| {
-            let mut headers = HeaderMap::new();
-            headers.insert(name, HeaderValue::from_static(value));
-            check_origin(&headers, "localhost:8080").is_ok()
-        };
-        assert!(check_origin(&HeaderMap::new(), "localhost:8080").is_ok(), "programs send none");
-        assert!(
-            passes("origin", "http://localhost:8080") && passes("sec-fetch-site", "same-origin")
-        );
-        for origin in ["null", "", "http://localhost:9", "http://evil.example", "localhost:8080"] {
-            assert!(!passes("origin", origin), "{origin}");
-        }
-        assert!(!passes("sec-fetch-site", "cross-site") && !passes("sec-fetch-site", "same-site"));
-    }
 
     #[test]
     fn a_client_has_its_burst_and_then_its_rate_and_others_are_not_held_up() {
@@ -409,5 +424,35 @@ mod tests {
         }
         assert_eq!(rates.buckets.len(), MOST_CLIENTS);
         assert!(rates.admit(usize::MAX, now + Duration::from_secs(60)));
+    }
+
+    fn client(peer: &str, headers: &[(&str, &str)]) -> Client {
+        let mut request = Request::builder();
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        let mut request = request.body(Body::empty()).unwrap();
+        let peer = SocketAddr::new(peer.parse().unwrap(), 1);
+        request.extensions_mut().insert(Peer(peer));
+        Client::of(&request, &["10.0.0.9".parse().unwrap()], peer.ip())
+    }
+
+    #[test]
+    fn only_a_configured_proxy_says_who_the_client_is() {
+        let forwarded = [("x-forwarded-for", "1.1.1.1, 2.2.2.2"), ("x-forwarded-proto", "https")];
+        let own = client("10.0.0.1", &forwarded);
+        assert_eq!((own.address.to_string(), own.tls), ("10.0.0.1".into(), false));
+        let behind = client("10.0.0.9", &forwarded);
+        assert_eq!((behind.address.to_string(), behind.tls), ("2.2.2.2".into(), true));
+        let chain = client("::ffff:10.0.0.9", &[("x-forwarded-for", "2.2.2.2, 10.0.0.9")]);
+        assert_eq!((chain.address.to_string(), chain.tls), ("2.2.2.2".into(), false));
+        assert_eq!(client("10.0.0.9", &[]).address.to_string(), "10.0.0.9");
+    }
+
+    #[test]
+    fn neighbours_of_ipv6_count_as_one() {
+        let of = |text: &str| neighbourhood(text.parse().unwrap()).to_string();
+        assert_eq!(of("2001:db8::1:2:3:4"), "2001:db8::");
+        assert_eq!(of("::ffff:1.2.3.4"), "1.2.3.4");
     }
 }

@@ -1,7 +1,7 @@
-//! The work of the server's thread: takes in the station's events, and publishes them.
+//! The work of the server's thread: receives the station's events, and publishes them.
 //!
-//! Nearly all of it runs on one thread, so threads rarely wait for the lock on the shared state; it is
-//! there because handlers of requests must be `Send`.
+//! Nearly everything runs on one thread, so the lock on the shared state is rarely contended. The lock
+//! exists because handlers of requests must be `Send`.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -10,120 +10,111 @@ use std::time::Duration;
 
 use crossbeam_channel::{Sender, TrySendError};
 use serde::Serialize;
+use serde_json::json;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
 use super::guard::Traffic;
 use super::metrics::{Elsewhere, Metrics};
+use super::request::Problem;
 use super::settings::{Audit, LibraryFolder, Settings};
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::{self, Tracer};
 use crate::device::camera::{CameraView, Viewfinder};
 use crate::evaluate::CheckReport;
-use crate::history::{History, Precision};
+use crate::history::History;
 use crate::outputs::{OutputHealth, OutputView};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
-use crate::scene::{Phase, SourceId};
+use crate::scene::SourceId;
 use crate::station::{Command, StationEvent};
 use crate::trial::Image;
 
-/// The interval between two publications of the counts of streams.
+/// Interval at which the counts of streams are published.
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
-/// The interval between two publications of spectra.
+/// Interval at which spectra are published.
 const SPECTRA_EVERY: Duration = Duration::from_millis(200);
-/// The interval between two signs of life on a silent connection.
+/// Interval at which an empty comment is sent on a silent connection, so that it stays open.
 const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
 
+/// The hub, as axum passes it to the handlers of requests.
+pub type Shared = axum::extract::State<Arc<Hub>>;
+
 /// State shared by the handlers of requests.
-#[derive(Debug)]
 pub struct Hub {
     inner: Mutex<HubState>,
     orders: Sender<Command>,
     missed: Arc<AtomicU64>,
     most_subscribers: usize,
-    /// Counts of requests.
     pub traffic: Arc<Traffic>,
-    /// Past scans.
     pub history: Arc<History>,
-    /// The library that may be edited.
+    /// The library, if it may be edited.
     pub library: Option<LibraryFolder>,
-    /// The audit of that library.
-    pub checks: Checks,
+    /// The function that audits the library.
+    pub audit: Option<Audit>,
 }
 
-/// The part of the hub behind its lock.
-#[derive(Debug)]
+#[derive(Default)]
 pub struct HubState {
     pub state: State,
-    pub metrics: Metrics,
+    metrics: Metrics,
     subscribers: Subscribers,
     tracer: Tracer,
     /// The latest picture of each camera stream.
     pub pictures: BTreeMap<SourceId, Arc<Image>>,
     meters: Vec<StreamMeter>,
     enrolls: bool,
-    /// The view of the camera.
     pub viewfinder: Option<Viewfinder>,
-    /// The state of the camera that was last published.
+    /// The view of the camera, as last published.
     camera: Option<CameraView>,
-    /// The outputs that answers go to.
     outputs: Vec<OutputHealth>,
-    /// The state of the outputs that was last published.
+    /// The state of the outputs, as last published.
     output_views: Vec<OutputView>,
-}
-
-#[derive(Serialize)]
-struct PhaseEvent {
-    scan: u32,
-    phase: Option<Phase>,
+    pub check: CheckView,
 }
 
 impl HubState {
-    /// All that is known now, as one document.
+    /// The whole current state, as one document.
     pub fn whole(&self) -> StateDocument<'_> {
-        let outputs = self.outputs.iter().map(OutputHealth::view).collect();
-        StateDocument::of(&self.state, self.enrolls, &self.viewfinder, &self.meters, outputs)
-    }
-
-    /// All figures.
-    pub fn metrics(
-        &self,
-        missed_notices: u64,
-        precision: &[Precision],
-        traffic: &Traffic,
-    ) -> String {
-        self.metrics.text(&Elsewhere {
-            precision,
-            traffic,
-            outputs: &self.outputs.iter().map(OutputHealth::view).collect::<Vec<_>>(),
+        StateDocument {
             state: &self.state,
-            meters: &self.meters,
-            subscribers: self.subscribers.count(),
-            dropped_events: self.subscribers.dropped,
-            missed_notices,
-        })
+            enrolls: self.enrolls,
+            camera: self.viewfinder.as_ref().map(Viewfinder::view),
+            streams: self.streams(),
+            outputs: self.outputs(),
+        }
     }
 
-    fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
+    fn streams(&self) -> Vec<StreamView> {
+        let view = |meter: &StreamMeter| StreamView {
+            source: meter.id.clone(),
+            device: meter.device.clone(),
+            counts: meter.counts(),
+        };
+        self.meters.iter().map(view).collect()
+    }
+
+    fn outputs(&self) -> Vec<OutputView> {
+        self.outputs.iter().map(OutputHealth::view).collect()
+    }
+
+    pub fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
         if self.subscribers.wanted(kind) {
-            let event = encode(kind, data);
-            let Self { state, meters, enrolls, viewfinder, subscribers, outputs, .. } = self;
-            let views = || outputs.iter().map(OutputHealth::view).collect();
-            let whole = || StateDocument::of(state, *enrolls, viewfinder, meters, views());
-            subscribers.publish(kind, &event, &mut || encode(EventKind::State, &whole()));
+            let mut subscribers = std::mem::take(&mut self.subscribers);
+            let mut whole = || encode(EventKind::State, &self.whole());
+            subscribers.publish(kind, &encode(kind, data), &mut whole);
+            self.subscribers = subscribers;
         }
     }
 
     fn publish_streams(&mut self) {
-        let event = StreamsEvent::of(&self.meters);
-        self.publish(EventKind::Streams, &event);
+        let streams = self.streams();
+        self.publish(EventKind::Streams, &json!({ "streams": streams }));
     }
 
     fn publish_warning(&mut self) {
-        let warning = self.state.warnings.front().cloned();
-        self.publish(EventKind::Warning, &warning);
+        self.publish(EventKind::Warning, &self.state.warnings.front().cloned());
     }
 
     /// Publishes the view of the camera, if it has changed.
@@ -137,28 +128,16 @@ impl HubState {
 
     /// Publishes the state of the outputs, if it has changed.
     fn publish_outputs(&mut self) {
-        let views: Vec<OutputView> = self.outputs.iter().map(OutputHealth::view).collect();
+        let views = self.outputs();
         if views != self.output_views {
             self.publish(EventKind::Outputs, &views);
             self.output_views = views;
         }
     }
 
-    /// Changes the state, and publishes the parts that changed with it.
-    fn change(&mut self, change: impl FnOnce(&mut Self)) {
-        let (advice, enrolling) = (self.state.advice.clone(), self.state.enrolling.clone());
-        change(self);
-        if self.state.enrolling != enrolling {
-            let enrolling = self.state.enrolling.clone();
-            self.publish(EventKind::Enrolling, &enrolling);
-        }
-        if self.state.advice != advice {
-            let advice = self.state.advice.clone();
-            self.publish(EventKind::Advice, &advice);
-        }
-    }
-
+    /// Updates the state with an event, and publishes the change.
     fn take(&mut self, notice: &StationEvent) {
+        let (advice, enrolling) = (self.state.advice.clone(), self.state.enrolling.clone());
         self.state.take(notice);
         match notice {
             StationEvent::Streams(meters) => {
@@ -166,7 +145,8 @@ impl HubState {
                 self.publish_streams();
             }
             StationEvent::Device { device, .. } => {
-                let view = self.state.devices.iter().find(|view| view.device == *device).cloned();
+                let mut devices = self.state.devices.iter();
+                let view = devices.find(|view| view.device == *device).cloned();
                 self.publish(EventKind::Device, &view);
             }
             StationEvent::Trace(trace) => {
@@ -177,29 +157,25 @@ impl HubState {
                 }
             }
             StationEvent::Phase { scan, phase } => {
-                self.publish(EventKind::Phase, &PhaseEvent { scan: *scan, phase: *phase });
+                self.publish(EventKind::Phase, &json!({ "scan": scan, "phase": phase }));
             }
-            // A guess that comes after the end of its scan is not published.
+            // A guess that arrives after its scan has ended is not published.
             StationEvent::Guess(guess) if self.state.guess.as_ref() == Some(guess) => {
                 self.publish(EventKind::Guess, guess);
             }
             StationEvent::Guess(_) => {}
             StationEvent::Answer(answer) => {
                 self.metrics.scan(answer.scan_s, answer.latency_ms / 1e3);
-                let answer = self.state.answer.clone();
-                self.publish(EventKind::Answer, &answer);
+                self.publish(EventKind::Answer, answer);
             }
             StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
-            // Published by `change`, as far as they change the state.
+            // The change of these events is published below, if there is one.
             StationEvent::Enrolling(_)
             | StationEvent::Ending(_)
             | StationEvent::Alive
             | StationEvent::Scan(_) => {}
             StationEvent::Reading => self.publish(EventKind::Reading, &true),
-            StationEvent::Library(_) => {
-                let library = self.state.library.clone();
-                self.publish(EventKind::Library, &library);
-            }
+            StationEvent::Library(library) => self.publish(EventKind::Library, library),
             StationEvent::Unnamed(unnamed) => {
                 self.publish(EventKind::Unnamed, &unnamed.answer);
                 self.publish_warning();
@@ -210,64 +186,59 @@ impl HubState {
                 self.publish(EventKind::Finished, &counts);
             }
         }
+        if self.state.enrolling != enrolling {
+            self.publish(EventKind::Enrolling, &self.state.enrolling.clone());
+        }
+        if self.state.advice != advice {
+            self.publish(EventKind::Advice, &self.state.advice.clone());
+        }
     }
 }
 
-/// Reasons why a command does not reach the station.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Undelivered {
-    /// The station keeps no scans.
-    NoLibrary,
-    /// The station has ended.
-    Ended,
-    /// The station has not taken earlier commands yet.
-    Busy,
-}
-
 impl Hub {
-    /// A hub before the first event; the reporter counts events without room in `missed`.
+    /// Creates a hub. `missed` counts the events for which the reporter's queue had no room.
     pub fn new(settings: &Settings, orders: Sender<Command>, missed: Arc<AtomicU64>) -> Self {
         let inner = HubState {
             state: State::new(),
-            metrics: Metrics::default(),
-            subscribers: Subscribers::default(),
-            tracer: Tracer::default(),
-            pictures: BTreeMap::new(),
-            meters: Vec::new(),
             enrolls: settings.enrolls,
             viewfinder: settings.viewfinder.clone(),
-            camera: None,
             outputs: settings.outputs.clone(),
-            output_views: Vec::new(),
+            check: CheckView { state: "none", ..CheckView::default() },
+            ..HubState::default()
         };
-        let (most_subscribers, history) = (settings.limits.readers, settings.history.clone());
-        let library = settings.library.clone();
-        let checks = Checks::new(settings.check.clone());
         Self {
             inner: Mutex::new(inner),
             orders,
             missed,
-            most_subscribers,
+            most_subscribers: settings.limits.readers,
             traffic: Arc::default(),
-            history,
-            library,
-            checks,
+            history: settings.history.clone(),
+            library: settings.library.clone(),
+            audit: settings.check.clone(),
         }
     }
 
-    /// The part behind the lock.
     pub fn lock(&self) -> MutexGuard<'_, HubState> {
-        // Even after a panic, each of these values can be used.
+        // Each change leaves the state valid, so it is usable even after a panic.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The text of all metrics.
     pub fn metrics(&self) -> String {
         let precision = self.history.precision();
-        self.lock().metrics(self.missed.load(Ordering::Relaxed), &precision, &self.traffic)
+        let inner = &*self.lock();
+        inner.metrics.text(&Elsewhere {
+            precision: &precision,
+            traffic: &self.traffic,
+            outputs: &inner.outputs(),
+            state: &inner.state,
+            meters: &inner.meters,
+            subscribers: inner.subscribers.count(),
+            dropped: inner.subscribers.dropped,
+            missed: self.missed.load(Ordering::Relaxed),
+        })
     }
 
-    /// Takes in an event. Once all trials of an enrolment are kept, the library is read again.
+    /// Handles an event. When all trials of an enrolment are kept, the library is read again.
     fn take(&self, notice: &StationEvent) {
         let answer = match notice {
             StationEvent::Answer(answer) => Some(answer),
@@ -275,31 +246,21 @@ impl Hub {
             _ => None,
         };
         if let Some(answer) = answer.filter(|_| !self.history.is_on_disk()) {
-            // In memory alone this cannot fail.
+            // Without a disk, adding an answer cannot fail.
             let _ = self.history.answered(answer);
         }
         let inner = &mut *self.lock();
-        inner.change(|inner| inner.take(notice));
+        inner.take(notice);
         if let StationEvent::Enrolled(enrolled) = notice
             && enrolled.wanted == 0
             && inner.state.library.is_some()
         {
-            // If the station is too busy, the operator can reload later.
+            // If the station is too busy to take this command, the operator can reload later.
             let _ = self.orders.try_send(Command::Reload);
         }
     }
 
-    /// Publishes that an audit has begun or ended.
-    pub fn checked(&self, check: &CheckView) {
-        self.lock().publish(EventKind::Check, check);
-    }
-
-    /// Publishes that a scan was corrected, or became a trial.
-    pub fn corrected(&self, scan: &serde_json::Value) {
-        self.lock().publish(EventKind::Correction, scan);
-    }
-
-    /// Adds a subscriber, unless there are too many.
+    /// Adds a subscriber; `None` if there are too many.
     pub fn subscribe(&self, filter: EventFilter) -> Option<EventStream> {
         let inner = &mut *self.lock();
         if inner.subscribers.count() >= self.most_subscribers {
@@ -309,28 +270,25 @@ impl Hub {
         Some(inner.subscribers.subscribe(filter, first))
     }
 
-    /// Sends a command, without waiting for the station.
-    ///
-    /// # Errors
-    /// If the station has ended, is busy with earlier commands, or keeps no scans.
-    pub fn order(&self, order: Command) -> Result<(), Undelivered> {
+    /// Sends a command without waiting for the station.
+    pub fn order(&self, order: Command) -> Result<(), Problem> {
         let enrolls =
             matches!(order, Command::Enroll { .. } | Command::KeepRefused(_) | Command::EndEnroll);
         let inner = self.lock();
         if inner.state.finished {
-            return Err(Undelivered::Ended);
+            return Err(Problem::Ended);
         }
         if enrolls && !inner.enrolls {
-            return Err(Undelivered::NoLibrary);
+            return Err(Problem::NoLibrary);
         }
         self.orders.try_send(order).map_err(|error| match error {
-            TrySendError::Full(_) => Undelivered::Busy,
-            TrySendError::Disconnected(_) => Undelivered::Ended,
+            TrySendError::Full(_) => Problem::Busy,
+            TrySendError::Disconnected(_) => Problem::Ended,
         })
     }
 }
 
-/// Takes in events and publishes what is due, until the station and the server have ended.
+/// Handles events and publishes at intervals, until the station and the server have ended.
 pub async fn run(
     hub: Arc<Hub>,
     mut notices: mpsc::Receiver<StationEvent>,
@@ -355,8 +313,8 @@ pub async fn run(
                 let inner = &mut *hub.lock();
                 inner.publish_camera();
                 if inner.subscribers.wanted(EventKind::Spectrum) {
-                    let event = trace::spectra(&inner.tracer);
-                    inner.publish(EventKind::Spectrum, &event);
+                    let streams = trace::spectra(&inner.tracer);
+                    inner.publish(EventKind::Spectrum, &json!({ "streams": streams }));
                 }
             }
             _ = keep_alive.tick() => hub.lock().subscribers.keep_alive(),
@@ -375,35 +333,17 @@ fn every(period: Duration) -> Interval {
     interval
 }
 
-/// The document that holds all that is known now.
 #[derive(Serialize)]
 pub struct StateDocument<'a> {
     #[serde(flatten)]
     state: &'a State,
-    /// Whether the station keeps scans for a library.
+    /// Whether scans may be kept as trials of a library.
     enrolls: bool,
-    /// The camera, if there is one.
     camera: Option<CameraView>,
     streams: Vec<StreamView>,
-    /// The state of the outputs that answers go to.
     outputs: Vec<OutputView>,
 }
 
-impl<'a> StateDocument<'a> {
-    /// Collects what is known now.
-    pub fn of(
-        state: &'a State,
-        enrolls: bool,
-        viewfinder: &Option<Viewfinder>,
-        meters: &[StreamMeter],
-        outputs: Vec<OutputView>,
-    ) -> Self {
-        let camera = viewfinder.as_ref().map(Viewfinder::view);
-        Self { state, enrolls, camera, streams: views(meters), outputs }
-    }
-}
-
-/// The counts of one stream.
 #[derive(Debug, Serialize)]
 struct StreamView {
     source: SourceId,
@@ -412,59 +352,12 @@ struct StreamView {
     counts: Counts,
 }
 
-/// The counts of all streams.
-#[derive(Serialize)]
-pub struct StreamsEvent {
-    streams: Vec<StreamView>,
-}
-
-impl StreamsEvent {
-    /// Reads the meters now.
-    pub fn of(meters: &[StreamMeter]) -> Self {
-        Self { streams: views(meters) }
-    }
-}
-
-fn views(meters: &[StreamMeter]) -> Vec<StreamView> {
-    let view = |meter: &StreamMeter| StreamView {
-        source: meter.id.clone(),
-        device: meter.device.clone(),
-        counts: meter.counts(),
-    };
-    meters.iter().map(view).collect()
-}
-
-/// The state of the audit.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct CheckView {
     /// `none`, `running`, `done` or `failed`.
     pub state: &'static str,
     /// When this state began, in milliseconds since 1970.
     pub unix_ms: u64,
-    /// The reason why it failed.
     pub problem: Option<String>,
-    /// The last report.
     pub report: Option<Arc<CheckReport>>,
-}
-
-/// Audits of the library, one at a time.
-#[derive(Debug)]
-pub struct Checks {
-    /// Runs an audit.
-    pub audit: Option<Audit>,
-    view: Mutex<CheckView>,
-}
-
-impl Checks {
-    /// The state before the first audit.
-    pub fn new(audit: Option<Audit>) -> Self {
-        let view = CheckView { state: "none", unix_ms: 0, problem: None, report: None };
-        Self { audit, view: Mutex::new(view) }
-    }
-
-    /// The state of the last audit.
-    pub fn lock(&self) -> MutexGuard<'_, CheckView> {
-        // Each change is one assignment.
-        self.view.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }

@@ -1,25 +1,22 @@
-//! The library over HTTP: its trials, edits of them, and its audit.
+//! The library over HTTP, with its trials, edits of the trials, and its audit.
 
 use std::sync::Arc;
 
 use axum::Router;
-use axum::body::Bytes;
 use axum::extract::State;
-use axum::extract::rejection::BytesRejection;
-use axum::http::StatusCode;
 use axum::response::Json;
 use axum::routing::{get, post};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
+use serde_json::{Value, json};
 
-use super::hub::{CheckView, Hub};
-use super::label;
-use super::request::{Problem, Shared, aside, body};
+use super::hub::{CheckView, Hub, Shared};
+use super::request::{Problem, Said, aside, body, label};
 use super::state::unix_ms;
+use super::subscribers::EventKind;
 use crate::library::LibraryError;
-use crate::record::edit::{self, Editor, ListedTrial, Step, Undone};
+use crate::record::edit::{self, Editor, Step};
 use crate::station::Command;
 
-/// Most trials of one edit.
 const MOST: usize = 1000;
 
 /// The routes below `/api/v1`.
@@ -34,22 +31,15 @@ pub fn router() -> Router<Arc<Hub>> {
         .route("/check", get(check).post(begin_check))
 }
 
-#[derive(Serialize)]
-struct LibraryTrials {
-    trials: Vec<ListedTrial>,
-    removed: Vec<ListedTrial>,
-    /// The step that can be undone.
-    undo: Option<Step>,
-}
-
-async fn trials(State(hub): Shared) -> Result<Json<LibraryTrials>, Problem> {
+async fn trials(State(hub): Shared) -> Result<Json<Value>, Problem> {
     let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
     let listed = aside(move || {
-        Ok(LibraryTrials {
-            trials: edit::list(&library.folder, &library.scene)?,
-            removed: edit::list_removed(&library.folder, &library.scene)?,
-            undo: edit::last_step(&library.folder)?,
-        })
+        Ok(json!({
+            "trials": edit::list(&library.folder, &library.scene)?,
+            "removed": edit::list_removed(&library.folder, &library.scene)?,
+            // The last edit is reported, since it can be undone.
+            "undo": edit::last_step(&library.folder)?,
+        }))
     });
     Ok(Json(listed.await?))
 }
@@ -74,36 +64,34 @@ struct Chosen {
     trials: Vec<String>,
 }
 
-type Said = Result<Bytes, BytesRejection>;
-
 async fn rename(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
     let Rename { surface, to } = body(said, "{\"surface\": \"oak\", \"to\": \"ash\"}")?;
-    let to = label::check("to", &to).map_err(Problem::Bad)?;
+    let to = label("to", &to)?;
     edited(&hub, move |editor| editor.rename(&surface, &to)).await
 }
 
 async fn move_to(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
     let MoveTo { trials, to } = body(said, "{\"trials\": [\"oak/anna-01\"], \"to\": \"ash\"}")?;
-    let to = label::check("to", &to).map_err(Problem::Bad)?;
-    let trials = few(trials)?;
+    let (trials, to) = (few(trials)?, label("to", &to)?);
     edited(&hub, move |editor| editor.move_to(&trials, &to)).await
 }
 
-const TRIALS: &str = "{\"trials\": [\"oak/anna-01\"]}";
+fn chosen(said: Said) -> Result<Vec<String>, Problem> {
+    let Chosen { trials } = body(said, "{\"trials\": [\"oak/anna-01\"]}")?;
+    few(trials)
+}
 
 async fn remove(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
-    let Chosen { trials } = body(said, TRIALS)?;
-    let trials = few(trials)?;
+    let trials = chosen(said)?;
     edited(&hub, move |editor| editor.remove(&trials)).await
 }
 
 async fn restore(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
-    let Chosen { trials } = body(said, TRIALS)?;
-    let trials = few(trials)?;
+    let trials = chosen(said)?;
     edited(&hub, move |editor| editor.restore(&trials)).await
 }
 
-async fn undo(State(hub): Shared) -> Result<Json<Undone>, Problem> {
+async fn undo(State(hub): Shared) -> Result<Json<Step>, Problem> {
     edited(&hub, Editor::undo).await
 }
 
@@ -114,56 +102,50 @@ fn few(trials: Vec<String>) -> Result<Vec<String>, Problem> {
     }
 }
 
-/// Makes an edit, then has the station read the library again.
-async fn edited<T: AsRef<Step> + Send + 'static>(
+/// Makes an edit, then tells the station to read the library again.
+async fn edited(
     hub: &Hub,
-    edit: impl FnOnce(&mut Editor) -> Result<T, LibraryError> + Send + 'static,
-) -> Result<Json<T>, Problem> {
+    edit: impl FnOnce(&mut Editor) -> Result<Step, LibraryError> + Send + 'static,
+) -> Result<Json<Step>, Problem> {
     let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
     let history = hub.history.clone();
     let step = aside(move || {
         let step = edit(&mut Editor::open(&library.folder, &library.scene)?)?;
-        // If the moves cannot be noted now, the trials are found by their notes when needed.
-        let _ = history.relocated(&step.as_ref().moves);
+        // If the moves cannot be recorded now, moved trials are found later by their notes.
+        let _ = history.relocated(&step.moves);
         Ok(step)
     });
     let step = step.await?;
-    // If the station is too busy, the operator can reload later.
+    // If the station is too busy to take this command, the operator can reload later.
     let _ = hub.order(Command::Reload);
     Ok(Json(step))
 }
 
 async fn check(State(hub): Shared) -> Json<CheckView> {
-    Json(hub.checks.lock().clone())
+    Json(hub.lock().check.clone())
 }
 
-async fn begin_check(State(hub): Shared) -> Result<(StatusCode, Json<CheckView>), Problem> {
-    let audit = hub.checks.audit.clone().ok_or(Problem::NoLibrary)?;
+async fn begin_check(State(hub): Shared) -> Result<Json<CheckView>, Problem> {
+    let audit = hub.audit.clone().ok_or(Problem::NoLibrary)?;
     let view = {
-        let mut view = hub.checks.lock();
+        let view = &mut hub.lock().check;
         if view.state == "running" {
             return Err(Problem::Busy);
         }
         (view.state, view.unix_ms, view.problem) = ("running", unix_ms(), None);
         view.clone()
     };
-    let running = hub.clone();
-    let work = move || {
-        let audit = std::panic::AssertUnwindSafe(|| (audit.0)());
-        let panicked = |_| Err("the audit failed; please report this".to_string());
-        let found = std::panic::catch_unwind(audit).unwrap_or_else(panicked);
-        let view = {
-            let mut view = running.checks.lock();
-            view.unix_ms = unix_ms();
-            match found {
-                Ok(report) => (view.state, view.report) = ("done", Some(Arc::new(report))),
-                Err(why) => (view.state, view.problem) = ("failed", Some(why)),
-            }
-            view.clone()
-        };
-        running.checked(&view);
-    };
-    let started = std::thread::Builder::new().name("check".into()).spawn(work);
-    started.map_err(|error| Problem::Failed(error.to_string()))?;
-    Ok((StatusCode::OK, Json(view)))
+    tokio::spawn(async move {
+        let found = tokio::task::spawn_blocking(move || audit()).await;
+        let inner = &mut *hub.lock();
+        let view = &mut inner.check;
+        view.unix_ms = unix_ms();
+        match found.unwrap_or_else(|_| Err("the audit failed; please report this".into())) {
+            Ok(report) => (view.state, view.report) = ("done", Some(Arc::new(report))),
+            Err(why) => (view.state, view.problem) = ("failed", Some(why)),
+        }
+        let view = view.clone();
+        inner.publish(EventKind::Check, &view);
+    });
+    Ok(Json(view))
 }

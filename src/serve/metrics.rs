@@ -1,7 +1,7 @@
 //! Metrics for Prometheus, in its text format 0.0.4.
 //!
-//! <https://prometheus.io/docs/instrumenting/exposition_formats/>: a few lines of text for each
-//! metric, written here without a registry, since the meters of the rings keep the counts.
+//! See <https://prometheus.io/docs/instrumenting/exposition_formats/>. A metric takes a few lines of
+//! text. No registry is used, since the rings' meters hold the counts.
 
 use std::fmt::{Display, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,10 +12,10 @@ use crate::device::DeviceState;
 use crate::history::Precision;
 use crate::outputs::OutputView;
 use crate::printable::Printable;
+use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::station::AnswerState;
 
-/// The content type of the format.
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 /// Bounds of the histogram of scan durations, in seconds.
@@ -23,11 +23,10 @@ const SCAN_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
 /// Bounds of the histogram of latencies, in seconds.
 const LATENCY_S: [f64; 11] = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
 
-/// A histogram: counts of values between bounds.
 #[derive(Debug)]
 struct Histogram {
     bounds: &'static [f64],
-    /// For each bound, the values up to it and above the one before; then those above all bounds.
+    /// Number of values in each interval between bounds. The last number counts values above all bounds.
     counts: Vec<u64>,
     sum: f64,
 }
@@ -44,7 +43,6 @@ impl Histogram {
     }
 }
 
-/// Numbers that are counted here.
 #[derive(Debug)]
 pub struct Metrics {
     scan_s: Histogram,
@@ -58,82 +56,106 @@ impl Default for Metrics {
     }
 }
 
-/// Numbers that are counted elsewhere.
 pub struct Elsewhere<'a> {
     pub state: &'a State,
     pub meters: &'a [StreamMeter],
     pub traffic: &'a Traffic,
     pub subscribers: usize,
-    pub dropped_events: u64,
-    pub missed_notices: u64,
-    /// The outputs that answers go to.
+    /// Number of events that subscribers missed.
+    pub dropped: u64,
+    /// Number of events that the server missed.
+    pub missed: u64,
     pub outputs: &'a [OutputView],
-    /// How many answers were right, of those that somebody reviewed.
+    /// The share of right answers among those that a person reviewed.
     pub precision: &'a [Precision],
 }
 
 impl Metrics {
-    /// Counts a scan that was named.
     pub fn scan(&mut self, scan_s: f64, latency_s: f64) {
         self.scan_s.observe(scan_s);
         self.latency_s.observe(latency_s);
     }
 
-    /// The text of all metrics.
     pub fn text(&self, elsewhere: &Elsewhere<'_>) -> String {
         let mut page = MetricsPage::default();
-        let state = elsewhere.state;
-        page.head("surfaced_info", "gauge", "The version of the program.");
-        page.line("surfaced_info", &[("version", state.version)], 1);
-        page.streams(elsewhere.meters);
-        page.devices(state);
-        let (counts, traffic) = (state.counts, elsewhere.traffic);
-        let count = |of: &AtomicU64| of.load(Ordering::Relaxed);
-        page.head("surfaced_scans_total", "counter", "Scans that were answered.");
+        let Elsewhere { state, traffic, subscribers, dropped, missed, .. } = *elsewhere;
+        let info = ("surfaced_info", "gauge", "The version of the program.");
+        page.family([info], [(vec![("version", state.version)], [1])]);
+        let heads = [
+            ("surfaced_samples_total", "counter", "Frames that came out of the ring."),
+            ("surfaced_lost_samples_total", "counter", "Frames that were lost."),
+            ("surfaced_ring_fill", "gauge", "Frames in the ring now."),
+            ("surfaced_ring_capacity", "gauge", "Frames that the ring can hold."),
+        ];
+        let streams = elsewhere.meters.iter().map(|meter| {
+            let labels = vec![("source", meter.id.as_str()), ("device", meter.device.as_str())];
+            let Counts { received, lost, fill, capacity, .. } = meter.counts();
+            (labels, [received, lost, fill, capacity])
+        });
+        page.family(heads, streams);
+        let heads = [
+            ("surfaced_device_streaming", "gauge", "Whether a device's data arrive."),
+            ("surfaced_reconnects_total", "counter", "How often a device came back."),
+        ];
+        let devices = state.devices.iter().map(|view| {
+            let reconnects = state.reconnects.get(&view.device).copied().unwrap_or(0);
+            let streams = u64::from(view.state == DeviceState::Streaming);
+            (vec![("device", view.device.as_str())], [streams, reconnects])
+        });
+        page.family(heads, devices);
+        let counts = state.counts;
         let others = counts.nearest + counts.unsure + counts.unknown;
-        for (state, count) in [
+        let answers = [
             (AnswerState::Named, counts.scans - others),
             (AnswerState::Nearest, counts.nearest),
             (AnswerState::Unsure, counts.unsure),
             (AnswerState::Unknown, counts.unknown),
             (AnswerState::Unnamed, counts.unnamed),
-        ] {
-            page.line("surfaced_scans_total", &[("answer", state.as_str())], count);
-        }
+        ];
+        let head = ("surfaced_scans_total", "counter", "Scans that were answered.");
+        page.family([head], answers.map(|(of, count)| (vec![("answer", of.as_str())], [count])));
+        let count = |of: &AtomicU64| of.load(Ordering::Relaxed);
+        let (requests, refused) = (count(&traffic.requests), count(&traffic.refused));
         for (name, help, value) in [
             ("surfaced_scans_spoiled_total", "Scans that should not be trusted.", counts.spoiled),
             ("surfaced_scans_enrolled_total", "Scans kept for the library.", counts.enrolled),
             ("surfaced_warnings_total", "Warnings.", counts.warnings),
-            ("surfaced_http_requests_total", "Requests that were read.", count(&traffic.requests)),
-            (
-                "surfaced_http_refused_total",
-                "Requests and connections refused.",
-                count(&traffic.refused),
-            ),
-            (
-                "surfaced_events_dropped_total",
-                "Events that a slow subscriber missed.",
-                elsewhere.dropped_events,
-            ),
-            (
-                "surfaced_notices_missed_total",
-                "Notices that the server missed.",
-                elsewhere.missed_notices,
-            ),
+            ("surfaced_http_requests_total", "Requests that were read.", requests),
+            ("surfaced_http_refused_total", "Requests and connections refused.", refused),
+            ("surfaced_events_dropped_total", "Events that a slow subscriber missed.", dropped),
+            ("surfaced_notices_missed_total", "Notices that the server missed.", missed),
         ] {
-            page.head(name, "counter", help);
-            page.line(name, &[], value);
+            page.family([(name, "counter", help)], [(vec![], [value])]);
         }
-        page.outputs(elsewhere.outputs);
-        page.precision(elsewhere.precision);
-        page.head("surfaced_readers", "gauge", "Subscribers to the stream of events.");
-        page.line("surfaced_readers", &[], elsewhere.subscribers);
+        let heads = [
+            ("surfaced_output_failures_total", "counter", "Attempts at an output that failed."),
+            ("surfaced_output_dropped_total", "counter", "Answers that made room for newer ones."),
+            ("surfaced_output_waiting", "gauge", "Answers that wait for an output."),
+        ];
+        let outputs = elsewhere.outputs.iter();
+        let outputs = outputs.map(|output| {
+            let OutputView { output, waiting, failures, dropped, .. } = output;
+            (vec![("output", output.as_str())], [*failures, *dropped, *waiting])
+        });
+        page.family(heads, outputs);
+        let help = "Scans of which somebody said what they were.";
+        let reviewed = elsewhere.precision.iter().flat_map(|of| {
+            let answer = of.surface.as_deref().unwrap_or("unknown");
+            [("true", of.right), ("false", of.corrected - of.right)]
+                .map(|(right, count)| (vec![("answer", answer), ("right", right)], [count as u64]))
+        });
+        page.family([("surfaced_reviewed_scans", "gauge", help)], reviewed);
+        let head = ("surfaced_readers", "gauge", "Subscribers to the stream of events.");
+        page.family([head], [(vec![], [subscribers as u64])]);
         page.histogram("surfaced_scan_seconds", "Duration of a scan.", &self.scan_s);
         let help = "From the end of a scan to its name.";
         page.histogram("surfaced_answer_latency_seconds", help, &self.latency_s);
         page.0
     }
 }
+
+/// The names and values of a line's labels.
+type Labels<'a> = Vec<(&'a str, &'a str)>;
 
 #[derive(Default)]
 struct MetricsPage(String);
@@ -155,74 +177,17 @@ impl MetricsPage {
         let _ = writeln!(self.0, "{close} {value}");
     }
 
-    fn streams(&mut self, meters: &[StreamMeter]) {
-        let all: Vec<_> = meters.iter().map(|meter| (meter, meter.counts())).collect();
-        type Figure = fn(&crate::ring::Counts) -> u64;
-        let figures: [(&str, &str, &str, Figure); 4] = [
-            ("surfaced_samples_total", "counter", "Frames that came out of the ring.", |c| {
-                c.received
-            }),
-            ("surfaced_lost_samples_total", "counter", "Frames that were lost.", |c| c.lost),
-            ("surfaced_ring_fill", "gauge", "Frames in the ring now.", |c| c.fill),
-            ("surfaced_ring_capacity", "gauge", "Frames that the ring can hold.", |c| c.capacity),
-        ];
-        for (name, kind, help, figure) in figures {
+    /// Writes several metrics about the same things. `heads` has name, kind and help of each
+    /// metric, and each thing has its labels and one value for each metric.
+    fn family<'a, const N: usize>(
+        &mut self,
+        heads: [(&str, &str, &str); N],
+        things: impl IntoIterator<Item = (Labels<'a>, [u64; N])>,
+    ) {
+        let things: Vec<_> = things.into_iter().collect();
+        for (at, (name, kind, help)) in heads.into_iter().enumerate() {
             self.head(name, kind, help);
-            for (meter, counts) in &all {
-                let labels = [("source", meter.id.as_str()), ("device", meter.device.as_str())];
-                self.line(name, &labels, figure(counts));
-            }
-        }
-    }
-
-    fn outputs(&mut self, outputs: &[OutputView]) {
-        type Figure = fn(&OutputView) -> u64;
-        let figures: [(&str, &str, &str, Figure); 3] = [
-            (
-                "surfaced_output_failures_total",
-                "counter",
-                "Attempts at an output that failed.",
-                |output| output.failures,
-            ),
-            (
-                "surfaced_output_dropped_total",
-                "counter",
-                "Answers that made room for newer ones.",
-                |output| output.dropped,
-            ),
-            ("surfaced_output_waiting", "gauge", "Answers that wait for an output.", |output| {
-                output.waiting
-            }),
-        ];
-        for (name, kind, help, figure) in figures {
-            self.head(name, kind, help);
-            for output in outputs {
-                self.line(name, &[("output", &output.output)], figure(output));
-            }
-        }
-    }
-
-    fn precision(&mut self, precision: &[Precision]) {
-        let name = "surfaced_reviewed_scans";
-        self.head(name, "gauge", "Scans of which somebody said what they were.");
-        for Precision { surface, corrected, right, .. } in precision {
-            let answer = surface.as_deref().unwrap_or("unknown");
-            for (verdict, count) in [("true", *right), ("false", corrected - right)] {
-                self.line(name, &[("answer", answer), ("right", verdict)], count);
-            }
-        }
-    }
-
-    fn devices(&mut self, state: &State) {
-        self.head("surfaced_device_streaming", "gauge", "Whether a device's data arrive.");
-        for device in &state.devices {
-            let streaming = u8::from(device.state == DeviceState::Streaming);
-            self.line("surfaced_device_streaming", &[("device", &device.device)], streaming);
-        }
-        self.head("surfaced_reconnects_total", "counter", "How often a device came back.");
-        for device in &state.devices {
-            let count = state.reconnects.get(&device.device).copied().unwrap_or(0);
-            self.line("surfaced_reconnects_total", &[("device", &device.device)], count);
+            things.iter().for_each(|(labels, values)| self.line(name, labels, values[at]));
         }
     }
 
@@ -263,8 +228,8 @@ mod tests {
             meters: &[],
             traffic: &Traffic::default(),
             subscribers: 3,
-            dropped_events: 4,
-            missed_notices: 5,
+            dropped: 4,
+            missed: 5,
             precision: &[],
             outputs: &[OutputView {
                 output: "http://example/".into(),

@@ -1,27 +1,22 @@
-//! The station on the network: a page for the operator, an interface for programs, metrics.
+//! The station on the network, with a page for the operator, an HTTP API for programs, and metrics.
 //!
 //! [`Server::start`] returns a [`Server`] and a [`Reporter`]. The reporter is a
-//! [`Listener`](crate::station::Listener) and does nothing on the station's thread but enter an
-//! event into a bounded queue; everything else happens on one thread of the server:
+//! [`Listener`](crate::station::Listener). On the station's thread, it only puts each event into a
+//! bounded queue; everything else happens on one thread of the server:
 //!
 //! ```text
 //! station ─► reporter ─► hub (state, history, metrics) ─► subscribers (a bounded queue each) ─► SSE
 //! station ◄─ orders ◄── api ◄── guard (rate, host, token, origin) ◄── accept (connections, timeouts)
 //! ```
 //!
-//! A subscriber that is slow or gone misses events, learns how many, and delays nobody else.
+//! A subscriber that is slow misses events and is told how many. It never delays other subscribers.
 
 mod accept;
 pub(crate) mod api;
-mod client;
-#[cfg(any(test, fuzzing))]
-pub mod fuzz;
 mod guard;
 mod hub;
-mod label;
 mod library;
 mod metrics;
-mod order;
 pub(crate) mod request;
 mod scans;
 mod server;
@@ -34,3 +29,4 @@ pub(crate) use guard::Traffic;
 pub use server::{Reporter, Server};
 pub(crate) use settings::{Audit, PORT};
 pub use settings::{LibraryFolder, Limits, ServeError, Settings, Token};
+pub(crate) use state::unix_ms;

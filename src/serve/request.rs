@@ -1,18 +1,18 @@
-//! Parts shared by the handlers of requests: bodies, work on other threads, and refusals.
-
-use std::sync::Arc;
+//! Helpers for handlers of requests, for bodies, labels, work on other threads, and refusals.
 
 use axum::body::Bytes;
-use axum::extract::State;
 use axum::extract::rejection::BytesRejection;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Json, Response};
-use serde::Serialize;
+use serde_json::json;
 
-use super::hub::Hub;
 use super::settings::LARGEST_BODY;
+use crate::trial::normal;
 
-/// Reasons for refusing a request.
+const LONGEST_LABEL: usize = 80;
+/// The characters that a label may contain besides letters, digits and spaces.
+const MARKS: &str = "_-.,()+'%#";
+
 #[derive(Debug, thiserror::Error)]
 pub enum Problem {
     #[error("there is nothing here; see /api/v1/state")]
@@ -47,17 +47,10 @@ pub enum Problem {
     NoLibrary,
 }
 
-#[derive(Serialize)]
-struct ProblemView {
-    error: &'static str,
-    message: String,
-}
-
 impl Problem {
     fn kind(&self) -> (StatusCode, &'static str) {
         match self {
-            Self::NotFound => (StatusCode::NOT_FOUND, "not_found"),
-            Self::Gone(_) => (StatusCode::NOT_FOUND, "not_found"),
+            Self::NotFound | Self::Gone(_) => (StatusCode::NOT_FOUND, "not_found"),
             Self::Failed(_) => (StatusCode::CONFLICT, "failed"),
             Self::Method => (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed"),
             Self::Bad(_) => (StatusCode::BAD_REQUEST, "bad_request"),
@@ -78,7 +71,7 @@ impl Problem {
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
         let (status, error) = self.kind();
-        (status, Json(ProblemView { error, message: self.to_string() })).into_response()
+        (status, Json(json!({ "error": error, "message": self.to_string() }))).into_response()
     }
 }
 
@@ -91,9 +84,6 @@ impl From<BytesRejection> for Problem {
     }
 }
 
-/// The hub, as each handler gets it.
-pub type Shared = State<Arc<Hub>>;
-
 /// Runs work that may wait for the disk, on a thread other than the server's.
 pub async fn aside<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
@@ -102,13 +92,67 @@ pub async fn aside<T: Send + 'static>(
     done.unwrap_or_else(|_| Err(Problem::Failed("this failed; please report it".into())))
 }
 
-/// The body of a request as JSON; an empty one as `{}`.
-pub fn body<T: serde::de::DeserializeOwned>(
-    body: Result<Bytes, BytesRejection>,
-    expected: &str,
-) -> Result<T, Problem> {
-    let body = body?;
+/// The body of a request, or an error if it is too large.
+pub type Said = Result<Bytes, BytesRejection>;
+
+/// Parses the body of a request as JSON; an empty body counts as `{}`.
+pub fn body<T: serde::de::DeserializeOwned>(said: Said, expected: &str) -> Result<T, Problem> {
+    let body = said?;
     let text: &[u8] = if body.is_empty() { b"{}" } else { &body };
     serde_json::from_slice(text)
         .map_err(|error| Problem::Bad(format!("{error}; expected {expected}")))
+}
+
+/// Returns a label of a surface or user in normal form, without outer spaces. Refuses labels that are
+/// unsafe in file names, pages or terminals. `what` names the field in the message.
+pub fn label(what: &str, label: &str) -> Result<String, Problem> {
+    let label = &*normal(label.trim());
+    let odd = label.chars().find(|&c| !(c.is_alphanumeric() || c == ' ' || MARKS.contains(c)));
+    Err(Problem::Bad(if label.is_empty() {
+        format!("`{what}` is empty; give it a name, such as \"oak\"")
+    } else if label.chars().count() > LONGEST_LABEL {
+        format!("`{what}` is longer than {LONGEST_LABEL} characters")
+    } else if label.starts_with('.') {
+        format!("`{what}` begins with a dot; begin it with a letter or digit")
+    } else if let Some(odd) = odd {
+        let marks = MARKS.chars().map(String::from).collect::<Vec<_>>().join(" ");
+        format!("`{what}` holds {odd:?}; use letters, digits, spaces and {marks}")
+    } else {
+        return Ok(label.into());
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn common_labels_are_taken_and_trimmed() {
+        for name in ["oak", "G1EpoxyRasterPlate", "Eiche, geölt (2)", "木 100%", " oak "] {
+            assert_eq!(label("surface", name).unwrap(), name.trim());
+        }
+        assert_eq!(label("surface", "e\u{301}rable").unwrap(), "\u{e9}rable");
+    }
+
+    #[test]
+    fn what_could_mean_something_to_a_file_system_a_page_or_a_terminal_is_refused() {
+        let long = "x".repeat(LONGEST_LABEL + 1);
+        for name in [
+            "",
+            "  ",
+            "../etc",
+            ".",
+            "a/b",
+            "a\\b",
+            "a\0b",
+            "<script>",
+            "a&b",
+            "\u{1b}[2J",
+            "a\nb",
+            &long,
+        ] {
+            let said = label("surface", name).unwrap_err().to_string();
+            assert!(said.contains("`surface`"), "{name:?}: {said}");
+        }
+    }
 }

@@ -1,25 +1,26 @@
-//! Past scans for programs and the page: the list, one of them, its files, and its correction.
+//! Past scans for programs and the page. Serves the list, single scans, their files and corrections.
 
 use std::sync::Arc;
 
 use axum::Router;
-use axum::body::Bytes;
-use axum::extract::rejection::{BytesRejection, PathRejection, QueryRejection};
+use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
 use axum::http::header::{ACCEPT_RANGES, CONTENT_RANGE, CONTENT_TYPE, RANGE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use super::hub::Hub;
-use super::label;
-use super::request::{Problem, Shared, aside, body};
+use super::hub::{Hub, Shared};
+use super::request::{Problem, Said, aside, body, label};
 use super::settings::LibraryFolder;
+use super::subscribers::EventKind;
 use crate::history::{
-    Correction, CsvWriter, Extent, History, HistoryError, NOTES, Precision, jpeg, nearest_picture,
+    Correction, CsvWriter, Extent, History, HistoryError, HistoryRow, NOTES, Precision,
+    nearest_picture,
 };
+use crate::jpeg;
 use crate::library::{About, LibraryError, recording};
 use crate::record::TrialOptions;
 use crate::record::edit::{self, Editor};
@@ -27,12 +28,12 @@ use crate::scene::SourceId;
 use crate::station::Command;
 use crate::trial::{EXPERT, Trial, TrialKey};
 
-/// Scans in one answer, unless the request says otherwise.
+/// How many scans one answer holds by default.
 const USUAL: usize = 100;
-/// Most scans in one answer.
+/// How many scans one answer may hold.
 const MOST: usize = 1000;
 
-/// The paths of scans below `/api/v1`.
+/// The routes of scans, below `/api/v1`.
 pub fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/scans", get(scans))
@@ -68,28 +69,22 @@ impl From<LibraryError> for Problem {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PageRequest {
-    /// Most scans in the answer.
     limit: Option<usize>,
-    /// Only scans before this one, which is given by its `id` or its number.
+    /// Only scans older than this one, which is given by its `id` or its number.
     before: Option<String>,
-}
-
-#[derive(Serialize)]
-struct Scans {
-    scans: Vec<Value>,
 }
 
 async fn scans(
     State(hub): Shared,
     page: Result<Query<PageRequest>, QueryRejection>,
-) -> Result<Json<Scans>, Problem> {
+) -> Result<Json<Value>, Problem> {
     let Query(page) = page.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
     let most = page.limit.unwrap_or(USUAL).min(MOST);
     let scans = aside(move || Ok(hub.history.newest(page.before.as_deref(), most)?)).await?;
-    Ok(Json(Scans { scans }))
+    Ok(Json(json!({ "scans": scans })))
 }
 
-/// All scans as one text, made on another thread.
+/// All past scans as one text, made on a separate thread.
 async fn all(
     hub: Arc<Hub>,
     content_type: &'static str,
@@ -108,7 +103,9 @@ impl From<std::io::Error> for Problem {
 async fn csv(State(hub): Shared) -> Result<Response, Problem> {
     let write = |history: &History| {
         let mut csv = CsvWriter::new(Vec::new())?;
-        history.each(|scan| csv.scan(&scan).map_err(Problem::from))?;
+        for row in history.rows() {
+            csv.scan(&row?)?;
+        }
         Ok(csv.finish()?)
     };
     all(hub, "text/csv; charset=utf-8", write).await
@@ -117,10 +114,10 @@ async fn csv(State(hub): Shared) -> Result<Response, Problem> {
 async fn json_lines(State(hub): Shared) -> Result<Response, Problem> {
     let write = |history: &History| {
         let mut text = Vec::new();
-        history.each(|scan| {
-            text.extend(format!("{scan}\n").into_bytes());
-            Ok::<_, Problem>(())
-        })?;
+        for row in history.rows() {
+            serde_json::to_writer(&mut text, &row?).map_err(std::io::Error::from)?;
+            text.push(b'\n');
+        }
         Ok(text)
     };
     all(hub, "application/jsonl", write).await
@@ -133,12 +130,11 @@ fn name(id: ScanPath) -> Result<String, Problem> {
     id.map(|Path(id)| id).map_err(bad)
 }
 
-async fn scan(State(hub): Shared, id: ScanPath) -> Result<Json<Value>, Problem> {
+async fn scan(State(hub): Shared, id: ScanPath) -> Result<Json<HistoryRow>, Problem> {
     let id = name(id)?;
     Ok(Json(aside(move || Ok(hub.history.answer(&id)?)).await?))
 }
 
-/// The bytes of a file.
 fn whole(path: &std::path::Path) -> Result<Vec<u8>, Problem> {
     std::fs::read(path).map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => Problem::NotFound,
@@ -152,7 +148,7 @@ async fn why(State(hub): Shared, id: ScanPath) -> Result<Response, Problem> {
     Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
 }
 
-/// The name on disk and the content type of a file that clients may ask for.
+/// The name on disk and the content type of a file that clients may request.
 fn on_disk(file: &str) -> Option<(String, &'static str)> {
     let (stem, extension) = file.rsplit_once('.')?;
     let nearest = stem.strip_prefix("nearest-");
@@ -165,8 +161,8 @@ fn on_disk(file: &str) -> Option<(String, &'static str)> {
     }
 }
 
-/// The part of a file that a request asks for, as a player does to seek; the whole file, if it asks
-/// for none or cannot be understood (RFC 9110 §14).
+/// The part of a file named by a `Range` header, which players send in order to seek. Without a
+/// valid header, it is the whole file (RFC 9110 §14).
 fn part(headers: &HeaderMap, mut bytes: Vec<u8>) -> Response {
     let length = bytes.len();
     let range = headers.get(RANGE).and_then(|range| range.to_str().ok()?.strip_prefix("bytes="));
@@ -199,7 +195,7 @@ async fn file(
     Ok(([(CONTENT_TYPE, content_type)], part(&headers, bytes)).into_response())
 }
 
-/// The latest picture of a camera: the region that is compared, or (`whole-SOURCE.jpg`) all of it.
+/// The latest picture of a camera, cut to the compared region, or whole for `whole-SOURCE.jpg`.
 async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Problem> {
     let file = file.map(|Path(file)| file).map_err(|_| Problem::NotFound)?;
     let stem = file.strip_suffix(".jpg").ok_or(Problem::NotFound)?;
@@ -213,7 +209,7 @@ async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Pr
     let is_whole = whole.is_some();
     let encode = move || match is_whole {
         true => finder.and_then(|finder| finder.jpeg()),
-        false => image.as_deref().and_then(jpeg),
+        false => image.and_then(|image| jpeg::encode(&image).ok()),
     };
     let bytes = aside(move || encode().ok_or(Problem::NotFound)).await?;
     Ok(([(CONTENT_TYPE, "image/jpeg")], bytes).into_response())
@@ -227,11 +223,10 @@ struct HistoryView {
 }
 
 async fn history(State(hub): Shared) -> Json<HistoryView> {
-    let (extent, precision) = (hub.history.extent(), hub.history.precision());
-    Json(HistoryView { extent, precision })
+    Json(HistoryView { extent: hub.history.extent(), precision: hub.history.precision() })
 }
 
-/// What a request says that a scan was; if it says nothing, the scan is no longer corrected.
+/// The truth about a scan, as a request states it. An empty request removes the correction.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Was {
@@ -249,8 +244,7 @@ impl Was {
             Self { surface: None, unknown: true, bad: false } => Ok(Some(Correction::Unknown)),
             Self { surface: None, unknown: false, bad: true } => Ok(Some(Correction::Bad)),
             Self { surface: Some(surface), unknown: false, bad: false } => {
-                let surface = label::check("surface", &surface).map_err(Problem::Bad)?;
-                Ok(Some(Correction::Surface { surface }))
+                Ok(Some(Correction::Surface { surface: label("surface", &surface)? }))
             }
             _ => Err(Problem::Bad("give only one of `surface`, `unknown` and `bad`".into())),
         }
@@ -260,8 +254,8 @@ impl Was {
 async fn correct(
     State(hub): Shared,
     id: ScanPath,
-    said: Result<Bytes, BytesRejection>,
-) -> Result<Json<Value>, Problem> {
+    said: Said,
+) -> Result<Json<HistoryRow>, Problem> {
     let id = name(id)?;
     let was: Was = body(said, "{\"surface\": \"oak\"}, {\"unknown\": true} or {\"bad\": true}")?;
     let correction = was.correction()?;
@@ -269,38 +263,38 @@ async fn correct(
     let scan = aside(move || {
         let _reviewing = history.reviewing();
         let scan = history.answer(&id)?;
-        let id = full_name(&scan);
+        let id = &scan.head.id;
         let mut is_moved = false;
-        if let (Some(_), Some(library)) = (scan["became"].as_str(), library) {
+        if let (Some(_), Some(library)) = (&scan.became, library) {
             let label = correction.as_ref().and_then(Correction::surface);
-            history.became(&id, correct_trial(&library, &scan, label)?)?;
+            history.became(id, correct_trial(&library, &scan, label)?)?;
             is_moved = true;
         }
-        history.correct(&id, correction)?;
-        Ok((history.answer(&id)?, is_moved))
+        history.correct(id, correction)?;
+        Ok((history.answer(id)?, is_moved))
     });
     let (scan, is_moved) = scan.await?;
-    hub.corrected(&scan);
+    hub.lock().publish(EventKind::Correction, &scan);
     if is_moved {
-        // If the station is too busy, the operator can reload later.
+        // If the station is too busy to take this command, the operator can reload later.
         let _ = hub.order(Command::Reload);
     }
     Ok(Json(scan))
 }
 
-/// The notes of the trial that a scan becomes, by which that trial is found again.
-fn notes(scan: &Value) -> String {
-    format!("scan {}", full_name(scan))
+/// The notes written into the trial made of a scan. By these notes, the trial is found later.
+fn notes(scan: &HistoryRow) -> String {
+    format!("scan {}", scan.head.id)
 }
 
-/// Gives the trial that a scan became another label, or removes it if there is no `label`. Returns
-/// the trial's new name, unless it is gone.
+/// Moves the trial made of a scan to another label, or removes the trial if `label` is `None`.
+/// Returns the trial's new name; `None` if the trial is gone.
 fn correct_trial(
     library: &LibraryFolder,
-    scan: &Value,
+    scan: &HistoryRow,
     label: Option<&str>,
 ) -> Result<Option<String>, LibraryError> {
-    let trial = edit::trial_of_note(&library.folder, &notes(scan), scan["became"].as_str());
+    let trial = edit::trial_of_note(&library.folder, &notes(scan), scan.became.as_deref());
     let Some(trial) = trial else { return Ok(None) };
     let mut editor = Editor::open(&library.folder, &library.scene)?;
     let Some(label) = label else {
@@ -310,62 +304,52 @@ fn correct_trial(
     Ok(Some(step.moves.first().map_or(trial, |one| one.to.clone())))
 }
 
-/// The `id` of a scan, which may have been asked for by its number.
-fn full_name(scan: &Value) -> String {
-    scan["id"].as_str().unwrap_or_default().to_string()
-}
-
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct KeepRequest {
     user: Option<String>,
 }
 
-async fn keep(
-    State(hub): Shared,
-    id: ScanPath,
-    said: Result<Bytes, BytesRejection>,
-) -> Result<Json<Value>, Problem> {
+async fn keep(State(hub): Shared, id: ScanPath, said: Said) -> Result<Json<HistoryRow>, Problem> {
     let id = name(id)?;
     let KeepRequest { user } = body(said, "{\"user\": \"anna\"}")?;
-    let user = label::check("user", user.as_deref().unwrap_or(EXPERT)).map_err(Problem::Bad)?;
+    let user = label("user", user.as_deref().unwrap_or(EXPERT))?;
     let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
     let history = hub.history.clone();
     let scan = aside(move || {
         let _reviewing = history.reviewing();
         let scan = history.answer(&id)?;
-        let id = full_name(&scan);
-        if let Some(trial) =
-            edit::trial_of_note(&library.folder, &notes(&scan), scan["became"].as_str())
-        {
-            // After a crash, the trial may be there without this note.
-            history.became(&id, Some(trial.clone()))?;
+        let id = &scan.head.id;
+        let there = edit::trial_of_note(&library.folder, &notes(&scan), scan.became.as_deref());
+        if let Some(trial) = there {
+            // After a crash, the trial may exist although the history does not say so.
+            history.became(id, Some(trial.clone()))?;
             let why = format!("this scan is a trial of the library already: {trial}");
             return Err(Problem::Bad(why));
         }
-        let trial = to_library(&library, &scan, &history.folder(&id)?, user)?;
-        history.became(&id, Some(trial))?;
-        Ok(history.answer(&id)?)
+        let trial = to_library(&library, &scan, &history.folder(id)?, user)?;
+        history.became(id, Some(trial))?;
+        Ok(history.answer(id)?)
     });
     let scan = scan.await?;
-    hub.corrected(&scan);
-    // If the station is too busy, the operator can reload later.
+    hub.lock().publish(EventKind::Correction, &scan);
+    // If the station is too busy to take this command, the operator can reload later.
     let _ = hub.order(Command::Reload);
     Ok(Json(scan))
 }
 
-/// Writes a corrected scan into a library, and returns the name of the trial.
+/// Writes a corrected scan into a library, and returns the name of the new trial.
 fn to_library(
     library: &LibraryFolder,
-    scan: &Value,
+    scan: &HistoryRow,
     folder: &std::path::Path,
     user: String,
 ) -> Result<String, Problem> {
     let refuse = |why: &str| Err(Problem::Bad(why.into()));
-    let Some(surface) = scan["correction"]["surface"].as_str() else {
+    let Some(surface) = scan.correction.as_ref().and_then(Correction::surface) else {
         return refuse("say first which surface this scan was");
     };
-    if scan["spoiled"].as_array().is_some_and(|reasons| !reasons.is_empty()) {
+    if !scan.spoiled.is_empty() {
         return refuse("this scan is spoiled, so it cannot become a trial");
     }
     let about = About::read(folder)?;

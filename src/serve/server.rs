@@ -1,6 +1,6 @@
-//! The server: its thread, and the reporter that passes station events on to it.
+//! The server's thread, and the reporter that passes events from the station to that thread.
 
-use std::net::{SocketAddr, TcpListener};
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use axum::Router;
 use crossbeam_channel::Sender;
+use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 
 use super::guard::Traffic;
@@ -16,7 +17,7 @@ use super::settings::{ServeError, Settings};
 use super::{accept, api};
 use crate::station::{Command, Listener, StationEvent};
 
-/// A server at work; dropping it ends it.
+/// A running server; dropping it stops the server.
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
@@ -24,30 +25,27 @@ pub struct Server {
     thread: Option<JoinHandle<()>>,
 }
 
-/// How long the end of the server waits for events not sent yet, and again for answers under way.
+/// How long a stopping server waits for unsent events, and again for unfinished answers.
 const SHUTDOWN_GRACE: Duration = Duration::from_millis(300);
 
 impl Server {
-    /// Starts to serve; commands go to the station through `orders`.
+    /// Starts the server. It sends commands to the station through `orders`.
     ///
     /// # Errors
-    /// If other machines reach the address and there is no token, if the address cannot be used, or
-    /// if no thread can be started.
+    /// If other machines can reach the address but no token is set, if the address cannot be used,
+    /// or if no thread can be started.
     pub fn start(
         settings: &Settings,
         orders: Sender<Command>,
     ) -> Result<(Self, Reporter), ServeError> {
-        let (reporter, notices) = pair();
-        let hub = Arc::new(Hub::new(settings, orders, reporter.missed()));
+        let (reporter, notices) = Reporter::new();
+        let hub = Arc::new(Hub::new(settings, orders, reporter.missed.clone()));
         let served = (api::router(hub.clone(), settings), hub.traffic.clone());
         let server = Self::serve(settings, served, |stopped| hub::run(hub, notices, stopped))?;
         Ok((server, reporter))
     }
 
-    /// Serves a router, while other work goes on, on one thread.
-    ///
-    /// # Errors
-    /// As [`Server::start`].
+    /// Starts a thread that serves a router and runs other work.
     pub(crate) fn serve<W: Future<Output = ()> + Send + 'static>(
         settings: &Settings,
         served: (Router, Arc<Traffic>),
@@ -57,29 +55,24 @@ impl Server {
             return Err(ServeError::Open(settings.address));
         }
         let bind = |error| ServeError::Bind { address: settings.address, error };
-        let listener = TcpListener::bind(settings.address).map_err(bind)?;
-        listener.set_nonblocking(true).map_err(ServeError::System)?;
-        let address = listener.local_addr().map_err(ServeError::System)?;
         let (stop, stopped) = watch::channel(false);
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_io()
             .enable_time()
             .build()
             .map_err(ServeError::System)?;
-        let listener = {
-            let _inside = runtime.enter();
-            tokio::net::TcpListener::from_std(listener).map_err(ServeError::System)?
-        };
+        let listener = runtime.block_on(TcpListener::bind(settings.address)).map_err(bind)?;
+        let address = listener.local_addr().map_err(ServeError::System)?;
         let settings = settings.clone();
         let run = move || {
             runtime.block_on(async move {
                 let publishing = tokio::spawn(work(stopped.clone()));
                 accept::serve(listener, served, &settings, stopped).await;
-                // Events that were queued before the end are still sent, to subscribers who read at
-                // once.
+                // Events that were queued before the end are still sent to subscribers that read
+                // quickly.
                 let _ = tokio::time::timeout(SHUTDOWN_GRACE, publishing).await;
             });
-            // No longer: an edit of the library may wait for the disk or another program.
+            // An edit of the library may wait long for the disk or another program, so it is given up.
             runtime.shutdown_timeout(SHUTDOWN_GRACE);
         };
         let thread = std::thread::Builder::new()
@@ -89,59 +82,48 @@ impl Server {
         Ok(Self { address, stop, thread: Some(thread) })
     }
 
-    /// The address, with the port that was picked.
+    /// The address of the server, with the actual port.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Ends all connections; answers under way get a moment.
-    pub fn stop(mut self) {
-        self.end();
-    }
+    /// Stops the server. Unfinished answers get a moment, then all connections end.
+    pub fn stop(self) {}
+}
 
-    fn end(&mut self) {
+impl Drop for Server {
+    fn drop(&mut self) {
         self.stop.send_replace(true);
         if let Some(thread) = self.thread.take() {
-            // The thread's connections are closed even if it panicked.
+            // The result is ignored, since a thread that panicked has closed its connections, too.
             let _ = thread.join();
         }
     }
 }
 
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.end();
-    }
-}
-
-/// Most events in the queue.
 const QUEUE: usize = 1024;
-/// Traces leave this many places in the queue free for more important events.
+/// Traces leave this many places of the queue free for more important events.
 const KEPT_FREE: usize = 768;
 
-/// Passes the events of the station on to the server.
+/// Passes events from the station to the server.
 #[derive(Debug)]
 pub struct Reporter {
     queue: mpsc::Sender<StationEvent>,
+    /// Number of events for which the queue had no room.
     missed: Arc<AtomicU64>,
 }
 
-/// A reporter, and the events that it passes on.
-fn pair() -> (Reporter, mpsc::Receiver<StationEvent>) {
-    let (queue, notices) = mpsc::channel(QUEUE);
-    (Reporter { queue, missed: Arc::default() }, notices)
-}
-
 impl Reporter {
-    /// The number of events that found no room in the queue.
-    fn missed(&self) -> Arc<AtomicU64> {
-        self.missed.clone()
+    /// Creates a reporter, and the receiver of its events.
+    fn new() -> (Self, mpsc::Receiver<StationEvent>) {
+        let (queue, notices) = mpsc::channel(QUEUE);
+        (Self { queue, missed: Arc::default() }, notices)
     }
 }
 
 impl Listener for Reporter {
     fn on_event(&mut self, event: &StationEvent) {
-        // The server needs neither signs of life nor whole scans.
+        // The server needs neither replies to `Ping` nor whole scans.
         if matches!(event, StationEvent::Alive | StationEvent::Scan(_)) {
             return;
         }
@@ -160,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_server_that_does_not_read_holds_up_nothing_and_keeps_room_for_what_matters() {
-        let (mut reporter, mut notices) = pair();
+        let (mut reporter, mut notices) = Reporter::new();
         let trace = StationEvent::Trace(Arc::new(Trace { fresh: vec![], images: vec![] }));
         (0..10 * QUEUE).for_each(|_| reporter.on_event(&trace));
         (0..10).for_each(|n| reporter.on_event(&StationEvent::Warning(n.to_string())));
@@ -170,6 +152,6 @@ mod tests {
         }
         assert_eq!(warnings, 10);
         let kept = (QUEUE - KEPT_FREE) as u64;
-        assert_eq!(reporter.missed().load(Ordering::Relaxed), 10 * QUEUE as u64 - kept);
+        assert_eq!(reporter.missed.load(Ordering::Relaxed), 10 * QUEUE as u64 - kept);
     }
 }

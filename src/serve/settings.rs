@@ -18,50 +18,40 @@ use crate::scene::Scene;
 pub const PORT: u16 = 8080;
 
 /// Settings of the server.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Settings {
-    /// Address and port; port 0 picks a free one.
+    /// Address and port; with port 0, the system picks a free port.
     pub address: SocketAddr,
-    /// The token that a client must know, where one is set.
+    /// The token that clients must give; `None` if no token is needed.
     pub token: Option<Token>,
-    /// Proxies in front of the server: what they tell of a client (`X-Forwarded-For`,
-    /// `X-Forwarded-Proto`) is believed, and they may have all connections.
+    /// Trusted proxies. Their `X-Forwarded-For` and `X-Forwarded-Proto` headers are believed, and
+    /// the limit of connections for one address does not apply to them.
     pub proxies: Vec<IpAddr>,
     /// The limits of clients.
     pub limits: Limits,
-    /// Whether the station keeps scans for a library.
+    /// Whether scans may be kept as trials of a library.
     pub enrolls: bool,
-    /// That library, if it may be edited: scans become its trials.
+    /// The library that may be edited and extended by scans; `None` if no library may be edited.
     pub library: Option<LibraryFolder>,
-    /// The audit of that library, if it may be edited.
+    /// The function that audits the library, if the library may be edited.
     pub check: Option<Audit>,
     /// Past scans.
     pub history: Arc<History>,
     /// The view of the camera, if there is one.
     pub viewfinder: Option<Viewfinder>,
-    /// The outputs that answers go to, and whether they arrive.
+    /// The state of each output of answers.
     pub outputs: Vec<OutputHealth>,
 }
 
-/// Audits a library each time it is called; gives a message if that fails.
-#[derive(Clone)]
-pub struct Audit(
-    /// The audit.
-    pub Arc<dyn Fn() -> Result<CheckReport, String> + Send + Sync>,
-);
-
-impl fmt::Debug for Audit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Audit")
-    }
-}
+/// Audits a library each time it is called; returns a message if the audit fails.
+pub type Audit = Arc<dyn Fn() -> Result<CheckReport, String> + Send + Sync>;
 
 /// A library on disk.
 #[derive(Clone, Debug)]
 pub struct LibraryFolder {
     /// Its folder.
     pub folder: PathBuf,
-    /// The sources of the library.
+    /// The sources of the library, as its scene.
     pub scene: Scene,
 }
 
@@ -88,23 +78,23 @@ pub const LARGEST_BODY: usize = 64 << 10;
 /// Limits of clients.
 #[derive(Clone, Debug)]
 pub struct Limits {
-    /// Connections at once; others are closed unread.
+    /// How many connections may be open at once; further ones are closed unread.
     pub connections: usize,
-    /// Connections of one address, so that no address can take all.
+    /// How many connections one address may have, so that no address can take all of them.
     pub connections_an_address: usize,
-    /// Subscribers to the stream of events at once.
+    /// How many subscribers the stream of events may have at once.
     pub readers: usize,
-    /// The time for a request to arrive, and for its answer to be made.
+    /// The longest time for a request to arrive, and for its answer to be made.
     pub request: Duration,
     /// The time after which a client that reads nothing is disconnected.
     pub unread: Duration,
-    /// Requests a second that one address may make in the long run.
+    /// How many requests a second one address may make on average.
     pub requests_a_second: f64,
-    /// Requests that one address may make at once.
+    /// How many requests one address may make at once.
     pub burst: f64,
-    /// Wrong tokens a second that one address may try in the long run.
+    /// How many wrong tokens a second one address may try on average.
     pub guesses_a_second: f64,
-    /// Wrong tokens that one address may try at once.
+    /// How many wrong tokens one address may try at once.
     pub guess_burst: f64,
 }
 
@@ -124,16 +114,16 @@ impl Default for Limits {
     }
 }
 
-/// The secret that a client must know. It is compared in constant time, and never printed.
+/// The secret that clients must give. Clients' guesses are compared with it in constant time.
 #[derive(Clone)]
 pub struct Token(String);
 
 impl Token {
-    /// A token from its text.
+    /// Checks a text for use as a token.
     ///
     /// # Errors
-    /// If it is shorter than 16 characters or longer than 256, or would need quoting in a header,
-    /// a cookie or an address.
+    /// If the text is shorter than 16 or longer than 256 characters, or would need quoting in a
+    /// header, a cookie or an address.
     pub fn new(text: &str) -> Result<Self, ServeError> {
         let plain = |c: char| c.is_ascii_alphanumeric() || "-._~".contains(c);
         if !(16..=256).contains(&text.len()) || !text.chars().all(plain) {
@@ -142,12 +132,12 @@ impl Token {
         Ok(Self(text.into()))
     }
 
-    /// Whether a client gave this token. The time that this takes depends on the length alone.
+    /// Whether a client gave this token. The time of the comparison depends only on the length.
     pub fn matches(&self, given: &str) -> bool {
         self.0.as_bytes().ct_eq(given.as_bytes()).into()
     }
 
-    /// The text, for the cookie.
+    /// The text of the token, for the cookie.
     pub(super) fn reveal(&self) -> &str {
         &self.0
     }
@@ -159,27 +149,19 @@ impl fmt::Debug for Token {
     }
 }
 
-/// Errors of the start of a server.
+/// Reasons why a server does not start.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // The messages document the variants.
 pub enum ServeError {
-    /// an address that others reach, without a token
     #[error(
         "{0} can be reached from other machines; give a token in the environment variable \
          SURFACED_TOKEN, or serve on 127.0.0.1"
     )]
     Open(SocketAddr),
-    /// the address is taken, or not this machine's
     #[error("{address}: {error}; name another address or port, such as 127.0.0.1:0 for a free one")]
-    Bind {
-        /// where
-        address: SocketAddr,
-        /// what the system said
-        error: std::io::Error,
-    },
-    /// not a valid token
+    Bind { address: SocketAddr, error: std::io::Error },
     #[error("the token must be 16 to 256 letters, digits, `-`, `.`, `_` or `~`")]
     Token,
-    /// the system cannot start a thread, or cannot wait on sockets
     #[error("cannot serve: {0}")]
     System(std::io::Error),
 }
@@ -189,17 +171,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_the_whole_token_matches() {
+    fn only_the_whole_token_matches_and_one_that_is_short_or_would_need_quoting_is_refused() {
         let token = Token::new("0123456789abcdef").unwrap();
         assert!(token.matches("0123456789abcdef"));
         for wrong in ["", "0123456789abcde", "0123456789abcdef0", "0123456789abcdeF"] {
             assert!(!token.matches(wrong), "{wrong}");
         }
         assert_eq!(format!("{token:?}"), "Token(…)");
-    }
-
-    #[test]
-    fn a_token_that_is_short_or_would_need_quoting_is_refused() {
         for text in ["", "short", "0123456789abcde;", "0123456789 abcdef", &"x".repeat(257)] {
             assert!(Token::new(text).is_err(), "{text}");
         }

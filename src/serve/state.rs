@@ -1,4 +1,4 @@
-//! The state of the station as one document, brought up to date event by event.
+//! The state of the station as one document, updated by each event.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -8,12 +8,12 @@ use serde::Serialize;
 
 use crate::device::DeviceState;
 use crate::record;
-use crate::scene::{Phase, SourceId};
+use crate::scene::Phase;
 use crate::station::{Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent};
 
-/// Warnings that are kept.
+/// How many warnings are kept.
 const WARNINGS: usize = 50;
-/// Devices that are listed; names come from the hardware, and could be many.
+/// How many devices are listed, at most. Hardware chooses their names, so there could be many.
 const DEVICES: usize = 64;
 
 /// The present time, in milliseconds since 1970.
@@ -21,186 +21,115 @@ pub fn unix_ms() -> u64 {
     record::unix_ms(SystemTime::now())
 }
 
-/// Advice for the operator.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Advice {
-    /// The advice, for programs.
+    /// The advice as a word for programs.
     #[serde(rename = "do")]
     pub what: AdviceKind,
-    /// Seconds that the drag should still last, if known.
+    /// How many seconds longer the drag should last; `None` if that is not known.
     pub more_s: Option<f64>,
-    /// The device to plug in, if one is disconnected.
+    /// The device to plug in; `None` if no device is missing.
     pub device: Option<String>,
-    /// The advice in a few words.
     pub text: String,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AdviceKind {
-    /// No data arrive.
+    /// No data arrives.
+    #[default]
     Wait,
-    /// The library cannot name anything yet.
+    /// The library has too few surfaces to name a scan.
     Enroll,
-    /// Begin a scan.
     Tap,
-    /// Go on dragging.
     Drag,
     /// The scan is long enough.
     Lift,
-    /// The station has ended.
     Ended,
+}
+
+fn say(what: AdviceKind, text: &str) -> Advice {
+    Advice { what, more_s: None, device: None, text: text.into() }
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DeviceView {
-    /// Its name.
     pub device: String,
-    /// Its state.
     pub state: DeviceState,
-    /// The reason, and what to do.
+    /// The reason for the state of the device, and what to do.
     pub detail: String,
-    /// When this state began.
     pub since_unix_ms: u64,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LibraryView {
-    pub name: String,
-    /// Its surfaces, sorted.
-    pub surfaces: Vec<SurfaceView>,
-    pub sources: Vec<SourceId>,
-    /// Made by a generator, not measured.
-    pub synthetic: bool,
-    /// The reason why scans cannot be named with it, if they cannot.
-    pub problem: Option<String>,
-    /// Remarks on what its answers rest on, a line each.
-    pub remarks: Vec<String>,
-}
-
-/// A surface of the library.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SurfaceView {
-    /// The label.
-    pub surface: String,
-    /// How many trials it has.
-    pub trials: usize,
-}
-
-impl From<&LibraryState> for LibraryView {
-    fn from(library: &LibraryState) -> Self {
-        let LibraryState { name, surfaces, sources, synthetic, problem, remarks } = library.clone();
-        let view = |(surface, trials)| SurfaceView { surface, trials };
-        let surfaces = surfaces.into_iter().map(view).collect();
-        Self { name, surfaces, sources, synthetic, problem, remarks }
-    }
-}
-
-/// A warning, and when it came.
-#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WarningView {
-    /// Milliseconds since 1970.
     pub unix_ms: u64,
-    /// The warning.
     pub text: String,
 }
 
-/// Counts of the session so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SessionCounts {
-    /// Scans that were named, or found to be unknown.
+    /// Number of scans that were named or called unknown.
     pub scans: u64,
-    /// Of these scans, those that are none of the library's surfaces.
+    /// Number of these scans that were called unknown.
     pub unknown: u64,
-    /// Of these scans, those named by the nearest surface, with reasons for doubt.
+    /// Number of these scans that have the nearest surface as name, with reasons for doubt.
     pub unsure: u64,
-    /// Of these scans, those named by the nearest surface, without a threshold for unknown ones.
+    /// Number of these scans named by the nearest surface because unknown ones are not detected.
     pub nearest: u64,
-    /// Scans that could not be named.
     pub unnamed: u64,
-    /// Answered scans that should not be trusted.
+    /// Number of answered scans that are spoiled.
     pub spoiled: u64,
-    /// Answered scans that are spoiled, or whose sources are damaged.
+    /// Number of answered scans that are spoiled, or that have damaged sources.
     pub damaged: u64,
-    /// Scans that were kept for the library.
+    /// Number of scans that were kept as trials.
     pub enrolled: u64,
-    /// Frames and pictures that were lost within scans.
+    /// Number of frames and pictures lost within scans.
     pub lost_samples: u64,
     pub warnings: u64,
 }
 
-/// All that is known.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct State {
-    /// Version of this interface.
     pub api: u32,
-    /// Version of the program.
     pub version: &'static str,
-    /// When the server was started.
     pub started_unix_ms: u64,
-    /// Number of the scan in progress.
     pub scan: Option<u32>,
-    /// The part that this scan has reached.
+    /// The phase that the scan in progress has reached.
     pub phase: Option<Phase>,
-    /// The advice for now.
     pub advice: Advice,
-    /// What the scan in progress seems to be so far.
+    /// The current guess about the scan in progress.
     pub guess: Option<Guess>,
-    /// The last scan that was named.
     pub answer: Option<Arc<Answer>>,
-    /// All devices, by name.
     pub devices: Vec<DeviceView>,
-    /// The library, as soon as there is one.
-    pub library: Option<LibraryView>,
-    /// Whether the library is being read.
+    pub library: Option<LibraryState>,
     pub reading: bool,
-    /// The enrolment that the next scan is for, if any.
+    /// The order to keep the next scan, if there is one.
     pub enrolling: Option<Enrolling>,
-    /// Counts of the session so far.
     pub counts: SessionCounts,
     /// The last warnings, the newest first.
     pub warnings: VecDeque<WarningView>,
-    /// Whether the station has ended.
     pub finished: bool,
-    /// How often each device came back.
+    /// How often each device was reconnected.
     #[serde(skip)]
     pub reconnects: BTreeMap<String, u64>,
 }
 
 impl State {
-    /// The state before the first event.
     pub fn new() -> Self {
-        let advice =
-            Advice { what: AdviceKind::Wait, more_s: None, device: None, text: "wait".into() };
-        let mut state = Self {
-            api: 1,
-            version: env!("CARGO_PKG_VERSION"),
-            started_unix_ms: unix_ms(),
-            scan: None,
-            phase: None,
-            advice,
-            guess: None,
-            answer: None,
-            devices: Vec::new(),
-            library: None,
-            reading: false,
-            enrolling: None,
-            counts: SessionCounts::default(),
-            warnings: VecDeque::new(),
-            finished: false,
-            reconnects: BTreeMap::new(),
-        };
+        let (api, version) = (1, env!("CARGO_PKG_VERSION"));
+        let mut state = Self { api, version, started_unix_ms: unix_ms(), ..Self::default() };
         state.advice = state.advise();
         state
     }
 
-    /// Takes in an event of the station; traces and meters are ignored.
+    /// Updates the state with an event of the station; traces and meters are ignored.
     pub fn take(&mut self, notice: &StationEvent) {
         match notice {
             StationEvent::Device { device, state, detail } => self.device(device, *state, detail),
             StationEvent::Phase { scan, phase } => {
                 let now = phase.map(|_| *scan);
-                // A guess stays only while its own scan goes on.
+                // A guess is kept only while the scan that it is about is in progress.
                 self.guess = self.guess.take().filter(|guess| now == Some(guess.scan));
                 (self.scan, self.phase) = (now, *phase);
             }
@@ -214,7 +143,7 @@ impl State {
             StationEvent::Enrolling(enrolling) => self.enrolling.clone_from(enrolling),
             StationEvent::Reading => self.reading = true,
             StationEvent::Library(library) => {
-                (self.library, self.reading) = (Some(library.into()), false);
+                (self.library, self.reading) = (Some(library.clone()), false);
             }
             StationEvent::Warning(text) => self.warned(text),
             StationEvent::Unnamed(unnamed) => {
@@ -271,7 +200,6 @@ impl State {
     }
 
     fn advise(&self) -> Advice {
-        let say = |what, text: &str| Advice { what, more_s: None, device: None, text: text.into() };
         if self.finished {
             return say(AdviceKind::Ended, "the station has ended");
         }
@@ -284,21 +212,20 @@ impl State {
             return say(AdviceKind::Wait, "reading the library");
         }
         let streams = self.devices.iter().any(|device| device.state == DeviceState::Streaming);
-        // A device that never came is missed only if no other one streams.
+        // An absent device is only reported if no other device streams, since it may not be needed.
         let gone = |device: &&DeviceView| match device.state {
             DeviceState::Lost => true,
             DeviceState::Absent => !streams,
             _ => false,
         };
-        // The last by name, which is the stylus if it is missing.
+        // Of several, the last by name is chosen, since a missing stylus sorts last.
         if let Some(DeviceView { device, .. }) = self.devices.iter().rfind(gone) {
-            // The name may be a kind and a port: takes the kind.
+            // The name may consist of a kind and a port, but only the kind is shown.
             let mut name = device.split(' ').next().unwrap_or(device).chars();
             let first =
                 name.next().map_or_else(String::new, |first| first.to_uppercase().collect());
             let text = format!("{first}{} disconnected: plug it in", name.as_str());
-            let device = Some(device.clone());
-            return Advice { what: AdviceKind::Wait, more_s: None, device, text };
+            return Advice { device: Some(device.clone()), ..say(AdviceKind::Wait, &text) };
         }
         if !streams {
             return say(AdviceKind::Wait, "wait for the devices");
@@ -311,20 +238,21 @@ impl State {
     }
 
     fn advise_drag(&self) -> Advice {
-        let drag = |more_s, text| Advice { what: AdviceKind::Drag, more_s, device: None, text };
-        let Some(guess) = &self.guess else { return drag(None, "drag".into()) };
+        let Some(guess) = &self.guess else { return say(AdviceKind::Drag, "drag") };
         if guess.enough {
-            let text = "lift".into();
-            return Advice { what: AdviceKind::Lift, more_s: None, device: None, text };
+            return say(AdviceKind::Lift, "lift");
         }
         match guess.needed_s.map(|needed_s| needed_s - guess.scan_s) {
             Some(more_s) => {
-                // Rounded up to tenths, so that the advised time is enough; 1e-6 keeps an error of
-                // rounding from turning 1.2 s into 1.3 s.
+                // The time is rounded up to tenths, so that it is long enough. The 1e-6 keeps
+                // rounding errors from turning 1.2 s into 1.3 s.
                 let more_s = ((more_s * 10.0 - 1e-6).ceil() / 10.0).max(0.1);
-                drag(Some(more_s), format!("{more_s:.1} s more"))
+                Advice {
+                    more_s: Some(more_s),
+                    ..say(AdviceKind::Drag, &format!("{more_s:.1} s more"))
+                }
             }
-            None => drag(None, "drag".into()),
+            None => say(AdviceKind::Drag, "drag"),
         }
     }
 }
@@ -383,7 +311,7 @@ mod tests {
         assert_eq!(state.guess.as_ref().map(|guess| guess.scan), Some(1));
         state.take(&phase(1, None));
         assert_eq!(state.guess, None);
-        // A late guess of scan 1 is ignored, even once the next scan has begun.
+        // A late guess of scan 1 is ignored, even if the next scan has begun.
         state.take(&guess(1));
         assert_eq!(state.guess, None);
         state.take(&phase(2, Some(Phase::Tap)));

@@ -1,8 +1,8 @@
-//! Subscribers to the stream of events: a bounded queue each, and none waits for another.
+//! Subscribers to the stream of events. Each has its own bounded queue, so none waits for another.
 //!
-//! An event is encoded once and shared. If a queue is full, traces and other events that the next
-//! one of their type replaces are skipped. Of the rest, the subscriber learns how many it missed,
-//! and gets the whole state again.
+//! An event is encoded once, and all subscribers share it. If a queue is full, events that the next
+//! event of the same type replaces (such as traces) are skipped. If other events were missed, the
+//! subscriber is told how many, and receives the whole state again.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -10,30 +10,27 @@ use std::task::{Context, Poll};
 use axum::body::Bytes;
 use futures_core::Stream;
 use serde::Serialize;
+use serde_json::json;
 use tokio::sync::mpsc::{Receiver, Sender, channel, error::TrySendError};
 
-/// Most events that wait for one subscriber.
+use crate::printable::json_text;
+
+/// How many events may wait for one subscriber.
 const QUEUE: usize = 256;
-/// Traces and the like leave this many places in a queue free for more important events.
+/// Replaceable events such as traces leave this many places of a queue free for others.
 const KEPT_FREE: usize = 128;
 
-/// Defines [`EventKind`] by one list of types and their names.
+/// Defines [`EventKind`] from one list of types and names.
 macro_rules! event_kinds {
     ($($kind:ident = $name:literal,)*) => {
-        /// The types of event.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum EventKind {
             $($kind,)*
         }
 
         impl EventKind {
-            const ALL: [Self; [$($name),*].len()] = [$(Self::$kind),*];
-
-            fn name(self) -> &'static str {
-                match self {
-                    $(Self::$kind => $name,)*
-                }
-            }
+            /// All types with their names, in the order of their definition.
+            const ALL: &[(Self, &str)] = &[$((Self::$kind, $name)),*];
         }
     };
 }
@@ -63,33 +60,33 @@ event_kinds! {
 }
 
 impl EventKind {
-    /// Whether the next event of this type replaces one that was missed.
+    fn name(self) -> &'static str {
+        Self::ALL[self as usize].1
+    }
+
+    /// Whether an event of this type may be missed, since the next event of the type replaces it.
     fn passes(self) -> bool {
         matches!(self, Self::Trace | Self::Spectrum | Self::Streams | Self::Guess | Self::Advice)
     }
 }
 
-/// The types that one subscriber wants.
+/// The types of events that one subscriber wants. Each type has one bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EventFilter(u32);
 
 impl EventFilter {
-    /// All types.
     pub const ALL: Self = Self(u32::MAX);
 
-    /// Reads names with commas between them. Events of type `missed` are always wanted.
-    ///
-    /// # Errors
-    /// If a name is unknown.
+    /// Parses names separated by commas. Events of type `missed` are always included.
     pub fn parse(names: &str) -> Result<Self, String> {
         let mut filter = 1 << EventKind::Missed as u32;
         for name in names.split(',').map(str::trim) {
-            let kind =
-                EventKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| {
-                    let known = EventKind::ALL.map(EventKind::name).join(", ");
-                    format!("there is no type of event {name:?}; there are {known}")
-                })?;
-            filter |= 1 << kind as u32;
+            let Some((kind, _)) = EventKind::ALL.iter().find(|(_, known)| *known == name) else {
+                let known: Vec<&str> = EventKind::ALL.iter().map(|(_, name)| *name).collect();
+                let known = known.join(", ");
+                return Err(format!("there is no type of event {name:?}; there are {known}"));
+            };
+            filter |= 1 << *kind as u32;
         }
         Ok(Self(filter))
     }
@@ -99,20 +96,13 @@ impl EventFilter {
     }
 }
 
-/// One event, as a server-sent event.
+/// Encodes an event as a server-sent event.
 pub fn encode(kind: EventKind, data: &impl Serialize) -> Bytes {
-    // Plain structs, finite numbers and text: nothing here that JSON cannot express.
-    let json = serde_json::to_string(data).unwrap_or_default();
-    Bytes::from(format!("event: {}\ndata: {json}\n\n", kind.name()))
+    Bytes::from(format!("event: {}\ndata: {}\n\n", kind.name(), json_text(data)))
 }
 
-/// A comment that keeps a silent connection open, and reveals a dead one.
+/// A comment that keeps a silent connection open, and reveals a broken one.
 const KEEP_ALIVE: &[u8] = b":\n\n";
-
-#[derive(Debug, Serialize)]
-struct Missed {
-    events: u64,
-}
 
 #[derive(Debug)]
 struct Subscriber {
@@ -124,12 +114,12 @@ struct Subscriber {
 #[derive(Debug, Default)]
 pub struct Subscribers {
     subscribers: Vec<Subscriber>,
-    /// Events that some subscriber had no room for, skipped traces included.
+    /// Number of events for which a subscriber's queue had no room, including skipped traces.
     pub dropped: u64,
 }
 
 impl Subscribers {
-    /// Adds a subscriber; its stream begins with `first`.
+    /// Adds a subscriber; the first event of its stream is `first`.
     pub fn subscribe(&mut self, filter: EventFilter, first: Bytes) -> EventStream {
         let (queue, events) = channel(QUEUE);
         let mut subscriber = Subscriber { queue, filter, missed: 0 };
@@ -138,7 +128,6 @@ impl Subscribers {
         EventStream(events)
     }
 
-    /// The number of subscribers.
     pub fn count(&self) -> usize {
         self.subscribers.iter().filter(|subscriber| !subscriber.queue.is_closed()).count()
     }
@@ -148,8 +137,8 @@ impl Subscribers {
         self.subscribers.iter().any(|subscriber| subscriber.filter.holds(kind))
     }
 
-    /// Sends an event to all who want it, and `state` to those who have caught up after missing
-    /// some.
+    /// Sends an event to all subscribers that want it, and `state` to those that have room again
+    /// after missing events.
     pub fn publish(&mut self, kind: EventKind, event: &Bytes, state: &mut dyn FnMut() -> Bytes) {
         let dropped = &mut self.dropped;
         self.subscribers.retain_mut(|subscriber| {
@@ -159,23 +148,22 @@ impl Subscribers {
         });
     }
 
-    /// Keeps connections open.
     pub fn keep_alive(&mut self) {
-        // A subscriber whose queue is full has enough to read.
+        // A full queue is no reason to drop a subscriber, only a closed queue is.
         self.subscribers.retain(|subscriber| {
             let sent = subscriber.queue.try_send(Bytes::from_static(KEEP_ALIVE));
             !matches!(sent, Err(TrySendError::Closed(_)))
         });
     }
 
-    /// Ends all streams, after the events in their queues.
+    /// Ends all streams after the events in their queues.
     pub fn close(&mut self) {
         self.subscribers.clear();
     }
 }
 
 impl Subscriber {
-    /// Sends an event, if it is wanted; false if there was no room.
+    /// Sends an event if it is wanted; false if the queue had no room.
     fn send(&mut self, kind: EventKind, event: &Bytes) -> bool {
         if !self.filter.holds(kind) {
             return true;
@@ -186,20 +174,20 @@ impl Subscriber {
         sent
     }
 
-    /// Once there is room again, sends how many events were missed, and the whole state.
+    /// If there is room again, sends the number of missed events, and the whole state.
     fn catch_up(&mut self, state: &mut dyn FnMut() -> Bytes) {
         if self.missed == 0 || self.queue.capacity() <= KEPT_FREE {
             return;
         }
-        let missed =
-            encode(EventKind::Missed, &Missed { events: std::mem::take(&mut self.missed) });
-        // There is room for both, and this thread alone fills the queue.
+        let events = std::mem::take(&mut self.missed);
+        let missed = encode(EventKind::Missed, &json!({ "events": events }));
+        // There is room for both events, since only this thread fills the queue.
         self.send(EventKind::Missed, &missed);
         self.send(EventKind::State, &state());
     }
 }
 
-/// A subscriber's end of its queue: the body of the answer.
+/// The receiving end of a subscriber's queue, which is the body of the HTTP answer.
 #[derive(Debug)]
 pub struct EventStream(pub Receiver<Bytes>);
 

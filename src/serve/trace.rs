@@ -1,4 +1,4 @@
-//! Makes streams small enough to draw: the extremes of short bins of time, and spectra.
+//! Reduces streams to an amount that can be drawn, by the extremes of short time bins and by spectra.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -8,93 +8,85 @@ use crate::history::{Bands, bands, four_digits};
 use crate::scan::{Fresh, Trace};
 use crate::scene::SourceId;
 
-/// Bins a second that a trace aims at.
+/// Approximate number of bins a second.
 const BINS_A_SECOND: f64 = 200.0;
-/// Most bins of one stream in one event; of more, as in a fast replay, the newest are sent.
+/// How many bins of one stream an event may hold. If there are more, only the newest are sent.
 const MOST_BINS: usize = 400;
-/// Frames of each stream that are kept for its spectrum.
+/// How many frames of each stream are kept for its spectrum.
 pub const RECENT: usize = 4096;
 
-/// New data of the streams, small enough to draw.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct TraceEvent {
     pub streams: Vec<Bins>,
-    /// Camera streams that have a new picture.
+    /// Camera streams with a new picture.
     pub pictures: Vec<SourceId>,
 }
 
-/// New bins of one stream.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct Bins {
-    /// The stream.
     pub source: SourceId,
-    /// Seconds a bin.
     pub bin_s: f64,
-    /// When the first bin begins, in seconds from the begin of the stream.
+    /// The start of the first bin, in seconds since the start of the stream.
     pub start_s: f64,
-    /// Least sample of each bin, one list for each channel.
+    /// The smallest sample of each bin, in one list for each channel.
     pub min: Vec<Vec<f32>>,
-    /// Greatest sample of each bin, one list for each channel.
+    /// The largest sample of each bin, in one list for each channel.
     pub max: Vec<Vec<f32>>,
-    /// The bins, counted from 0, in which a channel rests at its limit.
+    /// Indexes of the bins in which a channel is clipped.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub clipped: Vec<usize>,
 }
 
-/// Makes bins of all streams.
 #[derive(Debug, Default)]
 pub struct Tracer {
     streams: BTreeMap<SourceId, TracedStream>,
 }
 
-/// One stream: its unfinished bin, and its newest frames.
+/// A stream that is drawn, with the bin being filled and the newest frames.
 #[derive(Debug)]
 pub struct TracedStream {
-    /// Frames a second.
     pub rate_hz: f64,
-    /// Samples a frame.
     pub channels: usize,
     /// The newest samples, interleaved; at most [`RECENT`] frames.
     pub recent: VecDeque<f32>,
-    /// Frames a bin.
+    /// Number of frames in a bin.
     width: usize,
-    /// Index of the frame that is expected next.
+    /// Index of the next expected frame.
     next: u64,
-    /// Frames in the unfinished bin.
+    /// Number of frames in the bin being filled.
     filled: usize,
-    /// Least and greatest sample in the unfinished bin, one pair for each channel.
+    /// Smallest and largest sample of the bin being filled, one pair for each channel.
     extremes: Vec<(f32, f32)>,
-    /// The limits of each channel.
     limits: Vec<ChannelLimits>,
-    /// Whether a channel rested at its limit in the unfinished bin.
+    /// Whether a channel was clipped in the bin being filled.
     clipped: bool,
 }
 
-/// Finds where a channel runs into its limits: samples in a row at the highest or lowest value that
-/// it has had.
+/// Detects where a channel is clipped, that is, where several successive samples equal the highest
+/// or lowest value so far.
 #[derive(Clone, Debug)]
 struct ChannelLimits {
     low: f32,
     high: f32,
     last: f32,
-    /// Length of the run of samples that equal the last one.
+    /// Number of successive samples, up to the last one, with the same value.
     run: usize,
-    /// Samples between the limits that differed from the one before; a switch has none.
+    /// Number of samples between the limits that differ from the previous sample; 0 for a switch.
     between: usize,
-    /// Recent samples in runs of at least [`RUN`], at the limits and between them; coarse or
-    /// repeated values rest at both.
+    /// Decaying counts of samples in runs of at least [`RUN`], first at the limits, then between the
+    /// limits. Coarse or repeated values raise both counts, but clipping raises only the first.
     rested: [f32; 2],
 }
 
-/// This many samples in a row at a limit are clipped.
+/// This many successive samples at a limit count as clipped.
 const RUN: usize = 3;
-/// Share of `rested` that remains after one sample, so that it covers some thousand samples.
+/// Factor by which `rested` decays with each sample, so that it covers the last few thousand.
 const MEMORY: f32 = 1.0 - 1.0 / 4096.0;
-/// Limits must hold this many times as many resting samples as all other values.
+/// A sample is clipped only if runs at the limits are this many times as frequent as runs between.
 const ABOVE_ELSEWHERE: f32 = 4.0;
-/// Fewer resting samples at the limits may be the crest of a slow signal.
+/// Resting samples at the limits must be this many, since fewer may be the crest of a slow signal.
 const FEWEST_AT_LIMITS: f32 = 16.0;
-/// With fewer values between its limits, a channel is a switch or a coarse converter.
+/// A channel with fewer values between its limits is a switch or a coarse converter.
 const FEWEST_BETWEEN: usize = 16;
 
 impl ChannelLimits {
@@ -107,13 +99,13 @@ impl ChannelLimits {
         rested: [0.0; 2],
     };
 
-    /// Takes the next sample; true if it rests at a limit.
+    /// Adds the next sample; true if it is clipped.
     fn add(&mut self, x: f32) -> bool {
         self.run = if x == self.last { self.run + 1 } else { 1 };
         self.last = x;
         let at_limit = x <= self.low || x >= self.high;
         if x < self.low || x > self.high {
-            // A limit that the signal passes was none: its resting samples now count as between.
+            // The signal exceeds the limit, so the resting samples there now count as in between.
             self.rested = [0.0, self.rested[0] + self.rested[1]];
         }
         (self.low, self.high) = (self.low.min(x), self.high.max(x));
@@ -124,7 +116,7 @@ impl ChannelLimits {
         let [at_limits, elsewhere] = self.rested;
         let outstanding = at_limits > (ABOVE_ELSEWHERE * elsewhere).max(FEWEST_AT_LIMITS)
             && self.between >= FEWEST_BETWEEN;
-        // At zero, the sensor is at rest.
+        // A channel that stays at zero is at rest, not clipped.
         at_limit && x != 0.0 && rests && outstanding
     }
 }
@@ -146,12 +138,12 @@ impl TracedStream {
         }
     }
 
-    /// Whether frames follow the last ones without a gap, in the same format.
+    /// Whether new frames follow the last ones without a gap, in the same format.
     fn continues(&self, fresh: &Fresh) -> bool {
         (self.next, self.channels, self.rate_hz) == (fresh.start, fresh.channels, fresh.rate_hz)
     }
 
-    /// Takes new frames, and returns the bins that they fill.
+    /// Adds new frames, and returns the bins that are now full.
     fn add(&mut self, fresh: &Fresh) -> Bins {
         let mut bins = Bins {
             source: fresh.source.clone(),
@@ -197,7 +189,7 @@ impl TracedStream {
 }
 
 impl Bins {
-    /// Forgets all but the newest `most`.
+    /// Drops all bins except the newest `most`.
     fn newest(&mut self, most: usize) {
         let over = self.len().saturating_sub(most);
         self.start_s += over as f64 * self.bin_s;
@@ -212,8 +204,8 @@ impl Bins {
 }
 
 impl Tracer {
-    /// Takes new data, and returns the bins and pictures to draw. After a gap, or at another rate,
-    /// a stream begins anew.
+    /// Adds new data, and returns the bins and pictures to draw. After a gap or a change of rate, a
+    /// stream starts again.
     pub fn add(&mut self, trace: &Trace) -> TraceEvent {
         let mut streams = Vec::new();
         for fresh in trace.fresh.iter().filter(|fresh| fresh.channels > 0) {
@@ -232,31 +224,17 @@ impl Tracer {
         let pictures = trace.images.iter().map(|(source, _)| source.clone()).collect();
         TraceEvent { streams, pictures }
     }
-
-    /// The streams, by name.
-    pub fn streams(&self) -> impl Iterator<Item = (&SourceId, &TracedStream)> {
-        self.streams.iter()
-    }
 }
 
-/// The spectra of all streams.
-#[derive(Debug, Serialize)]
-pub struct SpectrumEvent {
-    pub streams: Vec<StreamBands>,
-}
-
-/// The spectrum of one stream.
 #[derive(Debug, Serialize)]
 pub struct StreamBands {
-    /// The stream.
     pub source: SourceId,
-    /// Its spectrum.
     #[serde(flatten)]
     pub bands: Bands,
 }
 
-/// The spectra of the newest frames, of every stream that has enough of them.
-pub fn spectra(tracer: &Tracer) -> SpectrumEvent {
+/// The spectrum of the newest frames of each stream that has enough frames.
+pub fn spectra(tracer: &Tracer) -> Vec<StreamBands> {
     let of = |(source, stream): (&SourceId, &TracedStream)| {
         let TracedStream { rate_hz, channels, recent, .. } = stream;
         let full = recent.len() >= RECENT * channels;
@@ -264,13 +242,12 @@ pub fn spectra(tracer: &Tracer) -> SpectrumEvent {
         let bands = full.then(|| bands(&samples, *channels, *rate_hz, RECENT))??;
         Some(StreamBands { source: source.clone(), bands })
     };
-    SpectrumEvent { streams: tracer.streams().filter_map(of).collect() }
+    tracer.streams.iter().filter_map(of).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scan::{Fresh, Trace};
 
     fn fresh(start: u64, samples: Vec<f32>) -> Trace {
         let source = SourceId::new("ir").unwrap();
@@ -293,19 +270,16 @@ mod tests {
 
     #[test]
     fn a_channel_that_rests_at_its_limit_is_marked_and_a_switch_is_not() {
-        let mut tracer = Tracer::default();
+        let clipped = |frames, sample: &dyn Fn(usize) -> f32| {
+            let event = Tracer::default().add(&fresh(0, (0..frames).map(sample).collect()));
+            event.streams[0].clipped.len()
+        };
         let sine = |i: usize| (i as f32 * 0.1).sin();
-        let clipped = tracer.add(&fresh(0, (0..1000).map(|i| sine(i).clamp(-0.7, 0.7)).collect()));
-        assert!(clipped.streams[0].clipped.len() > 20);
-        let mut tracer = Tracer::default();
-        assert!(tracer.add(&fresh(0, (0..1000).map(sine).collect())).streams[0].clipped.is_empty());
+        assert!(clipped(1000, &|i| sine(i).clamp(-0.7, 0.7)) > 20);
+        assert_eq!(clipped(1000, &sine), 0);
         let coarse = |i: usize| ((i as f32 * 12.9898).sin() * 43_758.547).fract() * 3.0;
-        let mut tracer = Tracer::default();
-        let noise = tracer.add(&fresh(0, (0..9000).map(|i| coarse(i / 2).round()).collect()));
-        assert!(noise.streams[0].clipped.is_empty(), "{:?}", noise.streams[0].clipped);
-        let mut tracer = Tracer::default();
-        let switch = (0..1000).map(|i| f32::from(u8::from(i % 100 > 50))).collect();
-        assert!(tracer.add(&fresh(0, switch)).streams[0].clipped.is_empty());
+        assert_eq!(clipped(9000, &|i| coarse(i / 2).round()), 0);
+        assert_eq!(clipped(1000, &|i| f32::from(u8::from(i % 100 > 50))), 0, "a switch");
     }
 
     #[test]
@@ -323,7 +297,7 @@ mod tests {
         let event = tracer.add(&fresh(0, samples));
         assert_eq!(event.streams[0].len(), MOST_BINS);
         assert!((event.streams[0].start_s - 998.0).abs() < 1e-9);
-        let (_, stream) = tracer.streams().next().unwrap();
+        let (_, stream) = tracer.streams.first_key_value().unwrap();
         assert_eq!(stream.recent.len(), RECENT);
         assert_eq!(stream.recent.back(), Some(&999_999.0));
     }
@@ -332,11 +306,8 @@ mod tests {
     fn a_stream_has_a_spectrum_once_it_has_enough_frames() {
         for (frames, spectra_of) in [(RECENT - 1, 0), (RECENT, 1)] {
             let mut tracer = Tracer::default();
-            let source = SourceId::new("ac").unwrap();
-            let samples = vec![0.0; frames];
-            let fresh = Fresh { source, rate_hz: 10_000.0, channels: 1, start: 0, samples };
-            tracer.add(&Trace { fresh: vec![fresh], images: Vec::new() });
-            assert_eq!(spectra(&tracer).streams.len(), spectra_of);
+            tracer.add(&fresh(0, vec![0.0; frames]));
+            assert_eq!(spectra(&tracer).len(), spectra_of);
         }
     }
 }

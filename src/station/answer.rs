@@ -1,95 +1,86 @@
 //! The answer of a station to a scan.
 
-use std::fmt;
 use std::sync::Arc;
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
-use super::recogniser::{Recogniser, Remark};
 use crate::recognise::RankedSurface;
 use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
 use crate::scene::SourceId;
 use crate::trial::Flaw;
 
-/// A scan that has ended, and its name: one line of JSON.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+/// The answer to a scan that has ended; as JSON, it takes one line.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Answer {
-    /// The permanent id of the answer: when it was given (UTC), and the number of its scan.
+    /// The permanent id of the answer, made of the time of the answer (UTC) and the number of its scan.
     pub id: String,
-    /// The address of its page, relative to the address of the server.
+    /// The address of the answer's page, relative to the address of the server.
     pub link: String,
-    /// When it was given, in milliseconds since 1970.
+    /// When the answer was given, in milliseconds since 1970 (UTC).
     pub unix_ms: u64,
     /// Number of the scan in its session, counted from 1.
     pub scan: u32,
-    /// Whether the name stands.
     pub state: AnswerState,
-    /// Reasons why the name does not stand, a line each; empty for [`AnswerState::Named`].
+    /// The reasons for a state other than [`AnswerState::Named`], a line each.
     pub reasons: Vec<String>,
-    /// The surface; `None` if the scan fits none, or could not be compared.
+    /// The surface named; `None` if the scan fits no surface or could not be compared.
     pub surface: Option<String>,
-    /// The true surface, where a recording says so; likewise `user` and `trial`.
+    /// The true surface, if a recording states it; `user` and `trial` also come from the recording.
     pub truth: Option<String>,
-    /// The person who dragged.
     pub user: Option<String>,
-    /// Number of the trial.
     pub trial: Option<u32>,
-    /// Made by a generator, not measured.
+    /// Whether the scan was generated, not measured.
     pub synthetic: bool,
     /// All surfaces of the library, the most similar first.
     pub ranked: Vec<RankedSurface>,
-    /// ln of the ratio of the second score to the first.
+    /// Natural logarithm of the second score divided by the first.
     pub margin: f64,
-    /// Probability of the first surface, by a method that gives one.
+    /// Probability of the first surface; `None` if the method gives no probabilities.
     pub confidence: Option<f64>,
-    /// Share of left-out library trials that fit their surface no better than this scan fits the
-    /// first one (a conformal p-value), where the library is large enough.
+    /// Share of left-out library trials that fit their own surface no better than this scan fits
+    /// the first surface (a conformal p-value); `None` if the library is too small.
     pub fit: Option<f64>,
-    /// Probability that the surface is none of the library's, where scans can be found unknown; it is
-    /// one half at the threshold below which they are called so.
+    /// Probability that the surface is not in the library; one half at the threshold for unknown
+    /// surfaces. `None` if unknown surfaces are not detected.
     #[serde(skip)]
     pub unknown: Option<f64>,
-    /// From the end of the scan to its answer, in milliseconds.
+    /// Time from the end of the scan to its answer, in milliseconds.
     pub latency_ms: f64,
-    /// How long the scan lasted, in seconds.
     pub scan_s: f64,
-    /// The scan time after which the answer was settled, in seconds; `None` if it never was, or
-    /// the scan was not followed.
+    /// Seconds of scan until the answer was settled (see [`super::Guess`]); `None` if it never was,
+    /// or if the scan was not followed.
     pub settled_s: Option<f64>,
-    /// Frames (and pictures) lost within the scan.
+    /// Number of frames and pictures lost during the scan.
     pub lost_samples: u64,
-    /// The sources that were compared.
     pub sources: Vec<SourceId>,
     /// Reasons why the scan should not be trusted, a line each.
     pub spoiled: Vec<String>,
-    /// The reasons in `spoiled`, and the damage of its sources.
+    /// All damage. It has one entry for each reason in `spoiled`, and the damage of single sources.
     pub damage: Vec<Damage>,
-    /// How long the drag should have lasted, in seconds, where that is known.
+    /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
-    /// Imperfections of the scan.
     pub remarks: Vec<Remark>,
 }
 
-/// Whether the name of an answer stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AnswerState {
-    /// The name stands.
     Named,
-    /// The name is the nearest surface of the library; unknown surfaces are not detected.
+    /// The answer names the nearest surface of the library, since unknown surfaces are not detected.
     Nearest,
-    /// The name is the nearest surface, and there are reasons for doubt.
+    /// The answer names the nearest surface, but there are reasons for doubt.
     Unsure,
     /// The scan fits no surface of the library.
     Unknown,
-    /// The scan could not be compared: too little data, no library, or the method failed.
+    /// The scan could not be compared, for example since it is too short or there is no library.
+    #[default]
     Unnamed,
 }
 
 impl AnswerState {
-    /// The name as text, the same everywhere.
+    /// The state as a word, the same in all outputs.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Named => "named",
@@ -101,27 +92,27 @@ impl AnswerState {
     }
 }
 
-/// A channel that rests for at least this share of a scan is dead.
+/// If a channel is constant for at least this share of a scan, the whole channel is called dead.
 const DEAD: f64 = 0.9;
 
-/// Damage of a scan: its signals are not those of the surface alone.
+/// A fault in the signals of a scan, such as a dead or clipped channel.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Damage {
     /// The source; `None` for damage of the whole scan.
     pub source: Option<SourceId>,
-    /// The damage, and what to do.
+    /// The damage, and the remedy.
     pub text: String,
 }
 
 impl Damage {
-    /// The damage of a source by the flaws of its channels: a dead channel, or else the one clipped
-    /// most. A channel (`moves` counts from 0) that never changes in the library may rest.
+    /// Finds the worst damage of a source from its flaws; a dead channel is worse than a clipped one.
+    /// A constant channel counts only if it changes in the library (`moves` is true for its index).
     pub(super) fn of_source(
         source: &SourceId,
         flaws: &[Flaw],
         moves: impl Fn(usize) -> bool,
     ) -> Option<Self> {
-        // Whether the channel is dead (not clipped), and for what share of the scan.
+        // Ranks a flaw by whether the channel is dead (not clipped), then by the affected share of time.
         let weight = |flaw: &Flaw| match flaw {
             Flaw::Constant { .. } => (true, 1.0),
             Flaw::Stuck { share, .. } | Flaw::Saturated { value: 0.0, share, .. } => (true, *share),
@@ -146,35 +137,41 @@ impl Damage {
     }
 }
 
-/// A scan with its answer and the recogniser that named it.
-pub struct AnsweredScan {
-    /// The scan.
-    pub scan: Box<Scan>,
-    /// Its answer.
-    pub answer: Arc<Answer>,
-    /// The recogniser that named it; `None` for [`AnswerState::Unnamed`].
-    pub by: Option<Arc<Recogniser>>,
-}
-
-/// A scan that has no name, and why.
-#[derive(Clone, Debug)]
-pub struct Unnamed {
-    /// Its answer, of the state [`AnswerState::Unnamed`].
-    pub answer: Arc<Answer>,
-    /// The scan and the reason, for messages.
+/// A flaw of a scan. Only its text is written as JSON.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "String")]
+pub struct Remark {
+    pub kind: RemarkKind,
+    /// The source that the flaw concerns; `None` if it concerns the whole scan.
+    pub source: Option<SourceId>,
     pub text: String,
-    /// Whether it holds too little: it is silent, or shorter than a frame.
-    pub too_little: bool,
 }
 
-impl fmt::Debug for AnsweredScan {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("AnsweredScan").field(&self.answer.id).finish()
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RemarkKind {
+    Flaw,
+    /// The drag is shorter than the scan time of the library.
+    Short,
+}
+
+impl From<Remark> for String {
+    fn from(remark: Remark) -> Self {
+        remark.text
     }
 }
 
+#[derive(Clone, Debug)]
+pub struct Unnamed {
+    /// The answer to the scan; its state is [`AnswerState::Unnamed`].
+    pub answer: Arc<Answer>,
+    /// A message with the number of the scan and the reason why it was not named.
+    pub text: String,
+    /// Whether the scan holds too little data: it is silent, or shorter than a frame.
+    pub too_little: bool,
+}
+
 impl Answer {
-    /// An answer without a name, from the scan alone, `latency_ms` after its end.
+    /// Makes an answer without a name; `latency_ms` is the time since the end of the scan.
     pub(crate) fn of(scan: &Scan, latency_ms: f64) -> Self {
         let (id, unix_ms) = stamp(SystemTime::now(), scan.number);
         let truth = scan.truth.as_ref();
@@ -183,39 +180,28 @@ impl Answer {
             id,
             unix_ms,
             scan: scan.number,
-            state: AnswerState::Unnamed,
-            reasons: Vec::new(),
-            surface: None,
             truth: truth.and_then(|key| key.label().map(String::from)),
             user: truth.map(|key| key.user.clone()),
             trial: truth.map(|key| key.number),
             synthetic: scan.synthetic,
-            ranked: Vec::new(),
-            margin: 0.0,
-            confidence: None,
-            fit: None,
-            unknown: None,
             latency_ms,
             scan_s: scan.scan_s,
-            settled_s: None,
             lost_samples: scan.lost_samples,
-            sources: Vec::new(),
             spoiled: scan.spoiled.clone(),
             damage: (scan.spoiled.iter())
                 .map(|why| Damage { source: None, text: why.clone() })
                 .collect(),
-            needed_s: None,
-            remarks: Vec::new(),
+            ..Self::default()
         }
     }
 
-    /// By how many seconds the drag was too short, if it was by a tenth that can be said.
+    /// How many seconds the drag was too short; `None` below 0.05 s, which would be printed as 0.0.
     pub(crate) fn more_s(&self) -> Option<f64> {
         self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s >= 0.05)
     }
 }
 
-/// The permanent id of an answer, such as `20260921-143000.123-7`, and its time in milliseconds
+/// The permanent id of an answer, such as `20260921-143000.123-07`, and its time in milliseconds
 /// since 1970.
 fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
     let unix_ms = unix_ms(now);

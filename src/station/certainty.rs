@@ -1,23 +1,37 @@
-//! Decides whether an answer stands: its state, and the reasons for doubt.
+//! Decides how certain an answer is: its state, and the reasons for doubt.
 
-use super::answer::AnswerState;
-use super::recogniser::Verdict;
-use crate::recognise::Rejection;
+use super::answer::{AnswerState, Damage, Remark};
+use crate::recognise::{Ranking, Rejection};
 use crate::scan::Scan;
+use crate::scene::SourceId;
 
-/// Probability below which the first surface is no more likely than all others together.
+/// Below this probability, the first surface is less likely than all others together.
 const EVEN: f64 = 0.5;
 
-/// Share of the needed drag from which a scan is long enough to be named: with fewer samples than
-/// needed the test is weaker, not wrong.
+/// The share of the needed drag that a scan must reach to raise no doubt. Between this share and the
+/// whole, the test has fewer samples than needed, so it is weaker but not wrong.
 const LONG_ENOUGH: f64 = 0.5;
 
-/// A scan that was named, with what is needed to judge its answer.
-pub(super) struct NamedScan<'a> {
-    pub verdict: &'a Verdict,
-    pub scan: &'a Scan,
-    /// When the answer was settled, if it was.
-    pub settled_s: Option<f64>,
+#[derive(Clone, Debug, PartialEq)]
+pub struct Verdict {
+    pub ranking: Ranking,
+    /// The p-value at or below which the scan is unknown; `None` if unknown surfaces are not detected.
+    pub rejection: Option<Rejection>,
+    /// Sources that were not compared, and the reasons, a line each.
+    pub left_out: Vec<String>,
+    /// Sources of the library that the scan does not have.
+    pub lacking: Vec<SourceId>,
+    /// How long the drag should last, in seconds; `None` if that is not known.
+    pub needed_s: Option<f64>,
+    pub remarks: Vec<Remark>,
+    pub damage: Vec<Damage>,
+}
+
+impl Verdict {
+    pub fn is_unknown(&self) -> bool {
+        let test = self.ranking.p_value.zip(self.rejection.as_ref());
+        test.is_some_and(|(p, rejection)| rejection.rejects(p))
+    }
 }
 
 /// The state of a scan in progress whose first surface has this probability; `None` as long as it
@@ -36,13 +50,15 @@ pub(super) fn so_far(
     }
 }
 
-/// The state of an answer, and the reasons, a line each.
-pub(super) fn judge(named: &NamedScan<'_>) -> (AnswerState, Vec<String>) {
-    let Verdict { ranking, rejection, .. } = named.verdict;
+/// The state of an answer and the reasons for this state, a line each.
+pub(super) fn judge(
+    verdict: &Verdict,
+    scan: &Scan,
+    settled_s: Option<f64>,
+) -> (AnswerState, Vec<String>) {
+    let Verdict { ranking, rejection, .. } = verdict;
     let of = ranking.ranked.len();
-    if let (Some(p), Some(rejection), true) =
-        (ranking.p_value, rejection, named.verdict.is_unknown())
-    {
+    if let (Some(p), Some(rejection), true) = (ranking.p_value, rejection, verdict.is_unknown()) {
         let reason = format!(
             "matches none of your {of} surfaces (p = {}; unknown at {} or below)",
             digits(p),
@@ -50,7 +66,7 @@ pub(super) fn judge(named: &NamedScan<'_>) -> (AnswerState, Vec<String>) {
         );
         return (AnswerState::Unknown, vec![reason]);
     }
-    let doubts = doubts(named);
+    let doubts = doubts(verdict, scan, settled_s);
     if !doubts.is_empty() {
         return (AnswerState::Unsure, doubts);
     }
@@ -61,11 +77,11 @@ pub(super) fn judge(named: &NamedScan<'_>) -> (AnswerState, Vec<String>) {
     (AnswerState::Named, Vec::new())
 }
 
-/// The probability that a scan is of an unknown surface, where scans can be found unknown.
+/// The probability that a scan is of an unknown surface; `None` without a p-value or a threshold.
 ///
-/// The odds of a known one are at least −e·p·ln p for a p-value below 1/e, and 1 above (Sellke,
-/// Bayarri and Berger, The American Statistician 55, 2001), times the odds beforehand. These are
-/// such that the probability is one half at the threshold.
+/// The Bayes factor for a known surface is at least −e·p·ln p for a p-value p below 1/e, and 1
+/// above (Sellke, Bayarri and Berger, The American Statistician 55, 2001). The prior odds are
+/// chosen to make the probability one half at the threshold.
 pub(super) fn unknown_share(verdict: &Verdict) -> Option<f64> {
     let evidence = |p: f64| match p {
         0.0 => 0.0,
@@ -76,13 +92,12 @@ pub(super) fn unknown_share(verdict: &Verdict) -> Option<f64> {
     Some(evidence(threshold) / (evidence(threshold) + evidence(p)))
 }
 
-fn doubts(named: &NamedScan<'_>) -> Vec<String> {
-    let NamedScan { verdict, scan, settled_s } = named;
+fn doubts(verdict: &Verdict, scan: &Scan, settled_s: Option<f64>) -> Vec<String> {
     let Verdict { ranking, rejection, needed_s, left_out, lacking, .. } = verdict;
     let mut doubts = scan.spoiled.clone();
     doubts.extend_from_slice(left_out);
     match needed_s.filter(|needed_s| scan.scan_s < LONG_ENOUGH * needed_s) {
-        // A settled answer does not need a longer scan.
+        // A settled answer does not need a longer scan, so only others are doubted.
         Some(needed_s) if settled_s.is_none() => {
             doubts.push(format!("too short: {:.1} s of {needed_s:.1} s", scan.scan_s));
         }
@@ -106,7 +121,6 @@ fn doubts(named: &NamedScan<'_>) -> Vec<String> {
     doubts
 }
 
-/// A probability with its meaningful digits.
 fn digits(p: f64) -> String {
     if p >= 0.1 { format!("{p:.2}") } else { format!("{p:.3}") }
 }
@@ -140,7 +154,7 @@ mod tests {
     }
 
     fn judged(verdict: &Verdict, scan_s: f64, settled_s: Option<f64>) -> (AnswerState, String) {
-        let (state, reasons) = judge(&NamedScan { verdict, scan: &scan(scan_s), settled_s });
+        let (state, reasons) = judge(verdict, &scan(scan_s), settled_s);
         (state, reasons.join("\n"))
     }
 

@@ -1,6 +1,7 @@
 //! The events of a station, and its commands.
 
 use std::convert::Infallible;
+use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -8,169 +9,137 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::Receiver;
 use serde::Serialize;
 
-use super::answer::{Answer, AnswerState, AnsweredScan, Damage, Unnamed};
-use super::recogniser::LibraryState;
+use super::answer::{Answer, AnswerState, Damage, Unnamed};
+use super::recogniser::{LibraryState, Recogniser};
 use crate::device::DeviceState;
-use crate::scan::{StreamMeter, Totals, Trace};
+use crate::scan::{Scan, StreamMeter, Totals, Trace};
 use crate::scene::Phase;
 
-/// A surface and its probability.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SurfaceProbability {
-    /// The label.
     pub surface: String,
     /// From 0 to 1.
     pub probability: f64,
 }
 
-/// An early answer for the scan in progress.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Guess {
-    /// Number of the scan.
     pub scan: u32,
-    /// Seconds of drag so far.
     pub scan_s: f64,
     /// The state of the answer if the scan ended now; `None` as long as it cannot be told whether
     /// the surface is unknown.
     pub state: Option<AnswerState>,
-    /// The most probable surfaces, at most five; empty as long as there is nothing to say.
+    /// The most probable surfaces, at most five; empty while the scan cannot be compared yet.
     pub named: Vec<SurfaceProbability>,
-    /// Damage of its sources so far.
     pub damage: Vec<Damage>,
-    /// Whether the answer is settled: a longer drag gives the same, up to a stated loss of
-    /// accuracy.
+    /// Whether the answer is settled, so that a longer drag would give the same answer, except for a
+    /// stated loss of accuracy.
     pub settled: bool,
-    /// How long the drag should last, in seconds, where that is known: to be named, or, where it is
-    /// to be kept, to be a good trial.
+    /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
-    /// Whether the drag may end: it is as long as it should be, or its answer is settled by a rule
-    /// that the library has enough trials to support.
+    /// Whether the drag may end, since it has lasted `needed_s`, or since its answer is settled by a
+    /// rule that rests on enough trials.
     pub enough: bool,
 }
 
 impl Guess {
-    /// A scan of which nothing can be said yet.
+    /// A guess about a scan that cannot be judged yet.
     pub fn nothing(scan: u32, scan_s: f64) -> Self {
-        let (named, damage) = (Vec::new(), Vec::new());
-        let (state, settled, needed_s, enough) = (None, false, None, false);
-        Self { scan, scan_s, state, named, damage, settled, needed_s, enough }
+        Self { scan, scan_s, ..Self::default() }
     }
 }
 
 /// The outcome of a scan that was to be kept as a trial of a library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Enrolled {
-    /// Number of the scan.
     pub scan: u32,
-    /// The surface.
     pub surface: String,
-    /// The person who dragged.
     pub user: String,
-    /// The outcome.
     pub outcome: EnrolledOutcome,
-    /// Number of the trial, if it was kept.
+    /// Number of the new trial; `None` if the scan was not kept.
     pub trial: Option<u32>,
-    /// Its folder, if it was kept.
     pub folder: Option<PathBuf>,
-    /// Reasons why it was not kept, or its imperfections, a line each.
+    /// Reasons why the scan was not kept, or flaws of a kept scan, a line each.
     pub remarks: Vec<String>,
-    /// The surface that the library without this trial would have named, if any.
+    /// The surface that the library named for this scan before the trial was added, if any.
     pub nearest: Option<String>,
-    /// Number of trials that its order still wants; 0 once that order has ended.
+    /// Number of trials that the order still lacks; 0 if it has ended, `u32::MAX` if it has no limit.
     pub wanted: u32,
 }
 
-/// The surface and person under which the next scan will be kept.
+/// The order for the next scan: surface and user of its trial, and the progress of the order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Enrolling {
-    /// The surface.
     pub surface: String,
-    /// The person who drags.
     pub user: String,
-    /// The number of scans to come; `None` for every scan until the station ends.
+    /// The number of scans still to come; `None` if every scan is kept until the station ends.
     pub wanted: Option<u32>,
-    /// The number of trials that were ordered; `None` for every scan.
+    /// The number of trials that were ordered; `None` if every scan is kept.
     pub trials: Option<u32>,
-    /// The number of trials that were kept.
+    /// The number of trials kept so far.
     pub kept: u32,
-    /// The last scan, if it was refused.
     pub refused: Option<RefusedScan>,
 }
 
-/// A scan that is not good enough for a trial, and can be kept anyway until the next one.
+/// A scan that was refused as a trial. It can be kept anyway until the next scan is judged.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RefusedScan {
-    /// Its number.
     pub scan: u32,
-    /// Reasons, a line each.
+    /// Reasons for the refusal, a line each.
     pub reasons: Vec<String>,
 }
 
-/// Outcomes of a scan that was to be kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EnrolledOutcome {
-    /// It is a trial of the library.
     Kept,
-    /// It is not good enough for a trial.
     Refused,
-    /// It could not be written, stays in memory, and is tried again.
+    /// The scan could not be written yet; it stays in memory, and writing is tried again.
     Waiting,
-    /// It could not be written, and is gone.
     Lost,
 }
 
-/// Events of a station.
 #[derive(Clone, Debug)]
 pub enum StationEvent {
-    /// The first event: the session has begun. The meters of its streams can be read at any time.
+    /// The session has begun; this is the first event. The meters may be read at any time.
     Streams(Vec<StreamMeter>),
-    /// A device has changed its state.
     Device {
-        /// its name
         device: String,
-        /// its new state
         state: DeviceState,
-        /// the reason, and what to do
+        /// the reason for the device's state, and what to do about it
         detail: String,
     },
-    /// New data of the streams.
     Trace(Arc<Trace>),
-    /// A scan has begun, or has entered another part (such as the drag), or is over.
+    /// A scan has begun, has entered its next phase (such as the drag), or has ended.
     Phase {
-        /// number of the scan
         scan: u32,
-        /// the part; `None` when it is over
+        /// the phase; `None` if the scan has ended
         phase: Option<Phase>,
     },
-    /// An early answer for the scan in progress.
     Guess(Guess),
-    /// A scan was named.
     Answer(Arc<Answer>),
-    /// A scan that could not be named.
     Unnamed(Unnamed),
-    /// The scan itself, sent after its `Answer` or `Unnamed` event.
+    /// A scan with its signals, sent after the scan's `Answer` or `Unnamed` event.
     Scan(Arc<AnsweredScan>),
     /// The outcome of a scan that was to be kept as a trial.
     Enrolled(Enrolled),
-    /// The order for the next scan has changed; `None` if the scan will only be named.
+    /// The order for the next scan has changed; `None` if the next scan will only be named.
     Enrolling(Option<Enrolling>),
-    /// The library is being read; scans wait for it.
+    /// The library is being read. Scans wait if no older library is in use.
     Reading,
-    /// Scans are compared with this library from now on.
+    /// From now on, scans are compared with this library.
     Library(LibraryState),
-    /// A warning: something was lost, damaged or not understood, and work continues.
+    /// Something was lost, damaged or not understood; the station continues.
     Warning(String),
-    /// The station's loop is running; the answer to [`Command::Ping`].
+    /// The answer to [`Command::Ping`], which proves that the station's loop is running.
     Alive,
-    /// [`Command::Quit`] was given: listeners may work until this moment.
+    /// [`Command::Quit`] was given. Listeners may work until the moment that this event holds.
     Ending(Instant),
-    /// The station has ended; the last event.
+    /// The station has ended; this is the last event.
     Finished(Arc<Totals>),
 }
 
 impl StationEvent {
-    /// The text of a warning, if this is one.
     pub fn warning(&self) -> Option<&str> {
         match self {
             Self::Warning(text) | Self::Unnamed(Unnamed { text, .. }) => Some(text),
@@ -179,39 +148,33 @@ impl StationEvent {
     }
 }
 
-/// A command to a station.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
     /// Begin a scan now, regardless of the detector.
     Start,
-    /// End the scan in progress.
     Stop,
-    /// Keep the next `trials` good scans as trials of `surface`, starting with the next scan to
-    /// begin; replaces the order before.
+    /// Keep the next `trials` good scans as trials of `surface`, from the scan that begins next. This
+    /// order replaces the previous one.
     Enroll {
-        /// the label
         surface: String,
-        /// the person who drags
         user: String,
-        /// how many
         trials: u32,
     },
-    /// Keep this scan, which was refused last, as a trial anyway.
+    /// Keep the scan with this number as a trial anyway. It must be the scan refused last.
     KeepRefused(u32),
-    /// End the order in force from the next scan on, unless it is the station's own.
+    /// End the current order from the next scan on, unless it is the station's own order.
     EndEnroll,
     /// Answer with [`StationEvent::Alive`].
     Ping,
     /// Read the library and the plan again, without dropping a sample.
     Reload,
-    /// End the scan in progress, name it, and stop the station, within 5 s. A scan that is not
-    /// named by then is reported.
+    /// End the scan in progress, name it, and stop the station within 5 s. If there is no time to
+    /// name a scan, a warning says so.
     Quit,
 }
 
-/// Takes the events of a station. Called on the station's own thread: must not wait.
+/// Receives the events of a station. It runs on the station's thread, and so must not wait.
 pub trait Listener {
-    /// Takes an event.
     fn on_event(&mut self, event: &StationEvent);
 }
 
@@ -227,8 +190,21 @@ impl<L: Listener + ?Sized> Listener for Box<L> {
     }
 }
 
-/// Waits for the end of a listener's thread once the station has finished. All listeners share one
-/// deadline, however many there are.
+pub struct AnsweredScan {
+    pub scan: Box<Scan>,
+    pub answer: Arc<Answer>,
+    /// The recogniser that named the scan; `None` for [`AnswerState::Unnamed`].
+    pub by: Option<Arc<Recogniser>>,
+}
+
+impl fmt::Debug for AnsweredScan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("AnsweredScan").field(&self.answer.id).finish()
+    }
+}
+
+/// Waits for the end of a listener's thread once the station has finished. All listeners share the
+/// deadline in [`StationEvent::Ending`], however many listeners there are.
 #[derive(Debug)]
 pub struct End {
     ended: Receiver<Infallible>,
@@ -236,12 +212,12 @@ pub struct End {
 }
 
 impl End {
-    /// For a thread that holds the sender of `ended` as long as it works.
+    /// Watches a thread that holds the sender of `ended` until its work is done.
     pub(crate) fn of(ended: Receiver<Infallible>) -> Self {
         Self { ended, until: None }
     }
 
-    /// Whether nothing follows this event, so that the thread is to end now.
+    /// Whether this is the last event, after which the thread should end.
     pub(crate) fn is_here(&mut self, event: &StationEvent) -> bool {
         if let StationEvent::Ending(until) = event {
             self.until = Some(*until);
@@ -249,8 +225,8 @@ impl End {
         matches!(event, StationEvent::Finished(_))
     }
 
-    /// Waits for the thread, at most for `patience` and until the moment of
-    /// [`StationEvent::Ending`]; false if it still works.
+    /// Waits until the thread has ended, but no longer than `patience` or the moment given by
+    /// [`StationEvent::Ending`]; false if the thread is still working.
     pub(crate) fn wait(&self, patience: Duration) -> bool {
         let patient = Instant::now().checked_add(patience);
         let until = self.until.into_iter().chain(patient).min();

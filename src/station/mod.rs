@@ -1,16 +1,17 @@
-//! A station at work: what happens in a session is recognised, reported to every listener, and
-//! steered by commands.
+//! The station: it recognises the scans of a session, reports every event to its listeners, and
+//! obeys commands.
 //!
 //! A [`Listener`] (the terminal, JSON lines, the page) gets every [`StationEvent`]; a key, a signal
-//! or the interface for programs sends a [`Command`]. They do not know of each other, and cannot
-//! hold up a device.
+//! or the HTTP API sends a [`Command`]. Listeners and senders know nothing of each other, and
+//! neither can delay a device.
+
+#![allow(missing_docs)] // Names that say everything need no comment.
 
 mod answer;
 mod assemble;
 mod certainty;
 pub mod config;
 mod event;
-mod followed;
 mod orders;
 mod recogniser;
 mod run;
@@ -20,14 +21,14 @@ mod trial_need;
 mod why;
 mod worker;
 
-pub use answer::{Answer, AnswerState, AnsweredScan, Damage, Unnamed};
+pub use answer::{Answer, AnswerState, Damage, Remark, RemarkKind, Unnamed};
 pub use assemble::{Assembled, assemble};
 pub use event::{
-    Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, RefusedScan, StationEvent,
-    SurfaceProbability,
+    AnsweredScan, Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, RefusedScan,
+    StationEvent, SurfaceProbability,
 };
 pub use orders::Keep;
-pub use recogniser::{LibraryState, Load, Recogniser, Remark, RemarkKind, Verdict};
+pub use recogniser::{LibraryState, Load, Recogniser};
 pub use start::Station;
 pub use store::ScanStore;
 pub use why::{SourceSays, Why};

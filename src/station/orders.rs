@@ -1,65 +1,55 @@
-//! Orders to keep scans as trials: the scans that each covers, and its progress.
+//! Orders to keep scans as trials. They say which scans an order covers, and how many were kept.
 //!
-//! An order covers the scans that begin after it was given; a scan in progress belongs to the order
-//! before. The station's own order, given before it runs, covers what no other order does.
+//! An order covers scans that begin after it was given; a scan in progress belongs to the previous
+//! order. The station's own order, set before the start, covers scans that no later order covers.
 
 use super::event::{Enrolled, EnrolledOutcome, Enrolling, RefusedScan};
 
-/// An order to keep scans.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Keep {
-    /// The label of the surface.
     pub surface: String,
-    /// The person who drags.
     pub user: String,
-    /// The number of trials; `None` for every scan until the station ends.
+    /// The number of trials; `None` to keep every scan until the station ends.
     pub trials: Option<u32>,
-    /// Whether a scan that is not good is refused.
+    /// Whether a scan that would be a bad trial is refused.
     pub good_only: bool,
 }
 
-/// The label and conditions under which a scan will be kept.
+/// The order under which a scan is kept as a trial.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Enrolment {
-    /// Number of its order.
+    /// Number of the order.
     pub order: u64,
-    pub surface: String,
-    pub user: String,
-    /// Whether a scan that is not good is refused.
-    pub good_only: bool,
+    pub keep: Keep,
 }
 
-/// An order, and how far it has come.
+/// An order, and its progress.
 #[derive(Debug)]
 struct Order {
     enrolment: Enrolment,
-    /// Trials to keep; `None` for every scan.
-    trials: Option<u32>,
-    /// Trials that were kept.
     kept: u32,
-    /// The last scan, if it was refused.
+    /// The order's last scan, if it was refused.
     refused: Option<RefusedScan>,
-    /// Scans that are being written.
+    /// Number of scans that are being written.
     under_way: u32,
-    /// The first scan that it covers.
+    /// Number of the first scan that the order covers.
     from: u32,
-    /// The first scan that it no longer covers; `None` while it is in force.
+    /// Number of the first scan that the order no longer covers; `None` while it is in force.
     until: Option<u32>,
 }
 
 impl Order {
     fn new(order: u64, keep: Keep, from: u32) -> Self {
-        let Keep { surface, user, trials, good_only } = keep;
-        let enrolment = Enrolment { order, surface, user, good_only };
-        Self { enrolment, trials, kept: 0, refused: None, under_way: 0, from, until: None }
+        let enrolment = Enrolment { order, keep };
+        Self { enrolment, kept: 0, refused: None, under_way: 0, from, until: None }
     }
 
-    /// Trials still to be kept; `None` for every scan.
+    /// Number of trials still to be kept; `None` if every scan is kept.
     fn wanted(&self) -> Option<u32> {
-        self.trials.map(|trials| trials.saturating_sub(self.kept))
+        self.enrolment.keep.trials.map(|trials| trials.saturating_sub(self.kept))
     }
 
-    /// The number of scans to come; `None` for every scan.
+    /// Number of scans still to come; `None` if every scan is kept.
     fn to_come(&self) -> Option<u32> {
         self.wanted().map(|wanted| wanted.saturating_sub(self.under_way))
     }
@@ -68,38 +58,37 @@ impl Order {
         self.from <= scan && self.until.is_none_or(|until| scan < until)
     }
 
-    /// Whether it has all its trials, or covers no scan any more and none is being written.
+    /// Whether the order has all its trials, or covers no scan to come while no scan is being written.
     fn is_over(&self) -> bool {
         let covers_none = self.until.is_some_and(|until| until <= self.from);
         self.wanted() == Some(0) || covers_none && self.under_way == 0
     }
 }
 
-/// All orders of a station that are not done.
+/// All orders of a station that are not finished.
 #[derive(Debug, Default)]
 pub(super) struct Orders {
-    /// The station's own order.
     own: Option<Order>,
-    /// The other orders, the newest last; only that one may still be in force.
+    /// The other orders, the newest last; only the newest may still be in force.
     given: Vec<Order>,
-    /// Number of orders given so far.
+    /// Number of orders given so far, which is also the name of the newest order.
     count: u64,
 }
 
 impl Orders {
-    /// Gives the station its own order, which covers scans that no other order covers.
+    /// Gives the station its own order, which covers all scans that no other order covers.
     pub fn set_own(&mut self, keep: Keep) {
         self.own = Some(Order::new(0, keep, 0));
     }
 
-    /// Puts an order in force from scan `next` on; it replaces the one before.
+    /// Puts an order in force from scan `next` on, in place of the previous order.
     pub fn give(&mut self, keep: Keep, next: u32) {
         self.end(next);
         self.count += 1;
         self.given.push(Order::new(self.count, keep, next));
     }
 
-    /// Ends the order in force from scan `next` on, unless it is the station's own.
+    /// Ends the current order from scan `next` on, unless it is the station's own order.
     pub fn end(&mut self, next: u32) {
         for order in self.given.iter_mut().filter(|order| order.until.is_none()) {
             order.until = Some(next);
@@ -107,16 +96,16 @@ impl Orders {
         self.forget();
     }
 
-    /// The enrolment of the scan `number`, which is in progress, if it is to be kept.
+    /// The order that keeps the scan in progress, given its `number`; `None` if it is only to be named.
     pub fn covering(&self, number: u32) -> Option<&Enrolment> {
         let mut all = self.given.iter().rev().chain(&self.own);
         all.find(|o| o.covers(number) && o.to_come() != Some(0)).map(|order| &order.enrolment)
     }
 
-    /// The enrolment of the scan `number`, which has just ended, if it is to be kept. Scans end
-    /// in the order of their numbers.
+    /// Takes the order that keeps scan `number`, which has just ended; `None` if it is only to be named.
+    /// Scans end in the order of their numbers.
     pub fn claim(&mut self, number: u32) -> Option<Enrolment> {
-        // No earlier scan will come any more.
+        // Scans with lower numbers have all ended, so an order no longer covers them.
         for order in &mut self.given {
             order.from = order.from.max(number);
         }
@@ -130,7 +119,7 @@ impl Orders {
         enrolment
     }
 
-    /// Counts the outcome of a scan, and adds how many trials its order still wants.
+    /// Counts the outcome of a scan in its order, and sets `wanted`, the trials that the order lacks.
     pub fn count(&mut self, of: &Enrolment, mut enrolled: Enrolled) -> Enrolled {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         if let Some(order) = all.find(|order| order.enrolment.order == of.order) {
@@ -150,7 +139,7 @@ impl Orders {
         enrolled
     }
 
-    /// The enrolment of a scan that was refused last, and is to be kept anyway.
+    /// Takes the order of the scan that was refused last, to keep that scan anyway.
     pub fn keep_refused(&mut self, scan: u32) -> Option<Enrolment> {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         let order = all.find(|o| o.refused.as_ref().is_some_and(|last| last.scan == scan))?;
@@ -159,14 +148,13 @@ impl Orders {
         Some(order.enrolment.clone())
     }
 
-    /// The enrolment of the next scan.
+    /// The order that the next scan falls under, if any.
     pub fn in_force(&self) -> Option<Enrolling> {
         let newest = self.given.last().filter(|order| order.until.is_none());
         let open = |order: &&Order| order.to_come() != Some(0);
         let order = newest.filter(open).or(self.own.as_ref().filter(open))?;
-        let Enrolment { surface, user, .. } = order.enrolment.clone();
-        let (wanted, refused) = (order.to_come(), order.refused.clone());
-        let (trials, kept) = (order.trials, order.kept);
+        let Keep { surface, user, trials, .. } = order.enrolment.keep.clone();
+        let (wanted, kept, refused) = (order.to_come(), order.kept, order.refused.clone());
         Some(Enrolling { surface, user, wanted, trials, kept, refused })
     }
 
@@ -178,6 +166,7 @@ impl Orders {
 
 #[cfg(test)]
 mod tests {
+    use super::super::store::enrolled;
     use super::*;
 
     fn keep(surface: &str, trials: Option<u32>) -> Keep {
@@ -185,21 +174,11 @@ mod tests {
     }
 
     fn became(of: &Enrolment, outcome: EnrolledOutcome) -> Enrolled {
-        Enrolled {
-            scan: 1,
-            surface: of.surface.clone(),
-            user: of.user.clone(),
-            outcome,
-            trial: None,
-            folder: None,
-            remarks: Vec::new(),
-            wanted: 0,
-            nearest: None,
-        }
+        enrolled(1, of, outcome, Vec::new())
     }
 
     fn label(claimed: Option<Enrolment>) -> Option<String> {
-        claimed.map(|enrolment| enrolment.surface)
+        claimed.map(|enrolment| enrolment.keep.surface)
     }
 
     fn in_force(orders: &Orders) -> Option<(String, Option<u32>)> {
@@ -210,11 +189,11 @@ mod tests {
     fn an_order_during_a_scan_counts_from_the_next_one_on() {
         let mut orders = Orders::default();
         orders.give(keep("oak", Some(5)), 1);
-        // Scan 1 is in progress.
+        // Scan 1 is in progress, so the new order begins with scan 2.
         orders.give(keep("ash", Some(5)), 2);
         assert_eq!(label(orders.claim(1)).as_deref(), Some("oak"));
         assert_eq!(label(orders.claim(2)).as_deref(), Some("ash"));
-        // Scan 3 is in progress.
+        // Scan 3 is in progress, so the order ends before scan 4.
         orders.end(4);
         assert_eq!(label(orders.claim(3)).as_deref(), Some("ash"));
         assert_eq!(label(orders.claim(4)), None);
@@ -230,7 +209,7 @@ mod tests {
         let counted = orders.count(&oak, became(&oak, EnrolledOutcome::Kept));
         assert_eq!(counted.wanted, 0);
         assert_eq!(in_force(&orders), Some(("ash".into(), Some(2))));
-        // Another order for the same label and user.
+        // The user gives another order with the same label.
         let ash = orders.claim(2).unwrap();
         orders.give(keep("ash", Some(2)), 3);
         orders.count(&ash, became(&ash, EnrolledOutcome::Kept));
@@ -274,7 +253,7 @@ mod tests {
         orders.give(keep("oak", Some(1)), 2);
         assert_eq!(in_force(&orders), Some(("oak".into(), Some(1))));
         assert_eq!(label(orders.claim(2)).as_deref(), Some("oak"));
-        // The station's own order covers scan 3, though scan 2 may still be refused.
+        // The station's own order covers scan 3. If scan 2 is refused, "oak" stays in force.
         assert_eq!(label(orders.claim(3)).as_deref(), Some("felt"));
         orders.end(4);
         assert_eq!(label(orders.claim(4)).as_deref(), Some("felt"));

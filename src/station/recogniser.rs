@@ -1,12 +1,12 @@
-//! Names scans by comparing them with a library, with any method.
+//! Names scans by comparing them with a library, using any method.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
-use super::answer::{AnswerState, Damage};
-use super::certainty::so_far;
+use super::answer::{AnswerState, Damage, Remark, RemarkKind};
+use super::certainty::{Verdict, so_far};
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
@@ -17,54 +17,23 @@ use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, TrialKey, flaws};
 
-/// The result of comparing a scan with a library.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Verdict {
-    /// The library's surfaces, the most similar first.
-    pub ranking: Ranking,
-    /// The p-value at or below which the scan is unknown; `None` without such a threshold.
-    pub rejection: Option<Rejection>,
-    /// Sources that were not compared, and the reasons, a line each.
-    pub left_out: Vec<String>,
-    /// Sources of the library that the scan does not have.
-    pub lacking: Vec<SourceId>,
-    /// How long the drag should last, in seconds, where that is known.
-    pub needed_s: Option<f64>,
-    /// Imperfections of the scan.
-    pub remarks: Vec<Remark>,
-    /// Damage of its sources.
-    pub damage: Vec<Damage>,
-}
-
-impl Verdict {
-    /// Whether the scan fits no surface of the library.
-    pub fn is_unknown(&self) -> bool {
-        let test = self.ranking.p_value.zip(self.rejection.as_ref());
-        test.is_some_and(|(p, rejection)| rejection.rejects(p))
-    }
-}
-
-/// The flaws of series, by their sources.
 pub type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
 
-/// The ranking of a scan, and the flaws that were found while it was followed.
+/// The ranking of a scan, and the flaws found while the scan was followed.
 pub struct Ranked {
-    /// The library's surfaces.
     pub ranking: Ranking,
-    /// Flaws of the sources that were followed; of others nothing is known yet.
+    /// Flaws of the sources followed so far; other sources have no entry.
     pub flaws: FlawsBySource,
 }
 
-/// Reads the library anew at each call.
+/// A function that reads the library from disk each time it is called.
 pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;
 
-/// A library, ready to name scans.
+/// A library with its models, ready to name scans.
 pub struct Recogniser {
     models: Vec<Arc<dyn Model>>,
     model_of: BTreeMap<TrialKey, usize>,
-    /// The options for following scans with each model.
     following: Vec<FollowOptions>,
-    /// How long scans must last, in seconds, where that is known.
     needed_s: Option<f64>,
     scene: Scene,
     library: LibraryState,
@@ -72,13 +41,12 @@ pub struct Recogniser {
 }
 
 impl Recogniser {
-    /// Names scans of a scene by one model.
     pub fn new(model: Arc<dyn Model>, scene: Scene, library: LibraryState) -> Self {
         Self::with_folds(vec![model], BTreeMap::new(), scene, library)
     }
 
-    /// Names each recorded scan by the model of its fold; those not in `model_of`, by the first
-    /// model.
+    /// Names each recorded scan by the model of its fold, as listed in `model_of`. The first model
+    /// names all other scans.
     ///
     /// # Panics
     /// If there is no model, or an index in `model_of` is out of range.
@@ -94,23 +62,21 @@ impl Recogniser {
         Self { models, model_of, following, needed_s, scene, library, trials }
     }
 
-    /// Sets how long scans must last, in seconds, where that is known.
     pub fn lasting(self, needed_s: Option<f64>) -> Self {
         Self { needed_s, ..self }
     }
 
-    /// Sets where the library's trials are, so that the one nearest to a scan can be shown.
+    /// Stores where the library's trials are, so that the trial nearest to a scan can be shown.
     pub fn with_trials(mut self, entries: &[Entry]) -> Self {
         self.trials = entries.iter().map(|entry| (entry.key.clone(), entry.clone())).collect();
         self
     }
 
-    /// From now on, calls a scan that fits no surface unknown, at this rate of false alarms (the
-    /// usual one for `None`). Returns the threshold of each model and its basis.
+    /// From now on, calls a scan unknown if it fits no surface, at this rate of false alarms
+    /// (`None` for the default rate). Returns the threshold of each model.
     ///
     /// # Errors
-    /// If the method gives no p-value, or a library has too few trials; no scan is called
-    /// unknown then.
+    /// If the method gives no p-value, or a library has too few trials.
     pub fn reject_unknown(&mut self, rate: Option<f64>) -> Result<Vec<Rejection>, RejectionError> {
         let rejection = |model: &Arc<dyn Model>| {
             model.clone().embedding().ok_or(RejectionError::NoPValue)?.rejection(rate)
@@ -123,8 +89,8 @@ impl Recogniser {
         Ok(rejections)
     }
 
-    /// Finds ahead of all scans when answers are settled with each model, at this loss of accuracy.
-    /// Empty if the method cannot follow scans.
+    /// Finds for each model, before any scan, when an answer counts as settled, given this loss of
+    /// accuracy. The result is empty if the method cannot follow scans.
     pub fn calibrate(&mut self, loss: f64) -> Vec<Settling> {
         self.following.iter_mut().for_each(|following| following.loss = loss);
         let with_options = self.models.iter().zip(&self.following);
@@ -134,22 +100,22 @@ impl Recogniser {
         settling.collect()
     }
 
-    /// Adds remarks on the basis of answers to those of the library.
+    /// Adds remarks about what answers are based on to the remarks of the library.
     pub(crate) fn add_remarks(&mut self, remarks: &[String]) {
         self.library.remarks.extend_from_slice(remarks);
     }
 
-    /// The index of a scan's model. The truth only serves to choose the model made without it.
+    /// The index of a scan's model. `truth` only picks the model that was made without that scan.
     fn model(&self, truth: Option<&TrialKey>) -> usize {
         truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0)
     }
 
-    /// Whether a source is a switch, which rests most of the time: its length scale is fixed.
+    /// Whether a source is a switch. In a scene, only switches have a fixed length scale (`sigma`).
     fn is_switch(&self, id: &SourceId) -> bool {
         self.scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some())
     }
 
-    /// The flaws of all series of a scan, except of switches; `known` holds those already found.
+    /// The flaws of a scan's series, except switches, which often rest; `known` flaws are reused.
     fn flaws(&self, scan: &Scan, mut known: FlawsBySource) -> FlawsBySource {
         known.retain(|id, _| !self.is_switch(id));
         for (id, signal) in scan.trial.signals.iter().filter(|(id, _)| !self.is_switch(id)) {
@@ -160,7 +126,7 @@ impl Recogniser {
         known
     }
 
-    /// The damage of sources by their flaws; `truth` as in [`Scan::truth`].
+    /// Finds the damage of each source from its flaws; `truth` is the scan's [`Scan::truth`].
     fn damage(&self, truth: Option<&TrialKey>, flaws: &FlawsBySource) -> Vec<Damage> {
         let of = |(id, found): (&SourceId, &Vec<Flaw>)| {
             Damage::of_source(id, found, |channel| self.moves(truth, id, channel))
@@ -168,14 +134,13 @@ impl Recogniser {
         flaws.iter().filter_map(of).collect()
     }
 
-    /// Whether a channel (counted from 0) ever changes in the library; `truth` as in
+    /// Whether a channel (counted from 0) ever changes in the library; `truth` is the scan's
     /// [`Scan::truth`].
     pub(super) fn moves(&self, truth: Option<&TrialKey>, id: &SourceId, channel: usize) -> bool {
         let embedding = self.models[self.model(truth)].clone().embedding();
         embedding.is_none_or(|embedding| embedding.moves(id, channel))
     }
 
-    /// The damage of a scan in progress.
     pub(super) fn damage_so_far(
         &self,
         truth: Option<&TrialKey>,
@@ -197,32 +162,26 @@ impl Recogniser {
         so_far(guess.p_value, self.following[self.model(truth)].rejection.as_ref(), *probability)
     }
 
-    /// Remarks on the flaws of the scan's channels, and on a drag that is too short.
+    /// Remarks on flaws of the scan's channels, and on a drag that is too short.
     fn remarks(&self, scan: &Scan, ranking: &Ranking, flaws: &FlawsBySource) -> Vec<Remark> {
         let mut remarks = Vec::new();
         for (id, found) in flaws {
             let left_out =
                 if ranking.sources.contains(id) { "" } else { "; the source is left out" };
-            remarks.extend(found.iter().map(|flaw| Remark {
-                kind: RemarkKind::Flaw,
-                source: Some(id.clone()),
-                text: format!("{id}: {flaw}{left_out}"),
-            }));
+            let text = |flaw: &Flaw| format!("{id}: {flaw}{left_out}");
+            let (kind, source) = (RemarkKind::Flaw, Some(id.clone()));
+            let remark = |flaw: &Flaw| Remark { kind, source: source.clone(), text: text(flaw) };
+            remarks.extend(found.iter().map(remark));
         }
-        remarks.extend(self.needed_s.filter(|s| scan.scan_s < s - 0.5 * LOOK_S).map(|needed_s| {
-            Remark {
-                kind: RemarkKind::Short,
-                source: None,
-                text: format!(
-                    "the drag was short: {:.1} s, and this library needs {needed_s:.1} s",
-                    scan.scan_s
-                ),
-            }
-        }));
+        if let Some(needed_s) = self.needed_s.filter(|s| scan.scan_s < s - 0.5 * LOOK_S) {
+            let so_long = format!("{:.1} s, and this library needs {needed_s:.1} s", scan.scan_s);
+            let text = format!("the drag was short: {so_long}");
+            remarks.push(Remark { kind: RemarkKind::Short, source: None, text });
+        }
         remarks
     }
 
-    /// Ranks the surfaces for a scan.
+    /// Ranks the surfaces of the library by their similarity to a scan.
     ///
     /// # Errors
     /// If the scan has no source in common with the library, or does not fit the scene.
@@ -231,8 +190,8 @@ impl Recogniser {
         Ok(Ranked { ranking, flaws: FlawsBySource::new() })
     }
 
-    /// A scan as a query to its model, without sources that have flaws, and a text for each of
-    /// these sources.
+    /// Prepares a scan as a query for its model. Sources with flaws are left out; each text names a
+    /// source that was left out, and its flaw.
     fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
         let model = &self.models[self.model(scan.truth.as_ref())];
         let moves = |id: &SourceId, channel: usize| self.moves(scan.truth.as_ref(), id, channel);
@@ -241,11 +200,11 @@ impl Recogniser {
         Ok((model.prepare(&Entry::in_memory(trial.clone()), &trial)?, left_out))
     }
 
-    /// Why a scan was named as it was: what each source says, and the nearest trial. Takes about as
-    /// long as naming it.
+    /// Explains the name of a scan: what each source says, and the nearest trial. Takes about as
+    /// long as naming the scan.
     ///
     /// # Errors
-    /// As [`Recogniser::rank`].
+    /// Those of [`Recogniser::rank`].
     pub fn explain(&self, scan: &Scan) -> Result<Why, RecogniseError> {
         let at = self.model(scan.truth.as_ref());
         let (query, left_out) = self.query(scan)?;
@@ -258,12 +217,10 @@ impl Recogniser {
         Ok(Why::new(&ranking, evidence.as_ref(), self.following[at].rejection.as_ref(), left_out))
     }
 
-    /// A trial that scans are compared with.
     pub fn trial(&self, key: &TrialKey) -> Option<&Entry> {
         self.trials.get(key)
     }
 
-    /// Judges a scan by its ranking.
     pub fn verdict(&self, scan: &Scan, ranked: Ranked) -> Verdict {
         let Ranked { ranking, flaws } = ranked;
         let rejection = self.following[self.model(scan.truth.as_ref())].rejection.clone();
@@ -277,56 +234,55 @@ impl Recogniser {
         Verdict { needed_s, rejection, left_out, lacking, remarks, damage, ranking }
     }
 
-    /// Sources of a scan that the library has and that were not compared, with reasons.
+    /// Sources that both scan and library have but that were not compared, with reasons.
     fn left_out(&self, scan: &Scan, ranking: &Ranking, remarks: &[Remark]) -> Vec<String> {
         let held = self.library.sources.iter().filter(|id| scan.trial.signals.contains_key(*id));
         let not_compared = held.filter(|id| !ranking.sources.contains(id));
+        // A remark with a source always states a flaw, which is why that source was left out.
         let why = |id: &SourceId| {
-            let mut flaws = remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
-            let flaw = flaws
-                .find(|remark| remark.source.as_ref() == Some(id))
-                .map(|remark| remark.text.clone());
-            flaw.unwrap_or_else(|| format!("{id} was not compared"))
+            let flaw = remarks.iter().find(|remark| remark.source.as_ref() == Some(id));
+            flaw.map_or_else(|| format!("{id} was not compared"), |flaw| flaw.text.clone())
         };
         not_compared.map(why).collect()
     }
 
-    /// Begins to follow a scan, if the method can; `truth` as in [`Scan::truth`].
+    /// Starts to follow a scan with this [`Scan::truth`]; `None` if the method cannot follow scans.
     pub fn follow(&self, truth: Option<&TrialKey>) -> Option<Follower> {
         let at = self.model(truth);
         Some(self.models[at].clone().embedding()?.follow(&self.following[at]))
     }
 
-    /// How long the drag of a scan must last, in seconds, where that is known.
     pub fn needed_s(&self) -> Option<f64> {
         self.needed_s
     }
 
-    /// The library that scans are compared with.
     pub fn library(&self) -> LibraryState {
         self.library.clone()
     }
 }
 
-/// The library that scans are compared with.
+/// Serialises each surface as a JSON object.
+fn as_rows<S: Serializer>(surfaces: &[(String, usize)], to: S) -> Result<S::Ok, S::Error> {
+    let row = |(surface, trials): &_| serde_json::json!({ "surface": surface, "trials": trials });
+    to.collect_seq(surfaces.iter().map(row))
+}
+
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LibraryState {
-    /// Its name, or its folder's.
+    /// The name of the library, or of its folder.
     pub name: String,
-    /// Its surfaces, sorted, with the number of trials of each.
+    /// The surfaces, sorted, each with its number of trials.
+    #[serde(serialize_with = "as_rows")]
     pub surfaces: Vec<(String, usize)>,
-    /// Its sources.
     pub sources: Vec<SourceId>,
-    /// Made by a generator, not measured.
     pub synthetic: bool,
-    /// The reason why scans cannot be named with it, if they cannot.
+    /// The reason why scans cannot be named, if there is one.
     pub problem: Option<String>,
-    /// The basis of its answers, a line each.
+    /// The basis of answers, a line each.
     pub remarks: Vec<String>,
 }
 
 impl LibraryState {
-    /// The state of a library of these trials.
     pub fn of(name: &str, entries: &[Entry], synthetic: bool) -> Self {
         let (mut surfaces, mut sources) = (BTreeMap::new(), BTreeSet::new());
         for entry in entries {
@@ -338,35 +294,7 @@ impl LibraryState {
             surfaces: surfaces.into_iter().collect(),
             sources: sources.into_iter().collect(),
             synthetic,
-            problem: None,
-            remarks: Vec::new(),
+            ..Self::default()
         }
-    }
-}
-
-/// An imperfection of a scan; in JSON, its text.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-#[serde(into = "String")]
-pub struct Remark {
-    /// The kind of imperfection.
-    pub kind: RemarkKind,
-    /// The source that it is about, if it is about one.
-    pub source: Option<SourceId>,
-    /// The text for messages.
-    pub text: String,
-}
-
-/// The kinds of remark about a scan.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum RemarkKind {
-    /// A channel has a flaw.
-    Flaw,
-    /// The drag is shorter than the library asks for.
-    Short,
-}
-
-impl From<Remark> for String {
-    fn from(remark: Remark) -> Self {
-        remark.text
     }
 }

@@ -1,4 +1,4 @@
-//! The loop of a station: session events, answers and commands in; station events out.
+//! The loop of a station: it takes session events, answers and commands, and emits station events.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -9,76 +9,104 @@ use crossbeam_channel::{Receiver, at, never, select};
 use super::event::{Command, Enrolled, EnrolledOutcome, Enrolling, Listener, StationEvent};
 use super::orders::{Enrolment, Keep, Orders};
 use super::recogniser::{LibraryState, Load, Recogniser};
+use super::start::Station;
 use super::store::{RecordingThread, StoredScan};
 use super::trial_need::Purpose;
-use super::worker::{Job, JobOf, ScanAnswer, Work, Worker, WorkerEvent};
+use super::worker::{Job, ScanAnswer, Work, Worker, WorkerEvent, unnamed};
 use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
 use crate::scene::SourceId;
 
-/// The time after [`Command::Quit`] for the last answers. Devices have 2 s of it to stop.
+/// Time after [`Command::Quit`] for naming the last scans. Devices have 2 s of this time to stop.
 const NAMED: Duration = Duration::from_millis(2500);
-/// The time after [`Command::Quit`] until which scans are written to disk.
+/// Time after [`Command::Quit`] for writing scans to disk.
 const WRITTEN: Duration = Duration::from_millis(3200);
-/// The time after [`Command::Quit`] until which listeners may work.
+/// Time after [`Command::Quit`] for listeners to finish.
 const PASSED_ON: Duration = Duration::from_millis(3900);
 
-/// The recogniser of scans, if there is one.
 enum Naming {
-    /// The library is being read; scans wait.
     Loading,
     Ready(Arc<Recogniser>),
-    /// Scans cannot be named: the reason.
+    /// Scans cannot be named, for the reason in this text.
     None(String),
 }
 
 type LoadedRecogniser = Result<Arc<Recogniser>, String>;
 
-/// The running parts of a station.
-pub(super) struct Parts {
-    pub session: Session,
-    pub worker: Worker,
-    pub recording: Option<RecordingThread>,
-    /// Sources of which a good trial must hold enough independent samples, by T*.
-    pub by_t_star: Vec<SourceId>,
-    /// Whether all devices can wait for the station, so that it may pause them.
-    pub waits: bool,
-    pub load: Option<Load>,
-    /// The station's own order.
-    pub keep: Option<Keep>,
+/// How many scans may wait to be named if devices cannot be paused; they span some 15 minutes.
+const BACKLOG: usize = 64;
+
+/// The part of a job that must be reported if its result does not come in time.
+enum Awaited {
+    Scan(u32),
+    Progress,
+    Kept(Box<(Enrolment, Enrolled)>),
 }
 
-/// A station at work.
+impl Awaited {
+    fn of(job: &Job) -> Self {
+        match job {
+            Job::Scan(scan) => Self::Scan(scan.number),
+            Job::Progress(_) => Self::Progress,
+            Job::Kept(kept) => {
+                Self::Kept(Box::new((kept.enrolment.clone(), kept.enrolled.clone())))
+            }
+        }
+    }
+}
+
 pub(super) struct StationRun<'a> {
     session: Session,
     worker: Worker,
     recording: Option<RecordingThread>,
     by_t_star: Vec<SourceId>,
+    /// Whether the station may pause all devices; true for recordings.
     waits: bool,
     load: Option<Load>,
     naming: Naming,
     loading: Option<Receiver<LoadedRecogniser>>,
-    /// The library must be read again: it may have changed since the reading began.
+    /// Whether to read the library once more, since it may have changed after `loading` began.
     load_again: bool,
-    /// Work that the worker has not taken yet.
+    /// Jobs that the worker has not taken yet.
     pending: VecDeque<Job>,
-    /// The jobs that the worker has.
-    in_hand: VecDeque<InHand>,
+    in_hand: VecDeque<Awaited>,
     orders: Orders,
-    /// The order for the next scan, as last reported.
+    /// The order for the next scan, as it was last reported.
     enrolling: Option<Enrolling>,
     /// When [`Command::Quit`] was given.
     ordered: Option<Instant>,
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
 
+impl Station<'_> {
+    /// Runs until all devices have ended, or until [`Command::Quit`].
+    ///
+    /// # Errors
+    /// If two streams share a name, an option is invalid, or a thread cannot be started. A device
+    /// that fails is not an error; [`Totals`] names it.
+    pub fn run(self) -> Result<Totals, SessionError> {
+        // This sender keeps the channel open, even if no other sender is left.
+        let (_sender, commands) = self.commands.clone();
+        let mut run = StationRun::start(self)?;
+        run.until_finished(&commands);
+        run.finish()
+    }
+}
+
 impl<'a> StationRun<'a> {
-    /// A station that knows no library yet.
-    pub fn new(parts: Parts, listeners: Vec<Box<dyn Listener + 'a>>) -> Self {
-        let Parts { session, worker, recording, by_t_star, waits, load, keep } = parts;
-        let mut orders = Orders::default();
-        keep.into_iter().for_each(|keep| orders.set_own(keep));
-        Self {
-            session,
+    /// Starts the devices and threads of a station. Commands are passed to `until_finished`.
+    pub fn start(station: Station<'a>) -> Result<Self, SessionError> {
+        let Station { devices, options, recogniser, load, store, keep, listeners, .. } = station;
+        let thread = |name: &str| {
+            let name = name.to_string();
+            move |error| SessionError::Thread { name, error }
+        };
+        let waits = devices.iter().all(|device| device.waits());
+        let worker = Worker::start(waits).map_err(thread("recognition"))?;
+        let by_t_star = store.as_ref().map_or_else(Vec::new, |store| store.by_t_star.clone());
+        let recording = store.map(RecordingThread::start).transpose();
+        let recording = recording.map_err(thread("recording"))?;
+        let mut run = Self {
+            session: Session::start(devices, options)?,
             worker,
             recording,
             by_t_star,
@@ -89,17 +117,20 @@ impl<'a> StationRun<'a> {
             load_again: false,
             pending: VecDeque::new(),
             in_hand: VecDeque::new(),
-            orders,
+            orders: Orders::default(),
             enrolling: None,
             ordered: None,
             listeners,
+        };
+        keep.into_iter().for_each(|keep| run.orders.set_own(keep));
+        run.emit(StationEvent::Streams(run.session.meters().to_vec()));
+        run.report_order();
+        match recogniser {
+            Some(recogniser) => run.loaded(Ok(recogniser)),
+            None if run.load.is_some() => run.reload(),
+            None => {}
         }
-    }
-
-    /// Reports the meters of the streams, and the order for the first scan.
-    pub fn announce(&mut self) {
-        self.emit(StationEvent::Streams(self.session.meters().to_vec()));
-        self.report_order();
+        Ok(run)
     }
 
     fn emit(&mut self, event: StationEvent) {
@@ -110,7 +141,7 @@ impl<'a> StationRun<'a> {
         self.emit(StationEvent::Warning(text.into()));
     }
 
-    /// Works until the session has ended and its scans are named, or time is up.
+    /// Works until the session has ended and its scans are named, or until time is up.
     pub fn until_finished(&mut self, commands: &Receiver<Command>) {
         let mut finished = false;
         loop {
@@ -122,7 +153,7 @@ impl<'a> StationRun<'a> {
             if finished && self.pending.is_empty() && self.in_hand.is_empty() {
                 return;
             }
-            // A recording waits until its scans are named; nothing else may be kept waiting.
+            // A recording is paused until its scans are named; live devices cannot be paused.
             let reads = !finished && (!self.waits || self.pending.is_empty());
             let events = if reads { self.session.events().clone() } else { never() };
             let done = self.worker.done.clone();
@@ -132,14 +163,13 @@ impl<'a> StationRun<'a> {
             let deadline = deadline.filter(|_| waiting).map_or_else(never, at);
             select! {
                 recv(events) -> event => match event {
-                    // If the channel just closes, the collector has panicked; `finish` says so.
+                    // A channel closed without this event means a panic; `finish` reports it.
                     Ok(Event::Finished(_)) | Err(_) => finished = true,
                     Ok(event) => self.event(event),
                 },
                 recv(done) -> done => match done {
                     Ok(done) => self.done(done),
-                    // The worker catches the panics of methods; a panic of the worker itself is a
-                    // defect.
+                    // Panics of methods are caught, so only a bug of the worker can close this channel.
                     Err(_) => return,
                 },
                 recv(stored) -> stored => if let Ok(stored) = stored { self.stored(stored) },
@@ -157,7 +187,7 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Waits for scans that are being written, and reports the end.
+    /// Waits until scans are written to disk, and reports the end.
     pub fn finish(mut self) -> Result<Totals, SessionError> {
         let until = self.ordered.map(|ordered| ordered + WRITTEN);
         let written = self.recording.take().into_iter().flat_map(|thread| thread.finish(until));
@@ -179,13 +209,13 @@ impl<'a> StationRun<'a> {
                 self.emit(StationEvent::Device { device, state, detail });
             }
             Event::Warning(text) => self.warn(text),
-            // Handled by the loop.
+            // `until_finished` handles this event, so it does not come here.
             Event::Finished(_) => {}
         }
     }
 
-    /// Takes the outcome of a scan that was to be kept; if it was kept, the outcome is reported
-    /// once the nearest surface is known.
+    /// Takes the result of an attempt to store a scan as a trial. A scan that is not kept is reported
+    /// now; one that is kept is reported later, when its nearest surface is known.
     fn stored(&mut self, stored: StoredScan) {
         if let Some(recording) = &mut self.recording {
             recording.settle(&stored.enrolled);
@@ -196,7 +226,6 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Reports the outcome of a scan that was to be kept.
     fn enrolled(&mut self, enrolment: &Enrolment, enrolled: Enrolled) {
         let enrolled = self.orders.count(enrolment, enrolled);
         let why = enrolled.remarks.last().map_or("", String::as_str);
@@ -211,7 +240,7 @@ impl<'a> StationRun<'a> {
         self.report_order();
     }
 
-    /// Reports the order for the next scan, if it has changed.
+    /// Reports the order for the next scan if it has changed.
     fn report_order(&mut self) {
         let now = self.orders.in_force();
         if now != self.enrolling {
@@ -220,21 +249,17 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Keeps the scans that begin from now on as trials.
-    fn enroll(&mut self, keep: Keep) {
-        if self.recording.is_none() {
-            return self.warn("this scan cannot be kept: no library is set");
-        }
-        self.orders.give(keep, self.session.next_scan());
-        self.report_order();
-    }
-
     fn obey(&mut self, command: Command) {
         match command {
             Command::Start => self.session.command(ScanCommand::Begin),
             Command::Stop => self.session.command(ScanCommand::End),
+            Command::Enroll { .. } if self.recording.is_none() => {
+                self.warn("this scan cannot be kept: no library is set");
+            }
             Command::Enroll { surface, user, trials } => {
-                self.enroll(Keep { surface, user, trials: Some(trials), good_only: true });
+                let keep = Keep { surface, user, trials: Some(trials), good_only: true };
+                self.orders.give(keep, self.session.next_scan());
+                self.report_order();
             }
             Command::KeepRefused(scan) => {
                 match (self.orders.keep_refused(scan), &mut self.recording) {
@@ -265,20 +290,15 @@ impl<'a> StationRun<'a> {
 }
 
 impl StationRun<'_> {
-    /// Whether there is a library to read.
-    pub fn can_load(&self) -> bool {
-        self.load.is_some()
-    }
-
-    /// Names scans with the new library from now on, if it could be read.
-    pub fn loaded(&mut self, loaded: LoadedRecogniser) {
+    /// Uses the new library from now on, if it could be read.
+    fn loaded(&mut self, loaded: LoadedRecogniser) {
         match loaded {
             Ok(recogniser) => {
                 self.emit(StationEvent::Library(recogniser.library()));
                 self.naming = Naming::Ready(recogniser);
             }
             Err(problem) => {
-                // The library that was read before stays in use.
+                // The previous library stays in use, so the event names that library and the problem.
                 let mut state = match &self.naming {
                     Naming::Ready(recogniser) => recogniser.library(),
                     _ => {
@@ -293,12 +313,12 @@ impl StationRun<'_> {
         }
     }
 
-    /// Reads the library; meanwhile the old one stays in use, or scans wait if there is none.
-    pub fn reload(&mut self) {
+    /// Starts to read the library. Until it is read, the old one stays in use, or scans wait.
+    fn reload(&mut self) {
         let Some(load) = self.load.clone() else {
             return self.warn("nothing was reloaded: no library is set");
         };
-        // One at a time: each takes a thread and the memory of a library.
+        // Only one thread reads at a time, since each would need the memory of a whole library.
         if self.loading.is_some() {
             self.load_again = true;
             return;
@@ -318,27 +338,7 @@ impl StationRun<'_> {
             }
         }
     }
-}
 
-/// Most scans that wait to be named where devices cannot wait: those of a quarter of an hour.
-const BACKLOG: usize = 64;
-
-/// A job that the worker has: the number of the scan, or the report to be completed.
-type InHand = JobOf<u32, (), Box<(Enrolment, Enrolled)>>;
-
-impl InHand {
-    fn of(job: &Job) -> Self {
-        match job {
-            Job::Scan(scan) => Self::Scan(scan.number),
-            Job::Progress(_) => Self::Progress(()),
-            Job::Kept(kept) => {
-                Self::Kept(Box::new((kept.enrolment.clone(), kept.enrolled.clone())))
-            }
-        }
-    }
-}
-
-impl StationRun<'_> {
     fn scan(&mut self, scan: Box<Scan>) {
         if let Some(recording) = &mut self.recording
             && let Some(enrolment) = self.orders.claim(scan.number)
@@ -354,7 +354,7 @@ impl StationRun<'_> {
         self.limit_backlog();
     }
 
-    /// Drops the oldest scan and the progress before it, if too many wait.
+    /// Drops the oldest scan, and the progress before it, if too many scans wait.
     fn limit_backlog(&mut self) {
         let waiting = self.pending.iter().filter(|job| !matches!(job, Job::Progress(_))).count();
         if waiting <= BACKLOG || self.waits {
@@ -369,7 +369,7 @@ impl StationRun<'_> {
         }
     }
 
-    /// Adds progress of a scan, joined to progress of the same scan that still waits.
+    /// Queues progress of a scan. It is joined to the newest job if that job is progress of this scan.
     fn progress(&mut self, progress: Progress) {
         match self.pending.back_mut() {
             Some(Job::Progress(last)) if last.number == progress.number => last.append(progress),
@@ -377,7 +377,7 @@ impl StationRun<'_> {
         }
     }
 
-    /// Hands jobs to the worker, as long as it takes them.
+    /// Hands jobs to the worker until it accepts no more.
     fn hand_on(&mut self) {
         while let Some(job) = self.pending.pop_front() {
             let by = match &self.naming {
@@ -385,82 +385,68 @@ impl StationRun<'_> {
                 Naming::Ready(by) => Ok(by.clone()),
                 Naming::None(why) => Err(why.clone()),
             };
-            let in_hand = InHand::of(&job);
-            let work = match (job, by) {
-                (Job::Scan(scan), Ok(by)) => Work::Scan((scan, by)),
-                (Job::Scan(scan), Err(why)) => {
-                    self.unnamed(scan, &why);
-                    continue;
-                }
-                (Job::Progress(progress), by) => {
-                    let purpose = self.purpose(progress.number);
-                    Work::Progress((progress, purpose, by.ok()))
-                }
-                (Job::Kept(kept), _) => Work::Kept(kept),
+            let purpose = match &job {
+                Job::Progress(progress) => self.purpose(progress.number),
+                Job::Scan(_) | Job::Kept(_) => Purpose::Name,
             };
-            if let Err(back) = self.worker.work.try_send(work) {
-                return self.pending.push_front(back.into_inner().into_job());
+            let awaited = Awaited::of(&job);
+            if let Err(back) = self.worker.work.try_send(Work { job, purpose, by }) {
+                return self.pending.push_front(back.into_inner().job);
             }
-            self.in_hand.push_back(in_hand);
+            self.in_hand.push_back(awaited);
         }
     }
 
-    /// The purpose of a scan in progress.
     fn purpose(&self, number: u32) -> Purpose {
         match self.orders.covering(number) {
-            Some(enrolment) if enrolment.good_only => Purpose::Keep(self.by_t_star.clone()),
+            Some(enrolment) if enrolment.keep.good_only => Purpose::Keep(self.by_t_star.clone()),
             Some(_) => Purpose::Keep(Vec::new()),
             None => Purpose::Name,
         }
     }
 
-    /// Reports the result of a job.
     fn done(&mut self, done: WorkerEvent) {
-        let job = self.in_hand.pop_front();
+        self.in_hand.pop_front();
         match done {
             WorkerEvent::Scan(answered) => self.answered(answered),
             WorkerEvent::Progress(guess) => self.emit(StationEvent::Guess(guess)),
-            WorkerEvent::Kept(nearest) => {
-                if let Some(InHand::Kept(kept)) = job {
-                    self.enrolled(&kept.0, Enrolled { nearest, ..kept.1 });
-                }
+            WorkerEvent::Kept(kept, nearest) => {
+                let StoredScan { enrolment, enrolled, .. } = *kept;
+                self.enrolled(&enrolment, Enrolled { nearest, ..enrolled });
             }
         }
     }
 
-    /// Reports a scan with its answer.
-    fn answered(&mut self, answered: ScanAnswer) {
-        let (event, scan) = match answered {
-            ScanAnswer::Named(scan) => (StationEvent::Answer(scan.answer.clone()), scan),
-            ScanAnswer::Unnamed(scan, unnamed) => (StationEvent::Unnamed(unnamed), scan),
-        };
-        self.emit(event);
+    fn answered(&mut self, (scan, unnamed): ScanAnswer) {
+        self.emit(match unnamed {
+            Some(unnamed) => StationEvent::Unnamed(unnamed),
+            None => StationEvent::Answer(scan.answer.clone()),
+        });
         self.emit(StationEvent::Scan(scan));
     }
 
-    /// Reports a scan that was not named, with the reason.
     fn unnamed(&mut self, scan: Box<Scan>, why: &str) {
         let latency_ms = scan.ended_at.elapsed().as_secs_f64() * 1e3;
-        self.answered(ScanAnswer::unnamed(scan, why, latency_ms, false));
+        self.answered(unnamed(scan, why, latency_ms, false));
     }
 
-    /// Reports the scans left unnamed because the time for that after [`Command::Quit`] is over.
+    /// Reports all scans that are still unnamed when the time after [`Command::Quit`] is over.
     fn give_up_naming(&mut self) {
-        // From now on, results of the worker come too late.
+        // From now on, no results come from the worker, since all these scans are reported here.
         self.worker.done = never();
-        let pending: Vec<InHand> = self.pending.drain(..).map(|job| InHand::of(&job)).collect();
-        let in_hand: Vec<InHand> = self.in_hand.drain(..).collect();
+        let mut awaited = std::mem::take(&mut self.in_hand);
+        awaited.extend(self.pending.drain(..).map(|job| Awaited::of(&job)));
         let busy = match &self.naming {
             Naming::Loading => "the library was still being read",
             _ => "time had run out",
         };
-        for job in in_hand.into_iter().chain(pending) {
+        for job in awaited {
             match job {
-                InHand::Scan(number) => self.warn(format!(
+                Awaited::Scan(number) => self.warn(format!(
                     "scan {number} was not named: {busy} when the station was ended"
                 )),
-                InHand::Kept(kept) => self.enrolled(&kept.0, kept.1),
-                InHand::Progress(()) => {}
+                Awaited::Kept(kept) => self.enrolled(&kept.0, kept.1),
+                Awaited::Progress => {}
             }
         }
     }

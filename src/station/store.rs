@@ -1,7 +1,7 @@
-//! The thread that writes enrolled scans into a library, each as a complete trial or not at all.
+//! The thread that writes enrolled scans into a library. A scan becomes a complete trial or none.
 //!
-//! A scan that cannot be written, because of a full disk or a lost permission, stays in memory and
-//! is tried again until it is written or the station ends.
+//! A scan that cannot be written (the disk is full, a permission is missing) stays in memory and is
+//! tried again until it is written or the station ends.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::convert::Infallible;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 use crossbeam_channel::{
-    Receiver, RecvTimeoutError, Sender, TryRecvError, at, bounded, never, select, unbounded,
+    Receiver, RecvTimeoutError, Sender, TryRecvError, bounded, select, unbounded,
 };
 
 use super::event::{Enrolled, EnrolledOutcome};
@@ -25,64 +25,53 @@ use crate::trial::{Trial, TrialKey, normal};
 
 /// Time between two attempts to write a scan.
 const RETRY: Duration = Duration::from_secs(2);
-/// Most scans that wait to be written: 200 MB for scans of 10 s.
+/// How many scans may wait to be written. Scans of 10 s then take 200 MB.
 const MAX_WAITING: usize = 64;
 
-/// The library in which scans are stored, and the notes that go with them.
+/// The library in which scans are stored, and the data written beside them.
 #[derive(Clone, Debug)]
 pub struct ScanStore {
-    /// The library; it need not exist.
+    /// The folder of the library; it need not exist yet.
     pub folder: PathBuf,
-    /// The sources of the library.
     pub scene: Scene,
-    /// The device of each source.
     pub devices: BTreeMap<String, String>,
-    /// Sources of which a good trial must hold enough independent samples, by T*.
+    /// A good trial must hold enough independent samples of each of these sources, judged by T*.
     pub by_t_star: Vec<SourceId>,
 }
 
 impl ScanStore {
-    /// Stores scans in a library, without further notes.
     pub fn new(folder: PathBuf, scene: Scene) -> Self {
         Self { folder, scene, devices: BTreeMap::new(), by_t_star: Vec::new() }
     }
 }
 
-/// The outcome of a scan, and the enrolment that it belongs to.
+/// The outcome of storing a scan, and the enrolment of the scan.
 pub(super) struct StoredScan {
     pub enrolment: Enrolment,
     pub enrolled: Enrolled,
-    /// If it was kept: the scan, and the recogniser that finds its nearest surface.
+    /// A kept scan, and the recogniser that finds its nearest surface; `None` unless there are both.
     pub kept: Option<(Box<Scan>, Arc<Recogniser>)>,
 }
 
-/// A scan, the enrolment that it belongs to, and the recogniser for it.
-type ToStore = (Box<Scan>, Enrolment, Option<Arc<Recogniser>>);
-
-/// Work of the thread.
 enum Task {
-    Store(ToStore),
-    /// Store the scan of this number, which was refused last.
+    Store(WaitingScan),
+    /// Stores the scan of this number, which must be the one that was refused last.
     KeepRefused(u32),
 }
 
-/// The thread that writes scans: the channels to and from it.
+/// The channels to and from the thread that writes scans.
 pub(super) struct RecordingThread {
     scans: Sender<Task>,
     pub stored: Receiver<StoredScan>,
-    /// Dropped at the end, when there is no time left for reading the library.
+    /// Dropped when the station ends, so that the thread stops reading the library.
     working: Sender<Infallible>,
-    /// Scans that may still become trials.
+    /// The enrolments of scans that may still become trials, by the scan's number.
     under_way: BTreeMap<u32, Enrolment>,
 }
 
 impl RecordingThread {
-    /// Starts the thread.
-    ///
-    /// # Errors
-    /// If the system gives no thread.
     pub fn start(store: ScanStore) -> std::io::Result<Self> {
-        // Unbounded, but emptied at once: scans that cannot be written wait in a bounded queue.
+        // The channel is unbounded, but the thread moves its scans at once to a bounded queue.
         let (scans, to_store) = unbounded();
         let (send, stored) = unbounded();
         let (working, ending) = bounded(0);
@@ -92,41 +81,35 @@ impl RecordingThread {
         Ok(Self { scans, stored, working, under_way: BTreeMap::new() })
     }
 
-    /// Stores a scan; once it is kept, `by` finds its nearest surface.
+    /// Stores a scan; once the scan is kept, `by` finds its nearest surface.
     pub fn store(&mut self, scan: Box<Scan>, enrolment: Enrolment, by: Option<Arc<Recogniser>>) {
         self.under_way.insert(scan.number, enrolment.clone());
-        // Fails only if the thread has panicked; then the end reports the scan as lost.
-        let _ = self.scans.send(Task::Store((scan, enrolment, by)));
+        // Sending fails only if the thread has panicked; `finish` then reports the scan as lost.
+        let remarks = Vec::new();
+        let _ = self.scans.send(Task::Store(WaitingScan { scan, enrolment, by, remarks }));
     }
 
-    /// Stores the scan that was refused last, if it is this one.
+    /// Stores the scan that was refused last, if its number is `scan`.
     pub fn keep_refused(&mut self, scan: u32, enrolment: Enrolment) {
         self.under_way.insert(scan, enrolment);
-        // As in `store`.
+        // Sending fails only if the thread has panicked, as in `store`.
         let _ = self.scans.send(Task::KeepRefused(scan));
     }
 
-    /// Notes the outcome of a scan.
     pub fn settle(&mut self, enrolled: &Enrolled) {
         settle(&mut self.under_way, enrolled);
     }
 
-    /// Gives the last outcomes, after a last attempt to write the waiting scans. Data not written
-    /// by `until` is lost.
+    /// Tries a last time to write the waiting scans, and returns the last outcomes. Data not
+    /// written by `until` is lost.
     pub fn finish(self, until: Option<Instant>) -> Vec<StoredScan> {
         let Self { scans, stored, working, mut under_way } = self;
         drop((scans, working));
-        let deadline = until.map_or_else(never, at);
-        let mut last: Vec<StoredScan> = Vec::new();
-        loop {
-            select! {
-                recv(stored) -> stored => match stored {
-                    Ok(stored) => last.push(stored),
-                    Err(_) => break,
-                },
-                recv(deadline) -> _ => break,
-            }
-        }
+        let next = || match until {
+            Some(until) => stored.recv_deadline(until).ok(),
+            None => stored.recv().ok(),
+        };
+        let mut last: Vec<StoredScan> = std::iter::from_fn(next).collect();
         last.iter().for_each(|stored| settle(&mut under_way, &stored.enrolled));
         let lost = under_way.into_iter().map(|(scan, enrolment)| {
             let why = "it was not on disk when the station ended";
@@ -144,10 +127,8 @@ fn settle(under_way: &mut BTreeMap<u32, Enrolment>, enrolled: &Enrolled) {
     }
 }
 
-/// The next number of each surface and user.
 type Numbers = BTreeMap<(String, String), u32>;
 
-/// A scan that is not written yet.
 struct WaitingScan {
     scan: Box<Scan>,
     enrolment: Enrolment,
@@ -158,14 +139,13 @@ struct WaitingScan {
 struct StoreWriter {
     store: ScanStore,
     waiting: VecDeque<WaitingScan>,
-    /// The scan that was refused last.
     refused: Option<WaitingScan>,
-    /// The next numbers, as last read from the library and counted on.
+    /// The next free trial numbers, read from the library and raised by the trials written since.
     next: Numbers,
-    /// Whether `next` was read from the library for the scan that is now stored.
+    /// Whether `next` was read from the library for the current scan.
     current: bool,
     send: Sender<StoredScan>,
-    /// Closed when there is no time left for reading the library.
+    /// Closed when the station ends, so that the library is no longer read.
     ending: Receiver<Infallible>,
 }
 
@@ -175,7 +155,7 @@ impl StoreWriter {
         Self { store, waiting, refused, next, current: false, send, ending }
     }
 
-    /// Stores scans until the channel closes, then tries a last time to write those that wait.
+    /// Stores scans until the channel closes, then tries a last time to write the waiting scans.
     fn run(&mut self, scans: &Receiver<Task>) {
         loop {
             let next = match self.waiting.is_empty() {
@@ -204,12 +184,10 @@ impl StoreWriter {
         }
     }
 
-    /// Stores a new scan, unless it is refused.
-    fn accept(&mut self, (scan, enrolment, by): ToStore) {
-        let remarks = faults(&scan, &self.store.scene, &self.store.by_t_star, by.as_deref());
-        let refused = enrolment.good_only && !remarks.is_empty();
-        let new = WaitingScan { scan, enrolment, by, remarks };
-        if refused {
+    fn accept(&mut self, mut new: WaitingScan) {
+        let ScanStore { scene, by_t_star, .. } = &self.store;
+        new.remarks = faults(&new.scan, scene, by_t_star, new.by.as_deref());
+        if new.enrolment.keep.good_only && !new.remarks.is_empty() {
             self.report(&new, EnrolledOutcome::Refused);
             self.refused = Some(new);
         } else {
@@ -217,9 +195,8 @@ impl StoreWriter {
         }
     }
 
-    /// Writes a scan, or lets it wait.
     fn keep(&mut self, mut new: WaitingScan) {
-        // Read each time, since other programs may write into the same library.
+        // The numbers are read for each scan, since other programs may write into the same library.
         self.read_numbers();
         match self.write(&new) {
             Ok(stored) => self.kept(new, stored),
@@ -236,7 +213,7 @@ impl StoreWriter {
         }
     }
 
-    /// Tries to write the waiting scans until one fails, which then goes to the end of the queue.
+    /// Writes waiting scans until writing one fails; that scan goes to the end of the queue.
     fn retry(&mut self) {
         self.read_numbers();
         while let Some(first) = self.waiting.pop_front() {
@@ -247,10 +224,10 @@ impl StoreWriter {
         }
     }
 
-    /// Writes a scan; gives its number and its folder.
+    /// Writes a scan, and returns the number and the folder of its trial.
     fn write(&mut self, waiting: &WaitingScan) -> Result<(u32, PathBuf), LibraryError> {
         let WaitingScan { scan, enrolment, .. } = waiting;
-        let of = (normal(&enrolment.surface), normal(&enrolment.user));
+        let of = (normal(&enrolment.keep.surface), normal(&enrolment.keep.user));
         let known = self.next.get(&of).copied().unwrap_or(1);
         let number = match self.current {
             true => known,
@@ -262,7 +239,7 @@ impl StoreWriter {
             started_at: Some(utc(began)),
             notes: (!scan.spoiled.is_empty()).then(|| scan.spoiled.join("\n")),
             synthetic: scan.synthetic,
-            // So that no scan is compared with one that has gaps.
+            // A spoiled scan is marked as incomplete, so that no scan is compared with it.
             incomplete: !scan.spoiled.is_empty(),
             devices: self.store.devices.clone(),
             ..About::default()
@@ -278,7 +255,7 @@ impl StoreWriter {
     fn report(&self, of: &WaitingScan, outcome: EnrolledOutcome) {
         let WaitingScan { scan, enrolment, remarks, .. } = of;
         let enrolled = enrolled(scan.number, enrolment, outcome, remarks.clone());
-        // Fails only if the station has panicked, or waits no longer.
+        // Sending fails only if the station has panicked or has stopped waiting for outcomes.
         let _ = self.send.send(StoredScan { enrolment: enrolment.clone(), enrolled, kept: None });
     }
 
@@ -286,11 +263,11 @@ impl StoreWriter {
         let WaitingScan { scan, enrolment, by, remarks } = of;
         let enrolled = enrolled(scan.number, &enrolment, EnrolledOutcome::Kept, remarks);
         let enrolled = Enrolled { trial: Some(trial), folder: Some(folder), ..enrolled };
-        // As in `report`.
+        // Sending fails only if the station has panicked or has stopped waiting, as in `report`.
         let _ = self.send.send(StoredScan { enrolment, enrolled, kept: by.map(|by| (scan, by)) });
     }
 
-    /// Reads the next free trial numbers, if the library can be read now and there is time for it.
+    /// Reads the next free trial numbers, unless the station is ending; sets `current` on success.
     fn read_numbers(&mut self) {
         self.current = false;
         if self.ending.try_recv() == Err(TryRecvError::Disconnected) {
@@ -298,7 +275,7 @@ impl StoreWriter {
         }
         let (send, read) = bounded(1);
         let ScanStore { folder, scene, .. } = self.store.clone();
-        // On a separate thread, since the end of the station must not wait for a library.
+        // A separate thread reads, since the end of the station must not wait for the library.
         let work = move || drop(send.send(edit::numbers_after(&folder, &scene)));
         if std::thread::Builder::new().name("numbers".into()).spawn(work).is_err() {
             return;
@@ -312,12 +289,17 @@ impl StoreWriter {
     }
 }
 
-/// The outcome of a scan, without the number and folder of its trial.
-fn enrolled(scan: u32, of: &Enrolment, outcome: EnrolledOutcome, remarks: Vec<String>) -> Enrolled {
+/// Makes the outcome of a scan. The number and folder of its trial are added later.
+pub(super) fn enrolled(
+    scan: u32,
+    of: &Enrolment,
+    outcome: EnrolledOutcome,
+    remarks: Vec<String>,
+) -> Enrolled {
     Enrolled {
         scan,
-        surface: of.surface.clone(),
-        user: of.user.clone(),
+        surface: of.keep.surface.clone(),
+        user: of.keep.user.clone(),
         outcome,
         trial: None,
         folder: None,

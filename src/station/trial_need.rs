@@ -1,33 +1,31 @@
-//! Decides whether a scan is good enough: whether one in progress may end, to be named or kept as a
-//! trial, and whether one that has ended may be kept.
+//! Decides whether a drag may end (to be named or to be kept as a trial), and whether a finished
+//! scan may be kept.
 
 use std::collections::BTreeMap;
 
 use super::answer::Damage;
 use super::recogniser::Recogniser;
-use crate::duration::{OnlineDuration, OnlineSettings, SAMPLES, ScanNeed};
+use crate::duration::{OnlineDuration, SAMPLES, of_recording, scan_s};
 use crate::recognise::LOOK_S;
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::{Scene, SourceId};
 use crate::station::event::Guess;
 use crate::trial::{Series, Signal, flaws};
 
-/// A source that has been at rest for this long, in seconds of drag, is not judged.
+/// A source is not judged if it has not changed after this many seconds of drag.
 const RESTS_S: f64 = 1.0;
 
-/// Least drag of a trial, in seconds: ten times the interval at which scans are followed.
+/// The shortest drag of a trial, in seconds: ten times the interval of looks.
 const LEAST_S: f64 = 10.0 * LOOK_S;
 
-/// The purpose of a scan in progress.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
-    /// To be named.
     Name,
-    /// To be kept as a trial, which must hold enough independent samples of these sources.
+    /// The scan is to be a trial, which must hold enough independent samples of these sources.
     Keep(Vec<SourceId>),
 }
 
-/// How long the drag must be for the judged sources, by their T* as estimated so far.
+/// How long a drag must last, by the current estimate of T* for each judged source.
 #[derive(Default)]
 pub(super) struct TrialNeed {
     of_source: BTreeMap<SourceId, SourceNeed>,
@@ -37,14 +35,14 @@ struct SourceNeed {
     online: OnlineDuration,
     first: Vec<f32>,
     moves: bool,
-    /// Seconds of drag by the upper bound of T*; the finished trial is judged by T* itself.
+    /// Seconds of drag needed by the upper bound of T*, once known. (A finished trial uses T* itself.)
     needed_s: Option<f64>,
 }
 
 impl TrialNeed {
-    /// Sets in `news` the time needed for the purpose (it held the time needed to be named) and
-    /// whether the drag may end. A settled answer may end it if its rule is `supported` by enough
-    /// trials.
+    /// Sets in `news` the drag that is needed for the purpose, and whether the drag may end. On
+    /// entry, `news` holds the drag needed for a name. A settled answer may end the drag only if
+    /// its rule is `supported` by enough trials.
     pub fn judge(
         &mut self,
         news: &mut Guess,
@@ -58,20 +56,15 @@ impl TrialNeed {
             progress.fresh.iter().filter(judged).for_each(|fresh| self.add(fresh));
             let least_s = Some(news.needed_s.unwrap_or(LEAST_S).max(LEAST_S));
             news.needed_s = self.needed_s(progress.scan_s, least_s);
-            // A settled name does not make a good trial.
+            // A settled name alone does not make a good trial, so only the needed time counts.
             settled = false;
         }
         news.enough = settled || news.needed_s.is_some_and(|s| progress.scan_s >= s - 1e-9);
     }
 
-    /// Adds the next frames of a source.
     fn add(&mut self, fresh: &Fresh) {
         let begin = || SourceNeed {
-            online: OnlineDuration::new(
-                fresh.rate_hz,
-                fresh.channels,
-                OnlineSettings { window_s: f64::INFINITY, ..OnlineSettings::default() },
-            ),
+            online: OnlineDuration::new(fresh.rate_hz, fresh.channels),
             first: fresh.samples.iter().take(fresh.channels).copied().collect(),
             moves: false,
             needed_s: None,
@@ -79,15 +72,14 @@ impl TrialNeed {
         let source = self.of_source.entry(fresh.source.clone()).or_insert_with(begin);
         let frames = fresh.samples.chunks_exact(fresh.channels.max(1));
         source.moves |= frames.into_iter().any(|frame| frame != source.first);
-        // Frames with samples that are not numbers do not count for T*; such a scan is refused as a
-        // trial.
+        // Frames with NaN or infinite samples do not count for T*; `faults` refuses the scan anyway.
         if let Ok(Some(estimate)) = source.online.push(&fresh.samples) {
-            let upper = estimate.t_star_upper_samples.map(|lag| lag as f64 / fresh.rate_hz);
-            source.needed_s = upper.map(|t_star_s| ScanNeed::new(t_star_s, SAMPLES).scan_s());
+            let upper = estimate.upper_samples().map(|lag| lag as f64 / fresh.rate_hz);
+            source.needed_s = upper.map(|t_star_s| scan_s(t_star_s, SAMPLES));
         }
     }
 
-    /// How long the drag must be, in seconds, at least `least_s`; `None` while it is not known.
+    /// How long the drag must last, in seconds, at least `least_s`; `None` if that is not known yet.
     fn needed_s(&self, scan_s: f64, least_s: Option<f64>) -> Option<f64> {
         let mut needed_s = least_s;
         for source in self.of_source.values() {
@@ -101,9 +93,9 @@ impl TrialNeed {
     }
 }
 
-/// Reasons why a scan is not a good trial, a line each: it is spoiled or damaged, or shorter than
-/// `LEAST_S` or than the scan time of the library that `by` compares with, or holds too few
-/// independent samples of the sources `by_t_star`.
+/// Reasons why a scan is not a good trial, a line each. A good trial is undamaged, lasts at least
+/// `LEAST_S` and the scan time of the library of `by`, and holds enough independent samples of the
+/// sources `by_t_star`.
 pub(super) fn faults(
     scan: &Scan,
     scene: &Scene,
@@ -120,9 +112,9 @@ pub(super) fn faults(
     }
     for (id, signal) in &scan.trial.signals {
         let Signal::Series(series) = signal else { continue };
-        // A source with a fixed length scale is a switch, which has two values and rests.
+        // A source with a fixed length scale is a switch, which may rest, so it is not judged.
         if scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_none()) {
-            // As long as there is no library, any channel may rest.
+            // Without a library, any channel may rest, so a constant channel is no damage.
             let moves =
                 |channel: usize| by.is_some_and(|by| by.moves(scan.truth.as_ref(), id, channel));
             let damage = Damage::of_source(id, &flaws(series), moves);
@@ -135,17 +127,13 @@ pub(super) fn faults(
     faults
 }
 
-/// A message if a recording holds too few independent samples, by its own T*.
+/// A message if a recording holds too few independent samples, judged by its own T*.
 fn too_short(id: &SourceId, series: &Series) -> Option<String> {
     let held_s = series.duration_s();
-    let settings =
-        OnlineSettings { window_s: held_s, every_s: f64::INFINITY, ..OnlineSettings::default() };
-    let mut online = OnlineDuration::new(series.rate_hz(), series.channels(), settings);
-    online.push(series.samples()).ok()?;
-    let estimate = online.estimate();
-    let needed_s = match estimate.map(|estimate| estimate.t_star_s) {
-        Some(Some(t_star_s)) => ScanNeed::new(t_star_s, SAMPLES).scan_s(),
-        // A constant source stays constant however long the drag is.
+    let t_star = of_recording(series).and_then(|estimate| estimate.t_star_samples());
+    let needed_s = match t_star {
+        Some(t_star) => scan_s(t_star as f64 / series.rate_hz(), SAMPLES),
+        // A constant source stays constant, so a longer drag does not help.
         _ if series.is_constant() => return None,
         _ => f64::INFINITY,
     };

@@ -1,4 +1,4 @@
-//! Explains the name of a scan: the votes of the sources, the threshold, the nearest trial.
+//! Explains the name of a scan by the vote of each source, the threshold, and the nearest trial.
 
 use serde::Serialize;
 
@@ -6,46 +6,37 @@ use crate::recognise::{Evidence, RankedSurface, Ranking, Rejection};
 use crate::scene::SourceId;
 use crate::trial::TrialKey;
 
-/// The explanation of the name of a scan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Why {
-    /// The first surface of the ranking.
     pub winner: String,
-    /// The second surface of the ranking.
     pub runner_up: Option<String>,
-    /// The sources, with the one that favours the winner most first; empty by a method that
-    /// cannot take sources apart.
+    /// The sources, sorted by how strongly they favour the winner, the strongest first. Empty if
+    /// the method cannot separate sources.
     pub sources: Vec<SourceSays>,
     /// Sources that were not compared, and the reasons, a line each.
     pub left_out: Vec<String>,
-    /// The p-value, as [`Ranking::p_value`].
     pub p_value: Option<f64>,
-    /// The p-value at or below which a scan is unknown.
+    /// The p-value at or below which a scan is unknown; `None` if unknown surfaces are not detected.
     pub threshold: Option<f64>,
-    /// Left-out trials that the threshold rests on.
+    /// Number of left-out trials from which the threshold was computed.
     pub threshold_trials: Option<usize>,
-    /// Surfaces that the scan was compared with.
     pub surfaces: usize,
-    /// The most similar trial of the library.
     pub nearest: TrialKey,
-    /// All surfaces, the most similar first.
     pub ranked: Vec<RankedSurface>,
 }
 
-/// How one source judges the winner and the runner-up.
+/// How one source judges the winner and the runner-up (the second surface).
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SourceSays {
-    /// The source.
     pub source: SourceId,
-    /// ln of the ratio by which the source favours the winner over the runner-up, whom it favours
-    /// if this is below 0. `None` where one of them lacks the source.
+    /// Natural logarithm of the odds for the winner against the runner-up, by this source alone;
+    /// negative if it favours the runner-up. `None` if either surface lacks the source.
     pub for_winner: Option<f64>,
-    /// The surface that it would name alone.
+    /// The surface that this source alone would name.
     pub alone: Option<String>,
 }
 
 impl Why {
-    /// Explains a ranking by its evidence.
     pub(crate) fn new(
         ranking: &Ranking,
         evidence: Option<&Evidence>,

@@ -1,104 +1,83 @@
-//! The thread that follows and names scans, so that nothing holds up the reading of events.
+//! The thread that follows and names scans, apart from the thread that reads events.
 
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::answer::{Answer, AnswerState, AnsweredScan, Unnamed};
-use super::certainty::{NamedScan, judge, unknown_share};
-use super::event::Guess;
-use super::followed::{Followed, caught};
-use super::recogniser::{Ranked, Recogniser, Verdict};
+use super::answer::{Answer, AnswerState, Unnamed};
+use super::certainty::{Verdict, judge, unknown_share};
+use super::event::{AnsweredScan, Guess, SurfaceProbability};
+use super::recogniser::{Ranked, Recogniser};
 use super::store::StoredScan;
-use super::trial_need::Purpose;
-use crate::recognise::RecogniseError;
-use crate::scan::{Progress, Scan};
+use super::trial_need::{Purpose, TrialNeed};
+use crate::recognise::{Follower, FreshFrames, GuessSoFar, RecogniseError};
+use crate::scan::{Fresh, Progress, Scan};
+use crate::scene::SourceId;
 
-/// The kinds of job of the worker, each with its own type of data.
-pub(super) enum JobOf<S, P, K> {
-    /// A scan to be named.
-    Scan(S),
-    /// New data of the scan in progress.
-    Progress(P),
-    /// A scan that was kept as a trial, for which the nearest surface is sought.
-    Kept(K),
+pub(super) enum Job {
+    Scan(Box<Scan>),
+    Progress(Progress),
+    /// A scan that was kept as a trial; the worker finds its nearest surface.
+    Kept(Box<StoredScan>),
 }
 
-/// A job without the recogniser for it.
-pub(super) type Job = JobOf<Box<Scan>, Progress, Box<StoredScan>>;
-
-/// A job with all that the worker needs for it. Progress comes with its purpose, and with a
-/// recogniser if there is one.
-pub(super) type Work = JobOf<
-    (Box<Scan>, Arc<Recogniser>),
-    (Progress, Purpose, Option<Arc<Recogniser>>),
-    Box<StoredScan>,
->;
-
-/// The result of a job: the answer, the guess, or the nearest surface if there is one.
-pub(super) type WorkerEvent = JobOf<ScanAnswer, Guess, Option<String>>;
-
-impl Work {
-    /// The job, without its recogniser and purpose.
-    pub fn into_job(self) -> Job {
-        match self {
-            Self::Scan((scan, _)) => Job::Scan(scan),
-            Self::Progress((progress, ..)) => Job::Progress(progress),
-            Self::Kept(stored) => Job::Kept(stored),
-        }
-    }
+pub(super) struct Work {
+    pub job: Job,
+    pub purpose: Purpose,
+    /// The recogniser, or the reason why there is none.
+    pub by: Result<Arc<Recogniser>, String>,
 }
 
-pub(super) enum ScanAnswer {
-    Named(Arc<AnsweredScan>),
-    /// A scan that could not be named.
-    Unnamed(Arc<AnsweredScan>, Unnamed),
+pub(super) enum WorkerEvent {
+    Scan(ScanAnswer),
+    Progress(Guess),
+    /// A scan that was kept, and its nearest surface, if there is one.
+    Kept(Box<StoredScan>, Option<String>),
 }
 
-impl ScanAnswer {
-    /// The answer for a scan that could not be named, with the reason.
-    pub fn unnamed(scan: Box<Scan>, why: &str, latency_ms: f64, too_little: bool) -> Self {
-        let answer =
-            Arc::new(Answer { reasons: vec![why.into()], ..Answer::of(&scan, latency_ms) });
-        let text = format!("scan {} was not named: {why}", scan.number);
-        let unnamed = Unnamed { answer: answer.clone(), text, too_little };
-        Self::Unnamed(Arc::new(AnsweredScan { scan, answer, by: None }), unnamed)
-    }
+/// A scan with its answer. If the scan could not be named, the second value has the reason.
+pub(super) type ScanAnswer = (Arc<AnsweredScan>, Option<Unnamed>);
+
+pub(super) fn unnamed(scan: Box<Scan>, why: &str, latency_ms: f64, too_little: bool) -> ScanAnswer {
+    let answer = Arc::new(Answer { reasons: vec![why.into()], ..Answer::of(&scan, latency_ms) });
+    let text = format!("scan {} was not named: {why}", scan.number);
+    let unnamed = Unnamed { answer: answer.clone(), text, too_little };
+    (Arc::new(AnsweredScan { scan, answer, by: None }), Some(unnamed))
 }
 
-/// The channels to and from the thread, which returns one event for each piece of work, in order.
-/// Once `work` is dropped, the thread ends after its current job; nobody waits for it.
+/// The channels to and from the worker thread. It returns one event for each job, in order. After
+/// `work` is dropped, the thread finishes its current job and ends; nothing waits for it.
 pub(super) struct Worker {
     pub work: Sender<Work>,
     pub done: Receiver<WorkerEvent>,
 }
 
 impl Worker {
-    /// Starts the thread. With `queues`, scans may wait behind others, as in a recording that is
-    /// played as fast as possible; that wait is not counted as latency.
-    ///
-    /// # Errors
-    /// If the system gives no thread.
+    /// Starts the thread. With `queues`, scans may wait for each other (a recording played as fast
+    /// as possible), and this wait does not count as latency.
     pub fn start(queues: bool) -> std::io::Result<Self> {
         let (work, to_do) = crossbeam_channel::bounded::<Work>(1);
         let (send, done) = crossbeam_channel::unbounded();
         let run = move || {
             let mut free_since = Instant::now();
             let mut followed = Followed::default();
-            for work in to_do {
-                let event = match work {
-                    Work::Scan((scan, by)) => {
+            for Work { job, purpose, by } in to_do {
+                let event = match job {
+                    Job::Scan(scan) => {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
-                        let settled_s = followed.settled_s(scan.number);
-                        let ranked = followed.finish(&scan, &by);
-                        WorkerEvent::Scan(name(scan, by, ranked, from, settled_s))
+                        WorkerEvent::Scan(name(scan, by, &mut followed, from))
                     }
-                    Work::Progress((progress, purpose, by)) => {
-                        WorkerEvent::Progress(followed.guess(&progress, &purpose, by.as_ref()))
+                    Job::Progress(progress) => {
+                        let by = by.as_ref().ok();
+                        WorkerEvent::Progress(followed.guess(&progress, &purpose, by))
                     }
-                    Work::Kept(stored) => WorkerEvent::Kept(nearest(&stored)),
+                    Job::Kept(stored) => {
+                        let nearest = nearest(&stored);
+                        WorkerEvent::Kept(stored, nearest)
+                    }
                 };
                 if send.send(event).is_err() {
                     return;
@@ -113,20 +92,28 @@ impl Worker {
 
 fn name(
     scan: Box<Scan>,
-    by: Arc<Recogniser>,
-    ranked: Option<Ranked>,
+    by: Result<Arc<Recogniser>, String>,
+    followed: &mut Followed,
     from: Instant,
-    settled_s: Option<f64>,
 ) -> ScanAnswer {
+    let latency_ms = || from.elapsed().as_secs_f64() * 1e3;
+    let by = match by {
+        Ok(by) => by,
+        Err(why) => return unnamed(scan, &why, latency_ms(), false),
+    };
+    let ranked = followed.finish(&scan, &by);
     let ranked = || ranked.map_or_else(|| by.rank(&scan), Ok);
     let verdict = caught(|| ranked().map(|ranked| by.verdict(&scan, ranked)));
-    let latency_ms = from.elapsed().as_secs_f64() * 1e3;
+    let latency_ms = latency_ms();
     let (why, too_little) = match verdict {
-        Some(Ok(verdict)) => return named(scan, by, verdict, latency_ms, settled_s),
+        Some(Ok(verdict)) => {
+            let settled_s = followed.settled_s(scan.number);
+            return named(scan, by, verdict, latency_ms, settled_s);
+        }
         Some(Err(error)) => (error.to_string(), matches!(error, RecogniseError::TooLittle)),
         None => ("the method panicked; please report this".into(), false),
     };
-    ScanAnswer::unnamed(scan, &why, latency_ms, too_little)
+    unnamed(scan, &why, latency_ms, too_little)
 }
 
 fn named(
@@ -136,7 +123,7 @@ fn named(
     latency_ms: f64,
     settled_s: Option<f64>,
 ) -> ScanAnswer {
-    let (state, reasons) = judge(&NamedScan { verdict: &verdict, scan: &scan, settled_s });
+    let (state, reasons) = judge(&verdict, &scan, settled_s);
     let unknown = unknown_share(&verdict);
     let Verdict { ranking, needed_s, remarks, damage, .. } = verdict;
     let alone = Answer::of(&scan, latency_ms);
@@ -156,31 +143,127 @@ fn named(
         damage: alone.damage.iter().cloned().chain(damage).collect(),
         ..alone
     };
-    ScanAnswer::Named(Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by: Some(by) }))
+    (Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by: Some(by) }), None)
 }
 
-/// The surface that the recogniser names for a scan that was kept as a trial.
+/// The surface that the recogniser names for a scan kept as a trial.
 fn nearest(stored: &StoredScan) -> Option<String> {
     let (scan, by) = stored.kept.as_ref()?;
     let verdict = caught(|| Some(by.verdict(scan, by.rank(scan).ok()?)))??;
     (!verdict.is_unknown()).then(|| verdict.ranking.surface().to_string())
 }
 
+/// Damage is reported only after a drag of this many seconds.
+const DAMAGE_AFTER_S: f64 = 0.5;
+
+/// Data about the scan in progress.
+#[derive(Default)]
+struct Followed {
+    scan: u32,
+    /// The follower, and the recogniser that created it.
+    follower: Option<(Arc<Recogniser>, Follower)>,
+    last: Option<GuessSoFar>,
+    trial: TrialNeed,
+}
+
+impl Followed {
+    /// Adds new data. Returns the guess so far, and whether the scan may end.
+    fn guess(
+        &mut self,
+        progress: &Progress,
+        purpose: &Purpose,
+        by: Option<&Arc<Recogniser>>,
+    ) -> Guess {
+        let truth = progress.truth.as_ref();
+        if self.scan != progress.number {
+            let followed_by = |by: &Arc<Recogniser>| {
+                let follower = caught(|| by.follow(truth)).flatten()?;
+                Some((by.clone(), follower))
+            };
+            let follower = by.and_then(followed_by);
+            *self = Self { scan: progress.number, follower, ..Self::default() };
+        }
+        if let Some((_, follower)) = &mut self.follower {
+            // A scan that cannot be compared is no longer followed, and its answer will say why.
+            match caught(|| look(follower, progress)) {
+                Some(Ok(guess)) => self.last = guess.or(self.last.take()),
+                Some(Err(_)) | None => self.follower = None,
+            }
+        }
+        let mut news = Guess::nothing(progress.number, progress.scan_s);
+        if let Some(guess) = &self.last {
+            let named = guess.named.iter().cloned();
+            let name = |(surface, probability)| SurfaceProbability { surface, probability };
+            news.named = named.map(name).collect();
+            news.settled = guess.settled.is_some();
+            news.state = by.and_then(|by| by.state_so_far(truth, guess));
+        }
+        if let Some((by, follower)) = &self.follower
+            && progress.scan_s >= DAMAGE_AFTER_S
+        {
+            news.damage = by.damage_so_far(truth, follower);
+        }
+        news.needed_s = by.and_then(|by| by.needed_s());
+        let supported = self.follower.as_ref().is_some_and(|(_, f)| f.settling().shown);
+        self.trial.judge(&mut news, progress, purpose, supported);
+        news
+    }
+
+    /// The ranking of a scan, computed from the sums of its follower. `None` if the scan was not
+    /// followed, lost samples, or began with another library; then `rank` compares the whole scan.
+    fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranked> {
+        let (followed_by, follower) =
+            self.follower.as_mut().filter(|_| self.scan == scan.number)?;
+        let whole = scan.lost_samples == 0 && scan.spoiled.is_empty();
+        if !whole || !Arc::ptr_eq(followed_by, by) {
+            return None;
+        }
+        let ranking = caught(|| follower.finish(&scan.trial)).flatten()?;
+        let flaws_of = |id: &SourceId| Some((id.clone(), follower.flaws(id)?));
+        let flaws = scan.trial.signals.keys().filter_map(flaws_of).collect();
+        Some(Ranked { ranking, flaws })
+    }
+
+    /// The scan time, in seconds, at which the answer to a scan was settled.
+    fn settled_s(&self, scan: u32) -> Option<f64> {
+        let last = self.last.as_ref().filter(|_| self.scan == scan)?;
+        last.settled.as_ref().map(|(_, at)| *at)
+    }
+}
+
+/// The result of `work`; `None` if it panicked. A method that panics must not end the station.
+fn caught<T>(work: impl FnOnce() -> T) -> Option<T> {
+    std::panic::catch_unwind(AssertUnwindSafe(work)).ok()
+}
+
+fn look(
+    follower: &mut Follower,
+    progress: &Progress,
+) -> Result<Option<GuessSoFar>, RecogniseError> {
+    for Fresh { source, rate_hz, channels, samples, .. } in &progress.fresh {
+        let (rate_hz, channels) = (*rate_hz, *channels);
+        follower.add(FreshFrames { source, rate_hz, channels, samples })?;
+    }
+    for (source, picture) in &progress.images {
+        follower.add_picture(source, picture);
+    }
+    follower.look(progress.scan_s)
+}
+
 #[cfg(test)]
 mod tests {
+    use std::any::Any;
     use std::collections::BTreeMap;
 
     use super::*;
     use crate::library::Entry;
     use crate::recognise::features::FeatureVector;
-    use crate::recognise::{
-        EmbeddingModel, Model, Prepared, RankedSurface, Ranking, RecogniseError,
-    };
+    use crate::recognise::{Model, Prepared, RankedSurface, Ranking, RecogniseError};
     use crate::scene::Scene;
     use crate::station::LibraryState;
     use crate::trial::{Trial, TrialKey};
 
-    /// A method that names everything oak, but panics in one of its functions.
+    /// A method that names every scan oak, and panics in one of its functions.
     #[derive(Clone, Copy)]
     struct PanicsIn(&'static str);
 
@@ -209,7 +292,7 @@ mod tests {
             })
         }
 
-        fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
+        fn as_any(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
             self.reach("follow");
             None
         }
@@ -228,37 +311,25 @@ mod tests {
             let model = Arc::new(PanicsIn(part));
             let by = Arc::new(Recogniser::new(model, Scene::lmt108(), LibraryState::default()));
             for number in 1..=2 {
-                let progress = Progress {
-                    number,
-                    truth: None,
-                    scan_s: 0.5,
-                    fresh: Vec::new(),
-                    images: Vec::new(),
-                };
-                let progress = Work::Progress((progress, Purpose::Name, Some(by.clone())));
-                for work in [progress, Work::Scan((Box::new(scan(number)), by.clone()))] {
-                    worker.work.send(work).unwrap();
+                let (fresh, images) = (Vec::new(), Vec::new());
+                let progress = Progress { number, truth: None, scan_s: 0.5, fresh, images };
+                for job in [Job::Progress(progress), Job::Scan(Box::new(scan(number)))] {
+                    let (purpose, by) = (Purpose::Name, Ok(by.clone()));
+                    worker.work.send(Work { job, purpose, by }).unwrap();
                 }
                 let Ok(WorkerEvent::Progress(guess)) = worker.done.recv() else {
                     panic!("{part}: no guess")
                 };
                 assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
                 assert!(guess.named.is_empty() && !guess.settled && !guess.enough, "{part}");
-                let Ok(WorkerEvent::Scan(answered)) = worker.done.recv() else {
+                let Ok(WorkerEvent::Scan((whole, unnamed))) = worker.done.recv() else {
                     panic!("{part}: no answer")
                 };
-                match answered {
-                    ScanAnswer::Named(named) => {
-                        assert!(names && named.answer.scan == number, "{part}");
-                    }
-                    ScanAnswer::Unnamed(whole, Unnamed { answer, text, too_little }) => {
-                        assert!(
-                            !names && !too_little && text.contains("panicked"),
-                            "{part}: {text}"
-                        );
-                        assert_eq!(answer.state, AnswerState::Unnamed, "{part}");
-                        assert!(answer.scan == number && whole.answer.id == answer.id, "{part}");
-                    }
+                assert_eq!((whole.answer.scan, unnamed.is_none()), (number, names), "{part}");
+                if let Some(Unnamed { answer, text, too_little }) = unnamed {
+                    assert!(!too_little && text.contains("panicked"), "{part}: {text}");
+                    assert_eq!(answer.state, AnswerState::Unnamed, "{part}");
+                    assert_eq!(whole.answer.id, answer.id, "{part}");
                 }
             }
             drop(worker.work);

@@ -20,12 +20,12 @@ use sd_notify::NotifyState;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
-/// The file whose lock stands for a folder: the folder itself.
+/// Opens the file that is locked in place of a folder, which is the folder itself on Unix.
 pub(crate) fn open_lock(folder: &Path) -> io::Result<File> {
     File::open(folder)
 }
 
-/// The process that holds a lock of a file: its command and its number, where the system tells.
+/// The command and number of the process that holds the lock of a file; `None` if it is not known.
 pub(crate) fn lock_holder(file: &File) -> Option<String> {
     let about = file.metadata().ok()?;
     let device = about.dev() as rustix::fs::Dev;
@@ -33,7 +33,7 @@ pub(crate) fn lock_holder(file: &File) -> Option<String> {
     let locks = fs::read_to_string("/proc/locks").ok()?;
     let pid = locks.lines().find_map(|line| {
         let words: Vec<&str> = line.split_whitespace().collect();
-        // "1: FLOCK ADVISORY WRITE 4711 08:01:1234 0 EOF"; those who wait are listed with an arrow.
+        // Form: "1: FLOCK ADVISORY WRITE 4711 08:01:1234 0 EOF"; waiting processes have an arrow.
         let [_, "FLOCK", _, _, pid, at, ..] = words[..] else { return None };
         (at == place).then(|| pid.to_string())
     })?;
@@ -46,17 +46,17 @@ pub(crate) fn lock_holder(file: &File) -> Option<String> {
     Some(format!("`{program}{}` (process {pid})", rest.collect::<String>()))
 }
 
-/// Lets temporary folders have the permissions of others, as far as the user's mask leaves them.
+/// Gives temporary folders the same permissions as other new folders, which the umask limits.
 pub(crate) fn usual_permissions(builder: &mut tempfile::Builder<'_, '_>) {
     builder.permissions(Permissions::from_mode(0o777));
 }
 
-/// A number that a file, folder or link keeps when it is renamed: its inode.
+/// The inode of a file, folder or link, a number that stays the same when it is renamed.
 pub(crate) fn identity(path: &Path) -> Option<u64> {
     fs::symlink_metadata(path).ok().map(|about| about.ino())
 }
 
-/// Bytes that change whenever a file does: its device, inode, size and times of change.
+/// Bytes that change whenever a file changes, made of its device, inode, size and times of change.
 pub(crate) fn file_stamp(path: &Path) -> Option<Vec<u8>> {
     let about = fs::metadata(path).ok()?;
     let times = [about.mtime(), about.mtime_nsec(), about.ctime(), about.ctime_nsec()];
@@ -65,17 +65,17 @@ pub(crate) fn file_stamp(path: &Path) -> Option<Vec<u8>> {
     Some(all)
 }
 
-/// Opens a file to be read; a pipe without waiting for its writer.
+/// Opens a file for reading; does not wait for the writer of a pipe.
 pub(crate) fn open_at_once(path: &Path) -> io::Result<File> {
     OpenOptions::new().read(true).custom_flags(OFlags::NONBLOCK.bits() as i32).open(path)
 }
 
-/// Reads at a place of a file.
+/// Fills `bytes` from position `offset` of a file.
 pub(crate) fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
     file.read_exact_at(bytes, offset)
 }
 
-/// Processor time of this process so far, all threads, in seconds; `None` where it is not known.
+/// Processor time of all threads of this process so far, in seconds; `None` if it is not known.
 pub(crate) fn processor_s() -> Option<f64> {
     let time = clock_gettime(ClockId::ProcessCPUTime);
     Some(time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9)
@@ -92,7 +92,7 @@ pub(crate) fn device_holder(node: &Path) -> Option<String> {
     let has = |process: &Path| {
         let Ok(open) = fs::read_dir(process.join("fd")) else { return false };
         open.flatten().any(|entry| {
-            // The name first: looking at what lies behind a link may take long (a dead network).
+            // Looks at the link's text first, since following a link to a dead network may take long.
             let link = fs::read_link(entry.path()).unwrap_or_default();
             link.starts_with("/dev")
                 && fs::metadata(entry.path())
@@ -107,8 +107,8 @@ pub(crate) fn device_holder(node: &Path) -> Option<String> {
     })
 }
 
-/// Whether a part can be written without blocking; waits for that at most so long, less than a second.
-/// A descriptor that cannot be polled is left to the write.
+/// Whether `out` takes data without blocking; true if `out` cannot be polled. Waits at most `wait`,
+/// which must be less than a second.
 pub(crate) fn takes_more(out: &impl AsOutput, wait: Duration) -> bool {
     let wait = Timespec { tv_sec: 0, tv_nsec: wait.subsec_nanos().into() };
     !matches!(poll(&mut [PollFd::new(out, PollFlags::OUT)], Some(&wait)), Ok(0))
@@ -119,18 +119,18 @@ pub(crate) fn has_status_line() -> bool {
     io::stderr().is_terminal()
 }
 
-/// The settings of the terminal before keys were read one by one.
+/// The settings of the terminal before [`single_keys`] changed them.
 static BEFORE: OnceLock<Termios> = OnceLock::new();
 
-/// Makes [`next_key`] give each key at once, until [`restore_terminal`]. False where there is no
-/// terminal, or this program is not in its foreground.
+/// Makes [`next_key`] return each key at once, until [`restore_terminal`]. Returns false if there
+/// is no terminal, or if this program is not in its foreground.
 pub(crate) fn single_keys() -> bool {
     let stdin = io::stdin();
     let in_front =
         termios::tcgetpgrp(&stdin).is_ok_and(|group| group == rustix::process::getpgrp());
     let Some(before) = termios::tcgetattr(&stdin).ok().filter(|_| in_front) else { return false };
     let mut single = before.clone();
-    // Signals stay: Ctrl-C still ends the program.
+    // Signals stay on, so Ctrl-C still ends the program.
     single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
     let set = termios::tcsetattr(&stdin, OptionalActions::Now, &single).is_ok();
     if set {
@@ -139,25 +139,25 @@ pub(crate) fn single_keys() -> bool {
     set
 }
 
-/// Waits for a key; `None` if there will be no more.
+/// Waits for a key; `None` if there will be no more keys.
 pub(crate) fn next_key() -> Option<char> {
-    // It may hold the lock of stdin for ever.
+    // Holds the lock of stdin while it waits, which may be for ever.
     io::stdin().lock().bytes().next()?.ok().map(char::from)
 }
 
-/// Ends what [`single_keys`] began.
+/// Undoes [`single_keys`].
 pub(crate) fn restore_terminal() {
     if let Some(before) = BEFORE.get() {
-        // If this fails, the terminal is gone.
+        // If this fails, the terminal is gone, so the error is ignored.
         let _ = termios::tcsetattr(io::stdin(), OptionalActions::Now, before);
     }
 }
 
-/// The signals that ask a program to end, by their numbers, as they come. A hang-up that was ignored
-/// when the process began, as under `nohup`, stays ignored.
+/// Waits for the signals that ask a program to end, and gives their numbers. A hang-up stays
+/// ignored if it was ignored when the process began, as under `nohup`.
 pub(crate) fn signals() -> io::Result<impl Iterator<Item = i32> + Send> {
     let hangup = (!hangup_is_ignored()).then_some(SIGHUP);
-    // SIGTERM is the last: where it is caught, so are the others.
+    // SIGTERM comes last, so that once it is caught, the other signals are caught, too.
     let mut signals = Signals::new([SIGINT].into_iter().chain(hangup).chain([SIGTERM]))?;
     Ok(std::iter::from_fn(move || signals.forever().next()))
 }
@@ -169,9 +169,9 @@ fn hangup_is_ignored() -> bool {
     mask.is_some_and(|mask| mask & 1 << (SIGHUP - 1) != 0)
 }
 
-/// Tells the supervisor of this service its state, in the words of sd_notify(3).
+/// Tells the supervisor of this service its state, in the format of sd_notify(3).
 pub(crate) fn notify_supervisor(state: &str) {
-    // Fails only without systemd.
+    // This fails only without systemd, so the error is ignored.
     let _ = sd_notify::notify(&[NotifyState::Custom(state)]);
 }
 

@@ -1,6 +1,6 @@
 //! Windows.
 
-/// Windows permits links to administrators and to developers.
+/// Fails for most users, since Windows allows links only to administrators and in developer mode.
 pub(crate) use std::os::windows::fs::symlink_dir as link_folder;
 pub(crate) use std::os::windows::io::AsHandle as AsOutput;
 
@@ -16,11 +16,11 @@ use winapi_util::{Handle, file};
 
 use crate::seed;
 
-/// Number of the signal that Ctrl-C is elsewhere.
+/// Number of the signal that Ctrl-C sends on Unix.
 const SIGINT: i32 = 2;
 
-/// The file whose lock stands for a folder, which itself cannot be locked: in a folder of this machine
-/// that all its users share, by a number for the folder's path. Other machines do not see it.
+/// Opens the file that is locked in place of a folder, since Windows cannot lock a folder. A hash of
+/// the folder's path names this file; all users of this machine share it, other machines do not.
 pub(crate) fn open_lock(folder: &Path) -> io::Result<File> {
     let path = folder.canonicalize()?;
     let id = seed::stable_hash(&[path.as_os_str().as_encoded_bytes()]);
@@ -29,24 +29,24 @@ pub(crate) fn open_lock(folder: &Path) -> io::Result<File> {
     fs::create_dir_all(&locks)?;
     let path = locks.join(format!("{id:016x}"));
     let made = OpenOptions::new().read(true).append(true).create(true).open(&path);
-    // One that another user made can only be read, which is enough for a lock.
+    // A file that another user made can only be read, which is enough for a lock.
     made.or_else(|_| File::open(&path))
 }
 
-/// The process that holds a lock of a file, which Windows does not tell.
+/// Always `None`, since Windows does not tell which process holds a lock.
 pub(crate) fn lock_holder(_: &File) -> Option<String> {
     None
 }
 
-/// Temporary folders have the permissions of the folder around them already.
+/// Does nothing, since temporary folders already have the permissions of the folder around them.
 pub(crate) fn usual_permissions(_: &mut tempfile::Builder<'_, '_>) {}
 
-/// A number that a file or folder keeps when it is renamed: its index on its volume.
+/// The index of a file or folder on its volume, a number that stays the same when it is renamed.
 pub(crate) fn identity(path: &Path) -> Option<u64> {
     Some(about(path)?.file_index())
 }
 
-/// Bytes that change whenever a file does: its volume, index, size and times.
+/// Bytes that change whenever a file changes, made of its volume, index, size and times.
 pub(crate) fn file_stamp(path: &Path) -> Option<Vec<u8>> {
     let about = about(path)?;
     let times = [about.creation_time()?, about.last_write_time()?];
@@ -58,12 +58,12 @@ fn about(path: &Path) -> Option<file::Information> {
     file::information(Handle::from_path_any(path).ok()?).ok()
 }
 
-/// Opens a file to be read.
+/// Opens a file for reading.
 pub(crate) fn open_at_once(path: &Path) -> io::Result<File> {
     File::open(path)
 }
 
-/// Reads at a place of a file, and goes there.
+/// Fills `bytes` from position `at` of a file, and moves the file's own position.
 pub(crate) fn read_exact_at(file: &File, mut bytes: &mut [u8], mut at: u64) -> io::Result<()> {
     while !bytes.is_empty() {
         match file.seek_read(bytes, at) {
@@ -76,59 +76,59 @@ pub(crate) fn read_exact_at(file: &File, mut bytes: &mut [u8], mut at: u64) -> i
     Ok(())
 }
 
-/// Processor time of this process, which the standard library does not tell.
+/// Always `None`, since the standard library does not tell the processor time.
 pub(crate) fn processor_s() -> Option<f64> {
     None
 }
 
-/// Whether a device can be used shows when it is opened.
+/// Always succeeds, since opening a device shows whether it can be used.
 pub(crate) fn may_use(_: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// The process that has a device open, which Windows does not tell.
+/// Always `None`, since Windows does not tell which process has a device open.
 pub(crate) fn device_holder(_: &Path) -> Option<String> {
     None
 }
 
-/// Whether a part can be written without blocking, which Windows does not tell.
+/// Always true, since Windows does not tell whether a write would block.
 pub(crate) fn takes_more(_: &impl AsOutput, _: Duration) -> bool {
     true
 }
 
-/// Whether stderr is a terminal that can clear its line; tells it to understand how that is done.
+/// Whether stderr is a terminal that can clear its line. The check also switches this ability on.
 pub(crate) fn has_status_line() -> bool {
     Term::stderr().features().colors_supported()
 }
 
-/// Whether [`next_key`] gives keys: whether there is a terminal.
+/// Whether [`next_key`] can give keys, which needs only a terminal.
 pub(crate) fn single_keys() -> bool {
     Term::stderr().is_term()
 }
 
-/// Waits for a key; `None` if there will be no more.
+/// Waits for a key; `None` if there will be no more keys.
 pub(crate) fn next_key() -> Option<char> {
     Term::stderr().read_char().ok()
 }
 
-/// The terminal is as it was: keys are read as events.
+/// Does nothing, since keys are read as events and the terminal was not changed.
 pub(crate) fn restore_terminal() {}
 
-/// Orders to end (Ctrl-C, the window that is closed), as they come, by the number of an interrupt.
+/// Waits for orders to end (Ctrl-C, a closed window), and gives SIGINT's number for each order.
 pub(crate) fn signals() -> io::Result<impl Iterator<Item = i32> + Send> {
     let (send, orders) = mpsc::channel();
     let order = move || {
-        // If nobody receives it, the program ends already.
+        // If nobody receives the order, the program is ending already.
         let _ = send.send(SIGINT);
     };
     ctrlc::set_handler(order).map_err(io::Error::other)?;
     Ok(orders.into_iter())
 }
 
-/// Time within which a supervisor wants to hear of this service; there is none.
+/// Always `None`, since Windows has no supervisor that expects signs of life.
 pub(crate) fn watchdog() -> Option<Duration> {
     None
 }
 
-/// Tells a supervisor the state of this service; there is none.
+/// Does nothing, since Windows has no supervisor that takes states.
 pub(crate) fn notify_supervisor(_: &str) {}

@@ -1,4 +1,6 @@
-//! One recorded interaction with one surface: all its sources, as they came from the sensors.
+//! One recorded interaction with one surface, with all its sources as they came from the sensors.
+
+#![allow(missing_docs)] // Names that say everything need no comment.
 
 mod channel_flaws;
 mod signal;
@@ -9,21 +11,21 @@ pub use signal::{Image, Series, Signal, SignalError};
 
 use std::collections::BTreeMap;
 
+use serde::{Deserialize, Serialize};
+
 use crate::scene::SourceId;
 
-/// One interaction with one surface, all its sources.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trial {
-    /// Surface, person and number of the repetition.
     pub key: TrialKey,
-    /// The recorded signals. Sources may be missing: a comparison uses those that both trials have.
+    /// The recorded signals. Some may be missing, since a comparison uses only those of both trials.
     pub signals: BTreeMap<SourceId, Signal>,
 }
 
 impl Trial {
     /// This trial, with every series recorded during the drag cut to its first `seconds`.
     ///
-    /// `is_drag` chooses the sources to cut: a tap is a transient, and an image has no duration.
+    /// `is_drag` tells which sources are cut. A tap is a transient and stays whole.
     pub fn first_seconds(mut self, seconds: f64, is_drag: impl Fn(&SourceId) -> bool) -> Self {
         for (id, signal) in &mut self.signals {
             if let (Signal::Series(series), true) = (signal, is_drag(id)) {
@@ -34,7 +36,7 @@ impl Trial {
         self
     }
 
-    /// Length in seconds of the longest series among the sources that `of` chooses, if there is one.
+    /// Length in seconds of the longest series among the sources that `of` chooses; `None` without any.
     pub fn longest_s(&self, of: impl Fn(&SourceId) -> bool) -> Option<f64> {
         let lengths = self.signals.iter().filter_map(|(id, signal)| match signal {
             Signal::Series(series) if of(id) => Some(series.duration_s()),
@@ -44,26 +46,24 @@ impl Trial {
     }
 }
 
-/// The user of a trial whose recording names none.
+/// The user of a trial if the recording names no user.
 pub const EXPERT: &str = "expert";
 
-/// The surface of a trial whose label nobody knows.
+/// The surface of a trial if its label is unknown.
 pub const UNLABELLED: &str = "unlabelled";
 
-/// A label in Unicode's normal form C: an é is the same, however it was typed.
+/// A label in Unicode's normal form C, so that an é is the same however it was typed.
 pub(crate) fn normal(label: &str) -> String {
     use unicode_normalization::UnicodeNormalization;
     label.nfc().collect()
 }
 
-/// Names one trial: which surface, whose hand, which repetition.
+/// Names one trial by its surface, its user and its repetition.
 ///
-/// Ordered by surface, then user, then number, which is also the order in which ties are broken.
-#[derive(
-    Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
-)]
+/// Keys are ordered by surface, then user, then number. Ties are broken in this order.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct TrialKey {
-    /// The surface's label, which recognition answers with.
+    /// The surface's label, which recognition has to find.
     pub surface: String,
     /// The person who moved the stylus; [`EXPERT`] unless the recording says otherwise.
     pub user: String,
@@ -72,12 +72,11 @@ pub struct TrialKey {
 }
 
 impl TrialKey {
-    /// A key from its three parts.
     pub fn new(surface: impl Into<String>, user: impl Into<String>, number: u32) -> Self {
         Self { surface: surface.into(), user: user.into(), number }
     }
 
-    /// The surface, if it is known.
+    /// The surface; `None` if it is [`UNLABELLED`].
     pub fn label(&self) -> Option<&str> {
         (self.surface != UNLABELLED).then_some(self.surface.as_str())
     }

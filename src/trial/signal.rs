@@ -1,12 +1,13 @@
-//! Raw data of one source: a multichannel series, or an image.
+//! Raw data of one source, either a multichannel series or an image.
 
+use image::RgbImage;
+use image::imageops::rotate90;
 use ndarray::{ArrayView2, ArrayViewMut2};
 
 use crate::seed;
 
 /// Why data cannot be a signal.
 #[derive(Debug, thiserror::Error, PartialEq)]
-#[allow(missing_docs)] // The messages describe the variants.
 pub enum SignalError {
     #[error("it holds no samples; record again, or remove the file")]
     Empty,
@@ -31,12 +32,9 @@ pub enum SignalError {
     ImageSize { width: usize, height: usize },
 }
 
-/// Data of one source.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Signal {
-    /// Samples in time.
     Series(Series),
-    /// A picture.
     Image(Image),
 }
 
@@ -66,13 +64,13 @@ impl Signal {
 pub struct Series {
     rate_hz: f64,
     channels: usize,
-    /// Interleaved: frame by frame.
+    /// All samples, interleaved frame by frame.
     samples: Vec<f32>,
 }
 
 impl Series {
-    /// Largest number of samples of one source of a trial, all channels together: six minutes of
-    /// sound. A comparison takes about 100 bytes of memory for each.
+    /// Most samples of one source of a trial, all channels together (six minutes of sound). A
+    /// comparison takes about 100 bytes of memory for each sample.
     pub const MOST_SAMPLES: usize = 1 << 24;
 
     /// A series from interleaved samples.
@@ -97,22 +95,18 @@ impl Series {
         Ok(Self { rate_hz, channels, samples })
     }
 
-    /// Frames a second.
     pub fn rate_hz(&self) -> f64 {
         self.rate_hz
     }
 
-    /// Number of channels.
     pub fn channels(&self) -> usize {
         self.channels
     }
 
-    /// Number of frames.
     pub fn frames(&self) -> usize {
         self.samples.len() / self.channels
     }
 
-    /// Duration in seconds.
     pub fn duration_s(&self) -> f64 {
         self.frames() as f64 / self.rate_hz
     }
@@ -122,7 +116,6 @@ impl Series {
         self.samples.chunks(self.channels).all(|frame| *frame == self.samples[..self.channels])
     }
 
-    /// Interleaved samples.
     pub fn samples(&self) -> &[f32] {
         &self.samples
     }
@@ -168,18 +161,23 @@ impl Image {
     /// Width in pixels.
     pub const COLS: usize = 320;
 
-    /// An image from RGB bytes, row by row. One that lies on its side (480 wide, 320 high) is
+    /// An image from RGB bytes, row by row. A picture that lies on its side (480 wide, 320 high) is
     /// turned upright, by 90° clockwise.
     ///
     /// # Errors
-    /// If the size is any other.
+    /// If the picture has any other size.
     pub fn new(width: usize, height: usize, rgb: Vec<u8>) -> Result<Self, SignalError> {
         if rgb.len() != width * height * 3 {
             return Err(SignalError::Ragged { len: rgb.len(), channels: 3 });
         }
         match (width, height) {
             (Self::COLS, Self::ROWS) => Ok(Self { rgb }),
-            (Self::ROWS, Self::COLS) => Ok(Self { rgb: turn_clockwise(&rgb, width, height) }),
+            (Self::ROWS, Self::COLS) => {
+                let lying = RgbImage::from_raw(Self::ROWS as u32, Self::COLS as u32, rgb);
+                // The length of `rgb` was checked above.
+                let lying = lying.expect("three bytes a pixel");
+                Ok(Self { rgb: rotate90(&lying).into_raw() })
+            }
             _ => Err(SignalError::ImageSize { width, height }),
         }
     }
@@ -193,43 +191,5 @@ impl Image {
     /// All pixels, row by row, three bytes each.
     pub fn rgb(&self) -> &[u8] {
         &self.rgb
-    }
-}
-
-fn turn_clockwise(rgb: &[u8], width: usize, height: usize) -> Vec<u8> {
-    let mut turned = Vec::with_capacity(rgb.len());
-    for row in 0..width {
-        for col in 0..height {
-            let at = ((height - 1 - col) * width + row) * 3;
-            turned.extend_from_slice(&rgb[at..at + 3]);
-        }
-    }
-    turned
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_nan_is_named_by_channel_and_sample() {
-        let error = Series::new(1.0, 2, vec![0.0, 1.0, 2.0, f32::NAN]).unwrap_err();
-        assert!(error.to_string().starts_with("channel 2 is NaN at sample 2"), "{error}");
-    }
-
-    #[test]
-    fn a_picture_on_its_side_is_turned_upright() {
-        let mut rgb = vec![0; 480 * 320 * 3];
-        // The left bottom corner of a picture becomes its left top corner.
-        rgb[319 * 480 * 3] = 200;
-        let image = Image::new(480, 320, rgb).unwrap();
-        assert_eq!(image.pixel(0, 0), [200, 0, 0]);
-    }
-
-    #[test]
-    fn cropping_keeps_at_least_one_frame() {
-        let series = Series::new(10.0, 1, vec![1.0, 2.0, 3.0]).unwrap();
-        assert_eq!(series.crop(0, 0).frames(), 1);
-        assert_eq!(series.crop(9, 99).samples(), [3.0]);
     }
 }

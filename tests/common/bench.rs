@@ -12,8 +12,9 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, unbounded};
 use serde_json::Value;
+use surfaced::dataset;
 use surfaced::dataset::synth::{self, Parameters};
-use surfaced::library::{Library, recording};
+use surfaced::library::Library;
 use surfaced::record::{TrialOptions, write_trial};
 use surfaced::scene::Scene;
 use surfaced::trial::{EXPERT, Trial, TrialKey};
@@ -226,5 +227,5 @@ impl Drop for Surfaced {
 
 /// A library as it is on the disk.
 pub fn opened(path: &Path) -> Library {
-    recording::open(path, &Scene::lmt108()).unwrap()
+    dataset::open(path, &Scene::lmt108()).unwrap()
 }

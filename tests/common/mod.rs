@@ -2,8 +2,11 @@
 
 #![allow(dead_code)] // Not every test binary uses all of it.
 
+pub mod edited;
 pub mod http;
 pub mod replayed;
+pub mod running;
+pub mod scores;
 pub mod scripted;
 pub mod simulate;
 pub mod sound;

@@ -111,7 +111,7 @@ fn a_wrong_number_of_channels() {
     says(
         &refusal(&path),
         &[
-            "ac.wav: 1 channel, but source `ac` has 3; expected one channel a column",
+            "ac.wav: 1 channel, but source `ac` has 3; expected one channel for each column",
             "[sources.ac] channels = 1",
         ],
     );
@@ -206,6 +206,9 @@ fn an_unknown_key_with_its_line() {
     write_file(&path.join("Oak/1/trial.toml"), "");
     write_file(&path.join("library.toml"), "format = 1\nnaem = \"x\"\n");
     says(&refusal(&path), &["library.toml", "line 2", "unknown field `naem`"]);
+    let text = "format = 1\n[sources.pac]\ndomain = \"time\"\nalign = true\n";
+    write_file(&path.join("library.toml"), text);
+    says(&refusal(&path), &["library.toml", "line 4", "unknown field `align`"]);
     write_file(&path.join("library.toml"), b"format = 1\nname = \"\xff\"\n");
     says(&refusal(&path), &["library.toml: line 2: not UTF-8"]);
 }

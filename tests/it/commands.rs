@@ -254,8 +254,8 @@ fn bad_data_end_with_code_one_and_say_what_to_do() {
         refused(&["compare", "--samples", &good, other], 1, parts);
     };
     samples(&write("nan.csv", "1,2\n3,NaN\n"), &["nan.csv", "line 2", "`NaN`"]);
-    samples(&write("ragged.csv", "1,2\n3\n"), &["line 2", "1 column, but 2"]);
-    samples(&write("empty.csv", ""), &["no samples"]);
+    samples(&write("ragged.csv", "1,2\n3\n"), &["line 2 has 1 column; the first has 2"]);
+    samples(&write("empty.csv", ""), &["empty"]);
     samples(&write("narrow.csv", "1\n2\n"), &["2 columns", "has 1"]);
 }
 

@@ -26,7 +26,7 @@ fn library(folder: &Path) {
         sample_format: hound::SampleFormat::Float,
     };
     let mut rng = seed::rng(1, &[b"library"]);
-    for (surface, tau) in [("foam", 20.0), ("mesh", 5.0)] {
+    for (surface, tau) in [("foam", 20.0), ("wire & mesh", 5.0)] {
         for trial in 1..=10 {
             let trial = folder.join(surface).join(trial.to_string());
             std::fs::create_dir_all(&trial).unwrap();
@@ -62,7 +62,7 @@ fn pooled_gives_t_star_its_bound_and_what_a_trial_is_worth_and_draws_the_curve()
     let answer = json(&stdout);
     assert_eq!(answer["settings"], serde_json::json!({"rule": "pooled", "dependence": 0.1}));
     assert_eq!(answer["durations"].as_array().unwrap().len(), 4);
-    for (surface, tau) in [("foam", 20.0), ("mesh", 5.0)] {
+    for (surface, tau) in [("foam", 20.0), ("wire & mesh", 5.0)] {
         let found = row(&answer, surface, "ir");
         assert_eq!(found["rule"], "pooled");
         let number = |key: &str| found[key].as_f64().unwrap();
@@ -83,7 +83,11 @@ fn pooled_gives_t_star_its_bound_and_what_a_trial_is_worth_and_draws_the_curve()
         assert!(metal[key].is_null(), "{key}: {metal}");
     }
     assert!(metal["reason"].as_str().unwrap().contains("constant"));
-    assert!(std::fs::read_to_string(svg).unwrap().starts_with("<svg"));
+    let drawn = std::fs::read_to_string(&svg).unwrap();
+    assert!(drawn.starts_with("<svg") && drawn.contains("foam (Q = 10)"), "{drawn}");
+    assert!(drawn.contains("the other surface") && drawn.contains("T* ="), "{drawn}");
+    let (code, _, stderr) = surfaced(&["duration", path, "--source", "me", "--svg", svg_path]);
+    assert!(code == 1 && stderr.contains("no surface and source has a curve"), "{stderr}");
 }
 
 #[test]
@@ -112,7 +116,10 @@ fn the_answer_is_how_long_to_drag_or_how_many_trials_are_lacking_for_it() {
     assert!(few["scan_s"] == few["whole_s"] && few["trials"] == 20 && few["people"] == 1, "{few}");
     let more = few["more_trials"].as_u64().unwrap();
     assert!(few["reason"].as_str().unwrap().ends_with(&format!("record {more} more")), "{few}");
-    let found = answer(&["--accuracy", "0.9"]);
+    let svg = folder.path().join("curve.svg");
+    let found = answer(&["--accuracy", "0.9", "--svg", svg.to_str().unwrap()]);
+    let drawn = std::fs::read_to_string(svg).unwrap();
+    assert!(drawn.contains("scans named right") && drawn.contains("drag for"), "{drawn}");
     let number = |key: &str| found[key].as_f64().unwrap();
     assert!(number("scan_s") > 0.0 && number("scan_s") <= number("whole_s"), "{found}");
     assert!(number("accuracy_low") <= number("accuracy") && number("accuracy") >= 0.9, "{found}");
@@ -166,7 +173,7 @@ fn the_published_rule_gives_t_star_and_the_longest_scan_and_draws_the_curve() {
     let answer = json(&stdout);
     let rows = answer["durations"].as_array().unwrap();
     assert_eq!(rows.len(), 4);
-    let (foam, mesh) = (row(&answer, "foam", "ir"), row(&answer, "mesh", "ir"));
+    let (foam, mesh) = (row(&answer, "foam", "ir"), row(&answer, "wire & mesh", "ir"));
     let lag = |row: &serde_json::Value| row["t_star_samples"].as_u64().unwrap();
     assert!(lag(foam) > 2 * lag(mesh), "{} {}", lag(foam), lag(mesh));
     let t_star_s = foam["t_star_s"].as_f64().unwrap();
@@ -177,7 +184,8 @@ fn the_published_rule_gives_t_star_and_the_longest_scan_and_draws_the_curve() {
     let metal = row(&answer, "foam", "me");
     assert!(metal["t_star_samples"].is_null() && metal["scan_s"].is_null());
     assert!(metal["reason"].as_str().unwrap().contains("constant"));
-    assert!(std::fs::read_to_string(svg).unwrap().starts_with("<svg"));
+    let drawn = std::fs::read_to_string(svg).unwrap();
+    assert!(drawn.contains("T* =") && drawn.contains("wire &amp; mesh · ir (Q = 10)"), "{drawn}");
 }
 
 #[test]
@@ -186,7 +194,10 @@ fn an_unknown_surface_and_an_unknown_source_are_named() {
     library(folder.path());
     let path = folder.path().to_str().unwrap();
     let (code, _, stderr) = surfaced(&["duration", path, "--surface", "oak"]);
-    assert!(code == 1 && stderr.contains("`oak`") && stderr.contains("foam, mesh"), "{stderr}");
+    assert!(
+        code == 1 && stderr.contains("`oak`") && stderr.contains("foam, wire & mesh"),
+        "{stderr}"
+    );
     let (code, _, stderr) = surfaced(&["duration", path, "--source", "ca1"]);
     assert!(code == 1 && stderr.contains("image"), "{stderr}");
     let (code, _, stderr) = surfaced(&["duration", path, "--rule", "mean-ci", "--source", "mi2"]);

@@ -1,6 +1,7 @@
 //! An end takes less than five seconds, whatever happens; nothing recorded is lost, and every scan
 //! without an answer is reported.
 
+use std::any::Any;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
@@ -8,19 +9,18 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use crate::common::id;
+use surfaced::dataset;
 use surfaced::device::{
     Begin, Device, DeviceError, DeviceLink, Mark, Open, StreamKind, StreamSpec,
 };
 use surfaced::history::{History, Keeper};
-use surfaced::library::{Entry, recording};
+use surfaced::library::Entry;
 use surfaced::outputs::Output;
 use surfaced::recognise::features::FeatureVector;
-use surfaced::recognise::{
-    EmbeddingModel, Evidence, Model, Prepared, RankedSurface, Ranking, RecogniseError,
-};
+use surfaced::recognise::{Evidence, Model, Prepared, RankedSurface, Ranking, RecogniseError};
 use surfaced::record::edit::LibraryLock;
 use surfaced::ring::Sink;
-use surfaced::scan::Options;
+use surfaced::scan::{CutFrom, Options};
 use surfaced::scene::{Phase, Scene};
 use surfaced::serve::{LibraryFolder, Server, Settings};
 use surfaced::station::config::OutputsConfig;
@@ -54,14 +54,9 @@ impl Device for Stylus {
         for _ in 0..SCANS {
             control.mark(Mark::Begin(Begin::default()));
             let (source, start) = (id("ir"), sinks[0].position());
-            control.mark(Mark::Open(Open {
-                source: source.clone(),
-                stream: source.clone(),
-                start,
-                phase: Phase::Drag,
-                rate_hz: 10_000.0,
-                channels: 1,
-            }));
+            let stream = source.clone();
+            let cut = CutFrom { source: source.clone(), stream, phase: Phase::Drag, channels: 1 };
+            control.mark(Mark::Open(Open { cut, start, rate_hz: 10_000.0 }));
             sinks[0].series().unwrap().push(&[0.25; 2000]);
             control.mark(Mark::Close { source, end: sinks[0].position() });
             control.mark(Mark::End { at: Instant::now() });
@@ -124,7 +119,7 @@ fn of_a_station_whose_library_is_still_being_read() {
     let store = ScanStore::new(folder.path().to_path_buf(), Scene::lmt108());
     let left = unnamed(|station| station.load(Arc::new(load)).store(store).keep(keep));
     assert_eq!(left, [2, 3]);
-    let kept = recording::open(folder.path(), &Scene::lmt108()).unwrap();
+    let kept = dataset::open(folder.path(), &Scene::lmt108()).unwrap();
     assert_eq!(kept.entries.len(), 1);
     assert_eq!(kept.entries[0].load().unwrap().signals.len(), 1);
 }
@@ -199,7 +194,7 @@ impl Model for Slow {
     }
 
     // It calibrates itself when the first scan is followed.
-    fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
+    fn as_any(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
         self.reach("follow");
         None
     }
@@ -229,7 +224,7 @@ fn of_a_station_that_keeps_scans_and_cannot_say_what_they_are_like() {
     };
     assert_eq!(unnamed(station), Vec::<u32>::new());
     assert_eq!(*kept.lock().unwrap(), [1, 2, 3]);
-    let library = recording::open(folder.path(), &Scene::lmt108()).unwrap();
+    let library = dataset::open(folder.path(), &Scene::lmt108()).unwrap();
     assert_eq!(library.entries.len(), 3);
 }
 
@@ -243,7 +238,7 @@ fn of_a_station_whose_history_cannot_say_why() {
     // As it is on disk, with the signals of every scan.
     let extent = History::read(folder.path()).unwrap().extent();
     assert_eq!((extent.scans, extent.with_signals), (3, 3));
-    let kept = recording::open(folder.path(), &Scene::lmt108()).unwrap();
+    let kept = dataset::open(folder.path(), &Scene::lmt108()).unwrap();
     assert_eq!(kept.entries.len(), 3);
 }
 

@@ -1,5 +1,5 @@
 //! Every method on numbers made to hurt: identical and nearly constant trials, 1e±30, heavy tails,
-//! duplicates, one outlier. (The kernel's own sums on such samples: `recognise::score`.)
+//! duplicates, one outlier. (The kernel's own sums on such samples: `score`.)
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -34,7 +34,8 @@ fn played(trial: &Trial, chunk_s: f64) -> Trial {
         Event::Scan(scan) => Some(scan.trial),
         _ => None,
     });
-    session.stop().unwrap();
+    session.request_stop();
+    session.wait().unwrap();
     scan.unwrap()
 }
 

@@ -2,6 +2,7 @@
 
 use crate::common::{self, id, open, picture, says, series, temp, trial, write_file, write_wav};
 use proptest::prelude::*;
+use surfaced::dataset;
 use surfaced::library::{About, recording};
 use surfaced::record::{TrialOptions, write_library_toml, write_trial};
 use surfaced::scene::Scene;
@@ -64,7 +65,7 @@ proptest! {
         let key = TrialKey::new(surface, user, number);
         let trial = Trial { key, signals: [(id("q"), Signal::Series(signal))].into() };
         write_trial(&path, &trial, &scene, &quick()).unwrap();
-        let library = recording::open(&path, &scene).unwrap();
+        let library = dataset::open(&path, &scene).unwrap();
         let read = library.entries[0].load().unwrap();
         prop_assert_eq!(&read, &trial);
         let (Signal::Series(a), Signal::Series(b)) = (&read.signals["q"], &trial.signals["q"]) else {

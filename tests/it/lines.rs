@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use serialport::{SerialPort, TTYPort};
-use surfaced::library::recording;
+use surfaced::dataset;
 use surfaced::scene::Scene;
 use surfaced::trial::Signal;
 
@@ -202,7 +202,7 @@ fn a_port_that_is_named_on_the_command_line_needs_no_configuration() {
 
 /// Rate and channels of a source in a library's first trial.
 fn shape(library: &Path, source: &str) -> (f64, usize) {
-    let library = recording::open(library, &Scene::lmt108()).unwrap();
+    let library = dataset::open(library, &Scene::lmt108()).unwrap();
     let trial = library.entries[0].load().unwrap();
     match &trial.signals[source] {
         Signal::Series(series) => (series.rate_hz(), series.channels()),

@@ -5,9 +5,10 @@ use std::time::{Duration, Instant};
 use crate::common::id;
 use surfaced::device::{Device, DeviceError, DeviceLink, StreamKind, StreamSpec};
 use surfaced::ring::Sink;
-use surfaced::scan::detect::{DetectorConfig, SensorKind};
+use surfaced::scan::detect::SensorKind;
 use surfaced::scan::{CutFrom, Detection, Event, Options, Scan, ScanCommand, Session};
 use surfaced::scene::Phase;
+use surfaced::station::config::StationConfig;
 use surfaced::trial::Signal;
 
 /// The events, in true seconds: a tap, then a drag.
@@ -81,7 +82,7 @@ fn detection() -> Detection {
         channels,
     };
     Detection {
-        detector: DetectorConfig::default(),
+        detector: StationConfig::embedded().detection.detector,
         groups: vec![
             vec![(id("ac"), SensorKind::Vibration)],
             vec![(id("sound"), SensorKind::Vibration)],

@@ -10,7 +10,7 @@ use surfaced::evaluate::{Evaluation, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, FreshFrames, LibraryShape, Method,
-    Model, Ranking, RecogniseError, TrialFrames,
+    MethodName, MethodSpec, Model, Ranking, RecogniseError, ReferenceOptions, TrialFrames,
 };
 use surfaced::scene::{Colour, Domain, Scene, SourceId};
 use surfaced::seed;
@@ -324,4 +324,27 @@ fn a_query_without_a_common_source_is_refused() {
     let model = trained(&scene, &embedding(&scene), &library);
     let error = rank(&model, &query).unwrap_err().to_string();
     assert!(error.contains("no source in common: the query has ir"), "{error}");
+}
+
+#[test]
+fn a_spec_survives_being_written_and_says_only_what_is_unusual() {
+    for name in MethodName::ALL {
+        let spec = MethodSpec::from(name);
+        let text = toml::to_string(&spec).unwrap();
+        assert_eq!(toml::from_str::<MethodSpec>(&text).unwrap(), spec, "{text}");
+        assert_eq!(spec.name(), name);
+        assert_eq!(spec.build(&Scene::lmt108()).name(), name.as_str());
+    }
+    let options = ReferenceOptions { samples: 100, repetitions: 1, ..Default::default() };
+    let text = toml::to_string(&MethodSpec::Reference(options)).unwrap();
+    assert_eq!(text, "method = \"reference\"\nn = 100\nrepetitions = 1\n");
+}
+
+#[test]
+fn settings_of_another_method_are_refused() {
+    let spec = |text: &str| toml::from_str::<MethodSpec>(text);
+    assert!(spec("method = \"reference\"\nneighbours = 3").is_ok());
+    for text in ["method = \"embedding\"\nn = 3", "method = \"svm\"\nn = 3", "method = \"joint\""] {
+        assert!(spec(text).is_err(), "{text}");
+    }
 }

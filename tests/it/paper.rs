@@ -142,7 +142,7 @@ fn shards_join_to_the_same_bytes_and_a_killed_run_resumes() {
     // The leftovers of a killed run are no result.
     write_file(&shards.join("shard-0001-of-0003.1.unfinished"), "{\"format\": 1, \"da");
     let refused = eval(&["merge", &shards_text]);
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("not there yet: 1, 3"));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("are missing: 1, 3"));
     for number in ["1/3", "3/3"] {
         assert!(shard(number).contains("wrote"));
     }

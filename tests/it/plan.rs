@@ -106,7 +106,7 @@ fn replay_keeps_to_the_plan() {
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
     let plan = Plan::read(&file).unwrap();
     assert_eq!(json["plan"]["sources"][0], plan.sources[0].as_str());
-    assert!(std::fs::read_to_string(&file).unwrap().contains("99.0 % is not shown"));
+    assert!(std::fs::read_to_string(&file).unwrap().contains("99.0 % is not certain"));
 
     let output = surfaced(&["replay", text(&lib), "--plan", text(&file), "--json"]);
     assert!(output.status.success(), "{}", said(&output));
@@ -132,7 +132,7 @@ fn a_plan_that_cannot_be_is_wrong_usage() {
         assert_eq!(output.status.code(), Some(2), "{}", said(&output));
         assert!(said(&output).contains(part), "expected `{part}` in: {}", said(&output));
     };
-    refused(&["replay", "--plan", text(&file)], "plan.toml: No such file");
+    refused(&["replay", "--plan", text(&file)], "plan.toml: there is no such file");
     std::fs::write(&file, "format = 1\nsauces = [\"mi2\"]\n").unwrap();
     refused(&["replay", "--plan", text(&file)], "sauces");
     refused(&["replay", "--plan", text(&file), "--n", "3"], "cannot be used with");

@@ -1,16 +1,17 @@
 //! The stylus's driver against a stylus on a pseudo-terminal that misbehaves in every way.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::common::stylus::{Fake, NAMES, RATE_HZ, value};
 use crossbeam_channel::Receiver;
-use surfaced::device::serial::{OpenPort, Selector, Stylus};
+use surfaced::device::serial::{Selector, Stylus};
 use surfaced::device::{
     Device, DeviceLink, DeviceReport, DeviceReportKind, DeviceState, OpenError,
 };
 use surfaced::ring::{Piece, SeriesTap, Sink, Stop, Waker, series};
+use surfaced::station::config::{StationConfig, StylusConfig};
 use surfaced_wire::Command;
 
 /// A driver at work.
@@ -24,6 +25,12 @@ struct Bench {
     texts: Vec<String>,
     stop: Stop,
     thread: Option<JoinHandle<()>>,
+}
+
+/// The driver of the stylus that `link` leads to.
+fn driver(link: &Path) -> Stylus {
+    let config = StationConfig::embedded().stylus.unwrap();
+    Stylus::new(StylusConfig { port: Selector::Path(link.into()), ..config })
 }
 
 fn bench() -> Bench {
@@ -46,7 +53,7 @@ fn bench() -> Bench {
 
 impl Bench {
     fn start(mut self, sender: crossbeam_channel::Sender<DeviceReport>) -> Self {
-        let mut stylus = Stylus::new(Selector::Path(self.link.clone()));
+        let mut stylus = driver(&self.link);
         let mut sinks = Vec::new();
         for spec in stylus.streams() {
             let channels = match spec.id.as_str() {
@@ -334,7 +341,7 @@ fn unplugged_and_back_the_loss_is_what_the_clock_says() {
 fn a_port_that_another_has_is_busy_and_one_that_is_not_there_absent() {
     let dir = tempfile::tempdir().unwrap();
     let link = dir.path().join("stylus");
-    let mut selector = Selector::Path(link.clone());
+    let selector = Selector::Path(link.clone());
     assert!(matches!(selector.open(), Err(OpenError::Absent(_))));
     let _fake = Fake::plug(&link);
     let held = selector.open().unwrap();
@@ -348,7 +355,7 @@ fn the_light_is_asked_for_until_it_is_on() {
     let dir = tempfile::tempdir().unwrap();
     let link = dir.path().join("stylus");
     let mut fake = Fake::plug(&link);
-    let mut stylus = Stylus::new(Selector::Path(link));
+    let mut stylus = driver(&link);
     let light = stylus.light();
     light.set(true);
     let (sender, _reports) = crossbeam_channel::bounded(1024);

@@ -111,6 +111,11 @@ fn orders_reach_the_station_and_nothing_else_does() {
             r#"{"surface": "ash", "user": "anna", "trials": 3}"#,
             Command::Enroll { surface: "ash".into(), user: "anna".into(), trials: 3 },
         ),
+        (
+            "enroll",
+            r#"{"surface": " oak "}"#,
+            Command::Enroll { surface: "oak".into(), user: "expert".into(), trials: 1 },
+        ),
     ] {
         let reply = served.post(&format!("/api/v1/{path}"), body);
         assert_eq!((reply.status, reply.json()["accepted"].as_str()), (202, Some(path)));

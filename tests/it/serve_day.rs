@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::common::http::{Events, Served, answer, serve};
 use crate::common::id;
 use serde_json::{Value, json};
-use surfaced::device::camera::{FlashState, Rgb, Turn, Viewfinder};
+use surfaced::device::camera::{FlashState, Viewfinder};
 use surfaced::history::{History, Keeper};
 use surfaced::record::{TrialOptions, write_trial};
 use surfaced::scan::Scan;
@@ -54,7 +54,7 @@ fn the_camera_is_shown_whole_with_its_region_and_its_light() {
     let none = json!({"source": "ca1", "region": null, "flash": "off"});
     assert_eq!(events.next("state")["camera"], none);
     assert_eq!(served.get("/api/v1/pictures/whole-ca1.jpg").status, 404);
-    finder.show(Rgb { width: 720, height: 720, bytes: vec![90; 720 * 720 * 3] }, Turn::None);
+    finder.show(image::RgbImage::from_pixel(720, 720, image::Rgb([90; 3])));
     finder.light(FlashState::On);
     let view = loop {
         let view = events.next("camera");

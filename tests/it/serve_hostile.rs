@@ -51,15 +51,23 @@ fn what_is_no_request_is_refused_and_orders_nothing() {
         let refused = served.raw(bytes).is_none_or(|reply| (400..600).contains(&reply.status));
         assert!(refused, "{:?}", String::from_utf8_lossy(bytes));
     }
-    for body in
-        ["", "null", "[1]", "{", r#"{"surface": 7}"#, r#"{"surface": "a", "x": 1}"#, "\u{0}"]
-    {
-        let reply = served.post("/api/v1/enroll", body);
-        assert_eq!(
-            (reply.status, reply.json()["error"].as_str()),
-            (400, Some("bad_request")),
-            "{body}"
-        );
+    for (body, part) in [
+        ("", "expected"),
+        ("null", "expected"),
+        ("[1]", "expected"),
+        ("{", "expected"),
+        ("\u{0}", "expected"),
+        (r#"{"surface": 7}"#, "expected"),
+        (r#"{"surface": "a", "x": 1}"#, "`x`"),
+        (r#"{"surface": "<img onerror=alert(1)>"}"#, "`surface`"),
+        (r#"{"surface": "oak", "user": "a/b"}"#, "`user`"),
+        (r#"{"surface": "oak", "trials": 0}"#, "`trials`"),
+        (r#"{"surface": "oak", "trials": -1}"#, "-1"),
+        (r#"{"surface": "oak", "trials": 1e9}"#, "expected"),
+    ] {
+        let reply = served.post("/api/v1/enroll", body).json();
+        assert_eq!(reply["error"], "bad_request", "{body}");
+        assert!(reply["message"].as_str().unwrap().contains(part), "{body}: {reply}");
     }
     assert_eq!(served.request("DELETE", "/api/v1/scans/1", &[], "").status, 405);
     assert_eq!(served.get("/api/v1/scans/one").status, 404);
@@ -214,20 +222,30 @@ fn another_sites_page_can_neither_order_nor_read() {
     let post = |headers: &[&str]| served.request("POST", "/api/v1/start", headers, "").status;
     let own = format!("Origin: http://{}", served.address());
     assert_eq!(post(&[&own, "Sec-Fetch-Site: same-origin"]), 202);
+    let bare = format!("Origin: {}", served.address());
     for headers in [
         &["Origin: http://evil.example"][..],
         &["Origin: null"],
+        &["Origin: "],
         &["Origin: http://127.0.0.1:1"],
+        &[&bare],
         &["Sec-Fetch-Site: cross-site"],
         &["Sec-Fetch-Site: same-site"],
     ] {
         assert_eq!(post(headers), 403, "{headers:?}");
     }
     assert_eq!(served.orders.len(), 1);
+    let status_for =
+        |host: &str| served.request("GET", "/api/v1/state", &[&format!("Host: {host}")], "").status;
+    // A tunnel may change the port.
+    for host in ["localhost", "LOCALHOST:1", "127.0.0.1:8080", "127.1.2.3", "[::1]:8080"] {
+        assert_eq!(status_for(host), 200, "{host}");
+    }
     // A name that was pointed here by somebody's DNS.
-    for host in ["evil.example", "127.0.0.1.evil.example:80", "", "localhost.evil.example"] {
-        let reply = served.request("GET", "/api/v1/state", &[&format!("Host: {host}")], "");
-        assert_eq!(reply.status, 421, "{host}");
+    for host in
+        ["", "evil.example", "127.0.0.1.evil.example:80", "localhost.evil", "[::2]", "10.0.0.1"]
+    {
+        assert_eq!(status_for(host), 421, "{host}");
     }
     let reply = served.get("/api/v1/state");
     assert!(!reply.head.contains("access-control-allow"), "{}", reply.head);

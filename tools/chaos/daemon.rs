@@ -1,4 +1,4 @@
-//! `surfaced` as a process, and all that it says.
+//! Runs `surfaced` as a process, and keeps all its output.
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
@@ -13,19 +13,19 @@ use serde_json::Value;
 
 use crate::Failure;
 
-/// A station that hangs is killed after this long.
+/// Time after which a station that hangs is killed.
 const HANGS: Duration = Duration::from_secs(30);
 
-/// States of a device.
+/// The states of a device, as messages name them.
 const STATES: [&str; 5] = ["opening", "streaming", "stalled", "lost", "absent"];
 
-/// A process, and the threads that read what it writes.
+/// A process, and the threads that read its output.
 pub struct Daemon {
     child: Child,
-    /// While set, nobody reads its lines of JSON.
+    /// While this is true, no thread reads the process's lines of JSON.
     pub stalled: Arc<AtomicBool>,
     lines: Arc<Mutex<Vec<Value>>>,
-    /// Its lines on stderr, each with its time.
+    /// The process's lines on stderr, each with its time.
     said: Arc<Mutex<Vec<(Instant, String)>>>,
     readers: Vec<JoinHandle<()>>,
 }
@@ -57,7 +57,7 @@ impl Daemon {
         Ok(Self { child, stalled, lines, said, readers: vec![json, text] })
     }
 
-    /// The address that it serves at.
+    /// The address at which the process serves its page.
     pub fn address(&mut self) -> Result<SocketAddr, Failure> {
         let begin = Instant::now();
         while begin.elapsed() < HANGS && self.child.try_wait()?.is_none() {
@@ -66,18 +66,18 @@ impl Daemon {
             }
             std::thread::sleep(Duration::from_millis(20));
         }
-        // Its last lines may still be on their way.
+        // Waits for the last lines, which may still be on their way.
         std::thread::sleep(Duration::from_millis(500));
         Err(format!("it does not serve: {}", self.said()).into())
     }
 
-    /// All that it has said to people.
+    /// All lines on stderr so far.
     pub fn said(&self) -> String {
         let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
         said.iter().flat_map(|(_, line)| [line, "\n"]).collect()
     }
 
-    /// The states that a device came into, and when.
+    /// The states of a device, each with the time when it began.
     pub fn states(&self, device: &str) -> Vec<(Instant, String)> {
         let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
         let state = |(at, line): &(Instant, String)| {
@@ -88,12 +88,12 @@ impl Daemon {
         said.iter().filter_map(state).collect()
     }
 
-    /// Its lines of JSON.
+    /// The lines of JSON so far.
     pub fn lines(&self) -> Vec<Value> {
         self.lines.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The scans that a line or a message mentions.
+    /// Numbers of the scans that a line of JSON or a message mentions.
     pub fn scans(&self) -> BTreeSet<u64> {
         let said = self.said();
         let said = said.match_indices("scan ").filter_map(|(at, found)| {
@@ -109,15 +109,15 @@ impl Daemon {
         matches!(self.child.try_wait(), Ok(None))
     }
 
-    /// The most memory that it has had, in MB.
+    /// The most memory that the process has used so far, in MB.
     pub fn peak_mb(&self) -> Option<u64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
         line.trim().trim_end_matches(" kB").parse::<u64>().ok().map(|kb| kb / 1024)
     }
 
-    /// Sends a signal and waits for the end; how it ended, and how long that took. Meanwhile the
-    /// stylus does as `meanwhile` says.
+    /// Sends a signal and waits until the process ends, calling `meanwhile` again and again.
+    /// Returns the exit status and the time that the end took.
     pub fn end(
         &mut self,
         signal: &str,

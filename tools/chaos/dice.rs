@@ -1,6 +1,6 @@
-//! Chance that repeats itself.
+//! Random numbers that repeat.
 
-/// Random numbers, the same for the same seed (SplitMix64, Steele et al. 2014).
+/// A generator of random numbers; equal seeds give equal numbers (SplitMix64, Steele et al. 2014).
 pub struct Dice(pub u64);
 
 impl Dice {
@@ -11,27 +11,27 @@ impl Dice {
         z ^ (z >> 31)
     }
 
-    /// From 0 to `n` − 1.
+    /// A whole number from 0 to `n` − 1.
     pub fn below(&mut self, n: u64) -> u64 {
         self.next() % n
     }
 
-    /// From `low` to `high`.
+    /// A number from `low` to `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// True once in `n` times.
+    /// True with probability 1/`n`.
     pub fn once_in(&mut self, n: u64) -> bool {
         self.below(n) == 0
     }
 
-    /// One of these.
+    /// One item of `of`, each with the same probability.
     pub fn pick<'a, T>(&mut self, of: &'a [T]) -> &'a T {
         &of[self.below(of.len() as u64) as usize]
     }
 
-    /// So many bytes.
+    /// A number of `count` random bytes.
     pub fn bytes(&mut self, count: usize) -> Vec<u8> {
         (0..count).map(|_| self.next() as u8).collect()
     }

@@ -1,4 +1,4 @@
-//! The library's disk: it fills and empties, and others write on it.
+//! The disk of the library, which fills and empties, and on which other processes write.
 
 use std::fs;
 use std::io::Write;
@@ -18,15 +18,15 @@ use crate::dice::Dice;
 
 /// The sources of the stylus and of the microphone.
 const SOURCES: [&str; 6] = ["ac", "fr", "ir", "me", "mi1", "mi2"];
-/// Size of the disk: past scans come to its end within some 20 minutes.
+/// Size of the disk, which past scans fill within some 20 minutes.
 const SIZE: &str = "size=32m";
 
-/// A small disk in memory, where that may be mounted; else a folder that is moved away when it is to
-/// take no more.
+/// A small disk in memory. If none may be mounted, a folder instead, whose library is moved away to
+/// act as a full disk.
 pub struct Disk {
     folder: PathBuf,
     mounted: bool,
-    /// Trials of each surface; number 4 is not in the library.
+    /// The trials of each surface; trial number 4 is not in the library.
     pub data: Library,
 }
 
@@ -71,7 +71,7 @@ impl Disk {
         Ok(())
     }
 
-    /// Takes no more bytes until it is [emptied](Self::empty).
+    /// Fills the disk, so that it takes no more bytes until [`Self::empty`].
     pub fn fill(&self) -> Result<(), Failure> {
         if !self.mounted {
             fs::rename(self.library(), self.folder.join("moved"))?;
@@ -96,12 +96,12 @@ impl Disk {
         Ok(())
     }
 
-    /// Another process edits the library, as a script would. Fails where the disk is full.
+    /// Edits the library at random, as another process would. Fails if the disk is full.
     pub fn edit(&self, dice: &mut Dice) -> Result<(), Failure> {
         let surface = self.library().join(dice.pick(&self.data.surfaces()));
         let strange = surface.join(format!("trial{}", 50 + dice.below(5)));
         match dice.below(5) {
-            // Trials come and go, also under numbers that a recorder is about to take.
+            // Trials come and go, even under numbers that a recorder is about to use.
             0 | 1 if strange.exists() => fs::remove_dir_all(strange)?,
             0 | 1 => {
                 fs::create_dir(&strange)?;
@@ -128,8 +128,8 @@ impl Disk {
         Ok(())
     }
 
-    /// Checks the trials that lines of JSON said were kept, and removes them, so that the library
-    /// stays small. Gives how many there were, and what is wrong with them.
+    /// Checks the trials that lines of JSON report as kept, and removes them, so that the library
+    /// stays small. Returns the number of these trials, and a text for each problem.
     pub fn check(&self, lines: &[Value]) -> Result<(u64, Vec<String>), Failure> {
         let opened = dataset::open_usable(&self.library(), &Scene::lmt108())?;
         let mut wrong: Vec<String> = Vec::new();
@@ -144,7 +144,7 @@ impl Disk {
                 Some(Ok(trial)) if !trial.signals.is_empty() => {}
                 Some(Ok(_)) => wrong.push(format!("{} holds nothing", folder.display())),
                 Some(Err(error)) => wrong.push(error.to_string()),
-                // One with gaps is kept, and no reader of the library takes it.
+                // A trial with gaps is kept on disk, but readers of the library skip it.
                 None if !line["remarks"].as_array().is_none_or(Vec::is_empty)
                     && folder.join("trial.toml").is_file()
                     && SOURCES.iter().any(|id| folder.join(format!("{id}.wav")).is_file()) => {}

@@ -1,6 +1,6 @@
-//! A library that two processes edit, and are killed in the middle, while one records into it and
-//! one reviews past scans: every trial must be there once and whole afterwards, and undoing every
-//! step must give back the beginning.
+//! Two processes edit a library, and are killed in the middle, while a third records into it and a
+//! fourth reviews past scans. Afterwards every trial must be there once and whole, and undoing all
+//! steps must restore the first state.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -23,31 +23,31 @@ use crate::dice::Dice;
 use crate::http::{Served, answer, serve};
 use crate::{Failure, Sums};
 
-/// How long all are at it.
+/// How long all processes work on the library.
 const LENGTH: Duration = Duration::from_secs(8);
-/// One of them is a name that means something else in a library.
+/// Names of surfaces. One of them is also the name of a file in a library.
 const SURFACES: [&str; 4] = ["oak", "ash", "elm", "library.toml"];
-/// Samples of a recording, and bytes before them in its file.
+/// Number of samples in a recording, and number of bytes before the samples in its file.
 const SAMPLES: usize = 500;
 const HEADER: usize = 44;
-/// Past scans that are reviewed.
+/// Number of past scans that are reviewed.
 const SCANS: u32 = 6;
 
-/// The library that all of them work on.
+/// The library that all processes edit.
 struct Edited<'a> {
     program: &'a str,
     root: PathBuf,
     scene: Scene,
     ended: AtomicBool,
-    /// Numbers the recordings: it is the first sample of each.
+    /// Number of the next recording, which is the first sample of the recording.
     next: AtomicU64,
-    /// The label of each trial that was recorded.
+    /// The label of each recorded trial, by the number of the recording.
     recorded: Mutex<BTreeMap<u16, String>>,
     edits: AtomicU64,
     kills: AtomicU64,
 }
 
-/// Lets them work for a while, and checks what they left.
+/// Lets all processes work on a library for a while, and then checks the library.
 pub fn round(program: &str, dir: &Path, seed: u64, sums: &mut Sums) -> Result<(), Failure> {
     let root = dir.join(format!("edited-{seed}"));
     let edited = Edited {
@@ -97,7 +97,7 @@ impl Edited<'_> {
         Ok((number, BTreeMap::from([(SourceId::new("ir")?, series)])))
     }
 
-    /// Another process adds a trial.
+    /// Adds a trial, as another process would.
     fn record(&self, surface: &str) -> Result<(), Failure> {
         let (number, signals) = self.signals()?;
         let trial = Trial { key: TrialKey::new(surface, "anna", 1), signals };
@@ -111,12 +111,12 @@ impl Edited<'_> {
     fn enroll(&self, mut dice: Dice) {
         while self.goes_on() {
             std::thread::sleep(Duration::from_millis(dice.below(300)));
-            // One that could not be written is no trial.
+            // A failure is ignored: a trial that could not be written does not count.
             let _ = self.record(dice.pick::<&str>(&SURFACES));
         }
     }
 
-    /// Edits by the command line, one edit a process, some of which are killed.
+    /// Edits by the command line, one process for each edit; some of the processes are killed.
     fn edit(&self, mut dice: Dice) {
         while self.goes_on() {
             let (one, what) = (*dice.pick(&SURFACES), dice.below(8));
@@ -145,7 +145,7 @@ impl Edited<'_> {
         }
     }
 
-    /// A station that has past scans, and whose library may be edited.
+    /// Starts a station that has past scans, and whose users may edit the library.
     fn review_scans(&self) -> Result<Served, Failure> {
         let history = Arc::new(History::open(&self.root.join(".history"), 1 << 24)?);
         let scene = self.scene.clone();
@@ -164,7 +164,7 @@ impl Edited<'_> {
         }))
     }
 
-    /// Corrects scans, keeps them and edits trials, as a page does.
+    /// Corrects scans, keeps scans and undoes edits, as the page of a station does.
     fn review(&self, client: crate::http::Client, mut dice: Dice) {
         while self.goes_on() {
             std::thread::sleep(Duration::from_millis(dice.below(50)));
@@ -180,7 +180,7 @@ impl Edited<'_> {
         }
     }
 
-    /// The label of each trial, and whether it is removed.
+    /// The label of each trial on disk, and whether the trial is removed; adds problems to `wrong`.
     fn trials(&self, wrong: &mut Vec<String>) -> BTreeMap<u16, (String, bool)> {
         let mut found = BTreeMap::new();
         for (root, is_removed) in [(self.root.clone(), false), (self.root.join(".removed"), true)] {

@@ -1,4 +1,4 @@
-//! The stylus and its line, and the account of what it sent.
+//! The emulated stylus and its serial line, and counts of the samples that it sent.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,12 +11,12 @@ use crate::disk::Disk;
 use crate::scripted::{Noise, Sample, scan};
 use crate::stylus::Fake;
 
-/// The samples that may be lost without a trace when a line breaks: those under way.
+/// Most samples on their way, which may be lost unnoticed when a line breaks.
 const TAIL: u64 = 4000;
-/// Samples of a frame.
+/// Number of samples in a frame.
 const FRAME: u64 = 32;
 
-/// The samples of the stylus, again and again: a scan of each surface.
+/// The samples that the stylus repeats: a scan of each surface.
 pub struct Tape(Arc<Vec<Sample>>);
 
 impl Tape {
@@ -29,18 +29,18 @@ impl Tape {
     }
 }
 
-/// A stylus that is plugged in, and unplugged, and plugged in again.
+/// A stylus that can be unplugged and plugged in again.
 pub struct Line<'a> {
     link: PathBuf,
     tape: &'a Tape,
     fake: Fake,
-    /// Samples that were put on the line.
+    /// Number of samples that were put on the line.
     put: Arc<AtomicU64>,
-    /// Samples that were taken and not put on the line.
+    /// Number of samples that were taken but not put on the line.
     skipped: u64,
-    /// Samples of which nobody can know whether they were lost.
+    /// Number of samples of which nobody can know whether they were lost.
     pub unknowable: u64,
-    /// Samples that were lost last, and how many had been put on the line by then.
+    /// Number of samples in the last loss, and number of samples put on the line before it.
     lost: (u64, u64),
 }
 
@@ -52,12 +52,12 @@ impl<'a> Line<'a> {
         Self { link, tape, fake, put, skipped: 0, unknowable: 0, lost: (0, 0) }
     }
 
-    /// Samples taken so far, sent or not.
+    /// Number of samples taken so far, sent or not.
     pub fn sent(&self) -> u64 {
         self.put.load(Ordering::Relaxed) + self.skipped
     }
 
-    /// Samples that were lost with none after them, by which it would be noticed.
+    /// Number of lost samples that no sample follows, so that the station cannot notice the loss.
     pub fn lost_at_the_end(&self) -> u64 {
         let (count, put) = self.lost;
         if put == self.put.load(Ordering::Relaxed) { count } else { 0 }
@@ -71,7 +71,7 @@ impl<'a> Line<'a> {
         self.fake.obey();
     }
 
-    /// Waits until it is started; false if it is not.
+    /// Waits until the station starts the stylus; false if that does not happen in 15 s.
     pub fn is_started(&mut self) -> bool {
         let begin = Instant::now();
         while self.fake.next.is_none() {
@@ -83,12 +83,12 @@ impl<'a> Line<'a> {
         true
     }
 
-    /// Holds the line up: the latest samples wait in the stylus, and come late.
+    /// Stalls the line: samples wait in the stylus, and come late.
     pub fn stall(&mut self, dice: &mut Dice) {
         std::thread::sleep(Duration::from_secs_f64(dice.between(0.05, 1.5)));
     }
 
-    /// Frames do not arrive.
+    /// Loses some frames, which never arrive.
     pub fn lose(&mut self, dice: &mut Dice) {
         if let Some(next) = self.fake.next {
             let count = FRAME * (1 + dice.below(200));
@@ -98,29 +98,29 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Bytes arrive that it did not send; they may hit a frame.
+    /// Puts bytes on the line that the stylus did not send; they may hit a frame.
     pub fn garbage(&mut self, dice: &mut Dice) {
         let count = 1 + dice.below(4000) as usize;
         self.fake.put(&dice.bytes(count));
         self.unknowable += 2 * FRAME;
     }
 
-    /// It names itself over and over.
+    /// Lets the stylus introduce itself over and over.
     pub fn hellos(&mut self, dice: &mut Dice) {
         (0..1 + dice.below(30)).for_each(|_| self.fake.hello());
     }
 
-    /// It is unplugged, and plugged in again later.
+    /// Unplugs the stylus, and plugs it in again later.
     pub fn replug(&mut self, dice: &mut Dice) {
         self.unknowable += TAIL;
         self.fake.next = None;
         let _ = std::fs::remove_file(&self.link);
         std::thread::sleep(Duration::from_secs_f64(dice.between(0.0, 1.0)));
-        // The one before is unplugged by this.
+        // Replacing the old stylus unplugs it.
         self.fake = plug(&self.link, self.tape, &self.put);
     }
 
-    /// It loses power for a moment, and does not sample until it is started again.
+    /// Cuts the stylus's power for a moment; it does not sample until it is started again.
     pub fn restart(&mut self) {
         self.unknowable += TAIL;
         self.fake.next = None;

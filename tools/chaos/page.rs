@@ -1,4 +1,4 @@
-//! Readers of the page and programs that order: patient ones, stalled ones, hasty ones.
+//! Readers of the page, some of them stalled, and programs that send commands.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -9,7 +9,7 @@ use std::time::Duration;
 use crate::Failure;
 use crate::dice::Dice;
 
-/// An answer takes no longer than this.
+/// The longest time that a reply may take.
 const TIMEOUT: Duration = Duration::from_secs(3);
 
 fn send(address: SocketAddr, method: &str, path: &str, body: &str) -> Result<TcpStream, Failure> {
@@ -24,7 +24,7 @@ fn send(address: SocketAddr, method: &str, path: &str, body: &str) -> Result<Tcp
     Ok(line)
 }
 
-/// A whole answer.
+/// Sends a request, and returns the whole reply.
 pub fn request(
     address: SocketAddr,
     method: &str,
@@ -36,12 +36,12 @@ pub fn request(
     Ok(answer)
 }
 
-/// A reader that asks for all events and reads none.
+/// A reader that asks for all events and reads no event.
 pub fn stalled(address: SocketAddr) -> Result<TcpStream, Failure> {
     send(address, "GET", "/api/v1/events", "")
 }
 
-/// A reader that follows the phases of scans; gives the highest number of a scan so far.
+/// A reader that follows the phases of scans; returns the highest scan number so far.
 pub fn watch(address: SocketAddr) -> Result<Arc<AtomicU64>, Failure> {
     let line = send(address, "GET", "/api/v1/events?types=phase", "")?;
     line.set_read_timeout(None)?;
@@ -57,7 +57,7 @@ pub fn watch(address: SocketAddr) -> Result<Arc<AtomicU64>, Failure> {
     Ok(highest)
 }
 
-/// Orders at random, one on the heels of the other, while the stylus goes on.
+/// Sends random commands, one directly after the other, while the stylus goes on.
 pub fn order(address: SocketAddr, surfaces: &[&str], dice: &mut Dice) {
     let mut orders = Vec::new();
     for _ in 0..1 + dice.below(6) {
@@ -74,7 +74,7 @@ pub fn order(address: SocketAddr, surfaces: &[&str], dice: &mut Dice) {
     }
     std::thread::spawn(move || {
         for (path, body) in orders {
-            // An order that is refused or comes too late is no fault of the station.
+            // A failure is ignored: the station may refuse a command, or have ended.
             let _ = request(address, "POST", &path, &body);
         }
     });

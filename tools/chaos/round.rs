@@ -1,4 +1,4 @@
-//! The life of one station, and what must hold after its end.
+//! Runs one station from start to end, and checks what it left.
 
 use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
@@ -13,16 +13,16 @@ use crate::line::{Line, Tape};
 use crate::sound::Sound;
 use crate::{Failure, Samples, Sums, page};
 
-/// An end takes no longer than this.
+/// The longest time that the end of a station may take.
 const END: Duration = Duration::from_secs(5);
-/// The most memory of a station, in MB.
+/// The most memory that a station may use, in MB.
 const MOST_MB: u64 = 600;
-/// Samples that may come after the end of the reading, when a station is ended in mid-stream.
+/// Most samples that may come after the station has stopped reading, if it ends in mid-stream.
 const UNDER_WAY: u64 = 4000;
-/// Readers that ask for everything and read nothing.
+/// Most readers that ask for all events and read none.
 const STALLED: usize = 4;
 
-/// Faults of what is around the line; after these, every sample is accounted for.
+/// Faults outside the line; every sample must be accounted for after such a fault.
 const GENTLE: [&str; 9] = [
     "line stalls",
     "orders race",
@@ -34,12 +34,12 @@ const GENTLE: [&str; 9] = [
     "lines of JSON are not read",
     "samples are lost",
 ];
-/// Faults of the line.
+/// Faults of the stylus's line.
 const ROUGH: [&str; 4] = ["garbage", "hellos", "unplugged", "restarted"];
 /// Faults of the sound server.
 const LOUD: [&str; 2] = ["sound server stalls", "sound server dies"];
 
-/// The needs of a station.
+/// All that a station needs to run.
 pub struct Round<'a> {
     pub program: &'a str,
     pub dir: &'a Path,
@@ -48,7 +48,7 @@ pub struct Round<'a> {
     pub sound: Option<&'a mut Sound>,
 }
 
-/// A station at work, and what strikes it.
+/// A running station, and the things that attack it.
 struct Life<'a> {
     disk: &'a Disk,
     daemon: Daemon,
@@ -82,7 +82,7 @@ impl Round<'_> {
         Ok(command)
     }
 
-    /// Lets a station work among faults, ends it, and checks what it left.
+    /// Lets a station work during attacks, ends the station, and checks what it left.
     pub fn run(mut self, seed: u64, sums: &mut Sums) -> Result<(), Failure> {
         let mut dice = Dice(seed);
         self.disk.empty()?;
@@ -99,7 +99,7 @@ impl Round<'_> {
         let lines = life.daemon.lines();
         let scans = life.daemon.scans();
         sums.scans += scans.len() as u64;
-        // Of one that was killed, the last scans may be under way.
+        // A station that was killed need not have reported its last scans.
         let seen = if killed { 0 } else { highest.load(Ordering::Relaxed) };
         let silent: Vec<u64> = (1..=seen).filter(|scan| !scans.contains(scan)).collect();
         if !silent.is_empty() {
@@ -115,9 +115,9 @@ impl Round<'_> {
 }
 
 impl Life<'_> {
-    /// Lets it work, and strikes now and then.
+    /// Lets the station work, and attacks it now and then.
     fn suffer(&mut self, sums: &mut Sums) -> Result<(), Failure> {
-        // In one life of four the line itself is sound.
+        // In one life of four, the line itself has no faults.
         let gentle = self.dice.once_in(4);
         let rough: &[&str] = if gentle { &[] } else { &ROUGH };
         let loud: &[&str] = if self.sound.is_some() { &LOUD } else { &[] };
@@ -154,7 +154,7 @@ impl Life<'_> {
             "orders race" => page::order(*address, &disk.data.surfaces(), dice),
             "disk fills" => disk.empty().and_then(|()| disk.fill())?,
             "disk empties" => disk.empty()?,
-            // It fails where the disk is full, or its library gone.
+            // The edit fails if the disk is full or the library is moved away, which is no fault.
             "library is edited" => drop(disk.edit(dice)),
             "reader stalls" if stalled.len() < STALLED => stalled.push(page::stalled(*address)?),
             "lines of JSON are not read" => {
@@ -172,7 +172,7 @@ impl Life<'_> {
         Ok(())
     }
 
-    /// Ends or kills it, and checks its end and its account.
+    /// Ends or kills the station, and checks its end and its counts of samples.
     fn end(&mut self, killed: bool, sums: &mut Sums) -> Result<(), Failure> {
         let peak_mb = self.daemon.peak_mb().unwrap_or(0);
         sums.peak_mb = sums.peak_mb.max(peak_mb);
@@ -182,7 +182,7 @@ impl Life<'_> {
         let signal = if killed { "KILL" } else { "TERM" };
         *sums.faults.entry(signal).or_default() += 1;
         let line = &mut self.line;
-        // In one case of four with nothing under way; else in the middle of things.
+        // In one case of four, the line is quiet before the end; else samples are on their way.
         let quiet = self.dice.once_in(4);
         let begin = Instant::now();
         while quiet && begin.elapsed() < Duration::from_millis(800) {
@@ -206,7 +206,7 @@ impl Life<'_> {
         let under_way = if quiet { 0 } else { UNDER_WAY };
         let unknowable = line.unknowable + line.lost_at_the_end() + under_way;
         let samples = Samples { sent, received, lost, unknowable };
-        // On a sound line, no loss is invented either.
+        // A line without faults must not report losses that did not happen.
         let invented = line.unknowable == 0 && received + lost > sent;
         if !sums.stylus.add(&samples) || received > sent || invented {
             sums.violations.push(format!("the stylus's {}: {said}", samples.json("samples")));
@@ -221,7 +221,7 @@ impl Life<'_> {
     }
 }
 
-/// Samples received and lost, of "received: ac 10 (0 lost), …, ir 10 (0 lost), …".
+/// Reads the received and the lost samples of a stream from "received: ac 10 (0 lost), …".
 pub fn account(said: &str, stream: &str) -> Option<(u64, u64)> {
     let account = said.lines().rev().find_map(|line| line.strip_prefix("received: "))?;
     let mut words = account.split(&format!("{stream} ")).nth(1)?.split(' ');

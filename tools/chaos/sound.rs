@@ -1,4 +1,4 @@
-//! The microphone: the monitor of a real sound server, which stalls, dies and comes back.
+//! The microphone is the monitor of a real sound server, which stalls, dies and comes back.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -13,14 +13,14 @@ use crate::round::account;
 use crate::sound_server::{SINK, Server};
 use crate::{Failure, Samples};
 
-/// Samples a second.
+/// Number of sound samples a second.
 const RATE_HZ: f64 = 44_100.0;
-/// Sound in buffers, and the time that a stream may be silent before its state says so, in seconds.
+/// Seconds of sound in buffers, plus the time for which a silent stream still counts as streaming.
 const SLACK_S: f64 = 1.5;
-/// The most by which a stream may seem to give more than the time since its opening, in seconds: delays
-/// that are no losses, and the clock of another process.
+/// Most seconds by which a stream may seem to be ahead of the clock since its opening: by delays
+/// that are no losses, and by the clock of another process.
 const AHEAD_S: f64 = 0.5;
-/// Length of what is played, in seconds: longer than a station lives.
+/// Length of the played sound in seconds, longer than the life of a station.
 const PLAYED_S: usize = 120;
 
 /// A sound server that plays dragging sounds into its own microphone.
@@ -39,10 +39,10 @@ enum State {
 }
 
 impl Sound {
-    /// None where the program takes no microphone or there is no sound server, which it says.
+    /// Starts the sound server. `None`, after a message, without a server or microphone drivers.
     ///
     /// # Panics
-    /// In that case, if `SURFACED_REQUIRE_SOUND=1`.
+    /// If there is no sound and `SURFACED_REQUIRE_SOUND=1`.
     pub fn start(program: &str, dir: &Path, disk: &Disk) -> Result<Option<Self>, Failure> {
         if !has_microphones(program)? {
             crate::sound_server::is_missing("a PROGRAM that was built with `--features live`");
@@ -54,12 +54,12 @@ impl Sound {
         Ok(Some(Self { server, wav, player: None, state: State::Works }))
     }
 
-    /// Makes it the program's microphone.
+    /// Makes the sound server's monitor the microphone of the program.
     pub fn configure(&self, command: &mut Command) {
         command.env("ALSA_CONFIG_PATH", self.server.alsa());
     }
 
-    /// Plays from the beginning, also after whatever has befallen it.
+    /// Plays the sound from its beginning, and first repairs a stalled or dead server.
     pub fn play(&mut self) -> Result<(), Failure> {
         self.recover()?;
         self.hush();
@@ -76,7 +76,7 @@ impl Sound {
         }
     }
 
-    /// Does not answer for a while.
+    /// Stalls the server: it does not answer until it recovers.
     pub fn stall(&mut self) {
         if self.state == State::Works {
             self.server.signal("STOP");
@@ -89,7 +89,7 @@ impl Sound {
         self.state = State::Dead;
     }
 
-    /// It may work again by now.
+    /// Repairs the server in half of the calls, if it is stalled or dead.
     pub fn perhaps_recover(&mut self, dice: &mut Dice) -> Result<(), Failure> {
         match self.state {
             State::Works => Ok(()),
@@ -109,9 +109,9 @@ impl Sound {
         Ok(())
     }
 
-    /// The account of the samples of a station's microphone until `ended`, as far as the station's
-    /// own words show it; and the most that there can have been: a stream that is opened may hold
-    /// sound back until its server works.
+    /// Counts the samples of a station's microphone until `ended`, as far as the station's messages
+    /// show them. Also returns the most samples that can have come: a stream may hold back sound
+    /// from the time of its opening until its server works.
     pub fn account(
         &self,
         daemon: &Daemon,
@@ -122,14 +122,14 @@ impl Sound {
         let states = daemon.states("microphone");
         let streams = |(_, state): &(Instant, String)| state == "streaming";
         let since = states.iter().find(|state| streams(state)).map_or(ended, |(since, _)| *since);
-        // Missing sound is counted once sound arrives again.
+        // The station counts missing sound only once sound arrives again.
         let last = states.iter().rposition(streams);
         let silent = last.and_then(|at| states.get(at + 1)).map_or(ended, |(since, _)| *since);
         let samples =
             |from: Instant| (ended.saturating_duration_since(from).as_secs_f64() * RATE_HZ) as u64;
         let unknowable = samples(silent) + (SLACK_S * RATE_HZ) as u64;
         let opened = states.first().map_or(ended, |(since, _)| *since);
-        // It goes on until the station has ended, which is by now.
+        // The stream goes on until the station has ended, which is by now.
         let most = ((opened.elapsed().as_secs_f64() + AHEAD_S) * RATE_HZ) as u64;
         Ok((Samples { sent: samples(since), received, lost, unknowable }, most))
     }
@@ -141,14 +141,14 @@ impl Drop for Sound {
     }
 }
 
-/// Whether a program was built with the drivers of microphones.
+/// Whether the program was built with support for microphones.
 fn has_microphones(program: &str) -> Result<bool, Failure> {
     let output = Command::new(program).args(["devices", "--json"]).output()?;
     let devices: serde_json::Value = serde_json::from_slice(&output.stdout)?;
     Ok(devices["microphones"]["built"] == true)
 }
 
-/// The sounds of drags over each surface, again and again.
+/// Writes a file with the sounds of drags over each surface, again and again.
 fn write(path: &Path, disk: &Disk) -> Result<(), Failure> {
     let spec = hound::WavSpec {
         channels: 1,

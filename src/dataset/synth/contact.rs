@@ -1,32 +1,30 @@
-//! Generates the signals of a contact between stylus and surface: sounds (mi1, mi2), acceleration
-//! (ac), forces (fr), reflectance (ir) and metal (me), all shaped by the user's hand.
+//! Generates the signals of a contact between stylus and surface: sound (mi1, mi2), acceleration
+//! (ac), forces (fr), reflectance (ir) and metal (me). The user's hand shapes all of them.
 
 use std::f64::consts::TAU;
 
-use super::effect::{Draws, Effect, logistic};
+use super::effect::{Draws, logistic};
 use super::noise::{coloured, correlated, fill_normal, quantised};
-use super::parameters::Difficulty;
 use crate::seed::{normal, uniform};
 
-/// One source of one trial: the random draws and the hand that shape it, and its length and rate.
+/// The input for the signal of one source in one trial: random draws, hand, length and rate.
 pub(super) struct Contact<'a> {
     pub draws: &'a Draws<'a>,
-    pub d: &'a Difficulty,
     pub hand: &'a Hand,
     pub frames: usize,
     pub rate_hz: f64,
 }
 
-/// Forces on the two resistors, interleaved, as fractions of full scale.
-pub(super) fn friction(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
-    let time_s = (draws.value("friction correlation", d.friction_correlation) - hand.speed).exp();
-    let common = draws.value("friction common", d.friction_common).exp() as f32;
-    let swing = draws.value("friction swing", d.friction_swing).exp() as f32;
-    let share = logistic(draws.value("friction share", d.friction_share)) as f32;
+/// Forces on the two force sensors, interleaved, as fractions of full scale.
+pub(super) fn friction(&Contact { draws, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
+    let time_s = (draws.value("friction correlation") - hand.speed).exp();
+    let common = draws.value("friction common").exp() as f32;
+    let swing = draws.value("friction swing").exp() as f32;
+    let share = logistic(draws.value("friction share")) as f32;
     let rng = &mut draws.noise("friction");
     let both = correlated(rng, frames, time_s * rate_hz);
     let between = correlated(rng, frames, time_s * rate_hz);
-    let level = draws.value("friction level", d.friction_level) + hand.force;
+    let level = draws.value("friction level") + hand.force;
     let mut load = vec![level.exp() as f32; frames];
     hand.modulate(&mut load, 1.0);
     let mut interleaved = Vec::with_capacity(2 * frames);
@@ -41,15 +39,14 @@ pub(super) fn friction(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_
 }
 
 /// Reflected infrared light, as a fraction of full scale.
-pub(super) fn reflectance(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
-    let time_s =
-        (draws.value("reflectance correlation", d.reflectance_correlation) - hand.speed).exp();
-    let level = logistic(draws.value("reflectance level", d.reflectance_level)) as f32;
-    let width = draws.value("reflectance width", d.reflectance_width).exp() as f32;
-    let skew = 0.5 * draws.value("reflectance skew", d.reflectance_skew).tanh() as f32;
-    // Near black and near white the reflectance can vary less.
+pub(super) fn reflectance(&Contact { draws, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
+    let time_s = (draws.value("reflectance correlation") - hand.speed).exp();
+    let level = logistic(draws.value("reflectance level")) as f32;
+    let width = draws.value("reflectance width").exp() as f32;
+    let skew = 0.5 * draws.value("reflectance skew").tanh() as f32;
+    // A mean near black (0) or near white (1) leaves less room for variation.
     let width = width * 4.0 * level * (1.0 - level);
-    // For a normal x, x + skew·(x² − 1) has mean 0 and variance 1 + 2·skew².
+    // For a standard normal x, x + skew·(x² − 1) has mean 0 and variance 1 + 2·skew².
     let scale = width / (1.0 + 2.0 * skew * skew).sqrt();
     let mut samples = correlated(&mut draws.noise("reflectance"), frames, time_s * rate_hz);
     for x in &mut samples {
@@ -58,19 +55,19 @@ pub(super) fn reflectance(&Contact { draws, d, hand, frames, rate_hz }: &Contact
     samples
 }
 
-/// 1 while the detector senses metal, 0 otherwise. Always 0 unless the surface conducts.
+/// Output of the metal detector: 1 while it senses metal, else 0. Always 0 for an insulator.
 pub(super) fn metal(contact: &Contact<'_>, conducts: bool) -> Vec<f32> {
-    let &Contact { draws, d, frames, rate_hz, .. } = contact;
+    let &Contact { draws, frames, rate_hz, .. } = contact;
     if !conducts {
         return vec![0.0; frames];
     }
-    let felt = logistic(draws.value("metal contact", d.metal_contact));
+    let felt = logistic(draws.value("metal contact"));
     let rng = &mut draws.noise("metal");
-    // Stays in each state for a random while; senses metal for a share `felt` of the time.
+    // The detector senses metal for a share `felt` of the time; each state lasts for a random time.
     let mut samples = Vec::with_capacity(frames);
     let mut on = uniform(rng) < felt;
     while samples.len() < frames {
-        let mean_s = d.metal_correlation_s / if on { 1.0 - felt } else { felt };
+        let mean_s = draws.d.metal_correlation_s / if on { 1.0 - felt } else { felt };
         let stay = (-(1.0 - uniform(rng)).ln() * mean_s * rate_hz) as usize;
         let end = (samples.len() + 1).saturating_add(stay).min(frames);
         samples.resize(end, if on { 1.0 } else { 0.0 });
@@ -79,9 +76,9 @@ pub(super) fn metal(contact: &Contact<'_>, conducts: bool) -> Vec<f32> {
     samples
 }
 
-/// Number of random points that make the slow change of force within a drag.
+/// Number of random values in a drag, between which ln of the force changes linearly.
 const DRIFT_KNOTS: usize = 12;
-/// Frames over which the gain from that change is interpolated linearly.
+/// Number of frames in which the gain that the force causes changes linearly.
 const BLOCK: usize = 64;
 
 #[derive(Debug)]
@@ -90,21 +87,21 @@ pub(super) struct Hand {
     pub force: f64,
     /// ln of the speed
     pub speed: f64,
-    /// ln of the ratio of force to mean force, at equidistant times of the drag
+    /// ln of force/mean force, at equidistant times of the drag
     drift: [f64; DRIFT_KNOTS],
 }
 
 impl Hand {
-    pub fn draw(draws: &Draws<'_>, d: &Difficulty) -> Self {
+    pub fn draw(draws: &Draws<'_>) -> Self {
         let rng = &mut draws.noise("drift");
         Self {
-            force: draws.value("force", d.force),
-            speed: draws.value("speed", d.speed),
-            drift: std::array::from_fn(|_| d.force_drift * normal(rng)),
+            force: draws.value("force"),
+            speed: draws.value("speed"),
+            drift: std::array::from_fn(|_| draws.d.force_drift * normal(rng)),
         }
     }
 
-    /// Multiplies a signal that spans the drag by (force/mean force)^`power`.
+    /// Multiplies a signal of the whole drag by (force/mean force)^`power`, sample by sample.
     pub fn modulate(&self, samples: &mut [f32], power: f64) {
         let gain = |at: usize, len: usize| {
             let x = at as f64 / len as f64 * (DRIFT_KNOTS - 1) as f64;
@@ -124,19 +121,19 @@ impl Hand {
 }
 
 const MODES: u32 = 5;
-/// When the stylus touches the surface, in s.
+/// Time from the start of the recording until the stylus touches the surface, in s.
 const TOUCH_S: f64 = 0.02;
-/// Time in which the click decays to 1/e, in s.
+/// Time in which the click of a tap decays to 1/e, in s.
 const CLICK_S: f64 = 0.001;
 
-/// The sound of a tap, in full scales of the converter.
-pub(super) fn tap_sound(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
+/// The sound of a tap; 1 is full scale of the converter.
+pub(super) fn tap_sound(&Contact { draws, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
     let rng = &mut draws.noise("tap");
-    let mut samples = coloured(rng, frames, rate_hz, MICROPHONE_END_HZ, room(draws, d));
+    let mut samples = coloured(rng, frames, rate_hz, MICROPHONE_END_HZ, room(draws));
     let touch = ((TOUCH_S * rate_hz) as usize).min(frames);
-    let level = (draws.value("tap level", d.tap_level) + hand.force).exp();
+    let level = (draws.value("tap level") + hand.force).exp();
 
-    let click = level * draws.value("tap click", d.tap_click).exp();
+    let click = level * draws.value("tap click").exp();
     let click_frames = (8.0 * CLICK_S * rate_hz) as usize;
     let mut white = vec![0.0; click_frames.min(frames - touch)];
     fill_normal(rng, &mut white);
@@ -145,18 +142,18 @@ pub(super) fn tap_sound(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'
     }
 
     for mode in 0..MODES {
-        let strength = level * draws.nth("tap mode", mode, d.tap_mode).exp();
-        let hz = draws.nth("tap frequency", mode, d.tap_frequency).exp().clamp(80.0, 8_000.0);
-        let decay_s = draws.nth("tap decay", mode, d.tap_decay).exp();
+        let strength = level * draws.nth("tap mode", mode).exp();
+        let hz = draws.nth("tap frequency", mode).exp().clamp(80.0, 8_000.0);
+        let decay_s = draws.nth("tap decay", mode).exp();
         resonance(&mut samples[touch..], strength, TAU * hz / rate_hz, decay_s * rate_hz);
     }
 
-    let gain = draws.value("microphone gain", d.microphone_gain).exp() as f32;
+    let gain = draws.value("microphone gain").exp() as f32;
     samples.iter_mut().for_each(|x| *x = quantised(gain * *x));
     samples
 }
 
-/// Adds strength · exp(−i / decay) · sin(i · turn), by rotating a complex number step by step.
+/// Adds strength · exp(−i / decay) · sin(i · turn) to sample i, by rotating a complex number.
 fn resonance(samples: &mut [f32], strength: f64, turn: f64, decay: f64) {
     let shrink = (-1.0 / decay).exp();
     let (turn_im, turn_re) = turn.sin_cos();
@@ -168,35 +165,35 @@ fn resonance(samples: &mut [f32], strength: f64, turn: f64, decay: f64) {
 }
 
 const BUMPS: u32 = 4;
-/// Width of a bump, as the standard deviation of the ln of the frequency.
+/// Width of a bump of a spectrum: the standard deviation of the ln of the frequency.
 const BUMP_WIDTH: f64 = 0.25;
-/// The microphone picks up nothing above this frequency.
+/// Highest frequency that the microphone picks up, in Hz.
 const MICROPHONE_END_HZ: f64 = 12_000.0;
-/// The accelerometer senses nothing above this frequency.
+/// Highest frequency that the accelerometer senses, in Hz.
 const ACCELEROMETER_END_HZ: f64 = 1_600.0;
-/// The level of sound and acceleration grows as force to this power.
+/// The amplitude of sound and acceleration grows in proportion to force to this power.
 const FORCE_POWER: f64 = 0.7;
 
-/// A smooth spectrum: a power law times bumps. At the middle frequency the power law is 1.
+/// A smooth spectrum: a power law, scaled to 1 at `middle_hz`, times a few bumps.
 struct Spectrum {
     middle_hz: f64,
     slope: f64,
-    /// ln of the centre in Hz, and relative height
+    /// for each bump, ln of its centre in Hz, and its relative height
     bumps: [(f64, f64); BUMPS as usize],
 }
 
 impl Spectrum {
-    fn draw(draws: &Draws<'_>, name: &str, slope: Effect, height: Effect, centre: Effect) -> Self {
+    fn draw(draws: &Draws<'_>, name: &str) -> Self {
         let (heights, centres) = (format!("{name} bump"), format!("{name} centre"));
-        let bump = |i| (draws.nth(&centres, i, centre), draws.nth(&heights, i, height).exp());
+        let bump = |i| (draws.nth(&centres, i), draws.nth(&heights, i).exp());
         Self {
-            middle_hz: centre.centre.exp(),
-            slope: draws.value(&format!("{name} slope"), slope),
+            middle_hz: draws.d.effects[&*centres].centre.exp(),
+            slope: draws.value(&format!("{name} slope")),
             bumps: std::array::from_fn(|i| bump(i as u32)),
         }
     }
 
-    /// Amplitude at a frequency in Hz.
+    /// Amplitude of the spectrum at a frequency in Hz.
     fn density(&self, hz: f64) -> f64 {
         let hz = hz.max(20.0);
         let bumps: f64 = self
@@ -210,21 +207,21 @@ impl Spectrum {
     }
 }
 
-/// Spectrum of the room's noise: amplitude per √Hz at a frequency in Hz.
-fn room(draws: &Draws<'_>, d: &Difficulty) -> impl Fn(f64) -> f64 + use<> {
-    let level = draws.value("room level", d.room_level).exp();
-    let slope = draws.value("room slope", d.room_slope);
-    // With slope 0 the noise has the standard deviation `level`.
+/// Spectrum of the room's noise: returns the amplitude per √Hz for a frequency in Hz.
+fn room(draws: &Draws<'_>) -> impl Fn(f64) -> f64 + use<> {
+    let level = draws.value("room level").exp();
+    let slope = draws.value("room slope");
+    // Scales the noise to the standard deviation `level`, which is exact for slope 0.
     let unit = level / MICROPHONE_END_HZ.sqrt();
     move |hz| unit * (hz.max(20.0) / 1_000.0).powf(-slope)
 }
 
-/// The dragging sound, in full scales of the converter.
-pub(super) fn drag_sound(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
-    let spectrum = Spectrum::draw(draws, "sound", d.sound_slope, d.sound_bump, d.sound_centre);
-    let room = room(draws, d);
-    let gain = draws.value("microphone gain", d.microphone_gain).exp();
-    let level = draws.value("sound level", d.sound_level) + FORCE_POWER * hand.force + hand.speed;
+/// The sound of a drag; 1 is full scale of the converter.
+pub(super) fn drag_sound(&Contact { draws, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
+    let spectrum = Spectrum::draw(draws, "sound");
+    let room = room(draws);
+    let gain = draws.value("microphone gain").exp();
+    let level = draws.value("sound level") + FORCE_POWER * hand.force + hand.speed;
     let unit = level.exp() / MICROPHONE_END_HZ.sqrt();
     let speed = hand.speed.exp();
     let density = |hz: f64| gain * (unit * spectrum.density(hz / speed)).hypot(room(hz));
@@ -235,23 +232,15 @@ pub(super) fn drag_sound(&Contact { draws, d, hand, frames, rate_hz }: &Contact<
     samples
 }
 
-/// Acceleration along x, y and z, interleaved, in full scales of the converter.
-pub(super) fn acceleration(&Contact { draws, d, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
-    let spectrum = Spectrum::draw(
-        draws,
-        "acceleration",
-        d.acceleration_slope,
-        d.acceleration_bump,
-        d.acceleration_centre,
-    );
-    let level = draws.value("acceleration level", d.acceleration_level)
-        + FORCE_POWER * hand.force
-        + hand.speed;
+/// Acceleration along x, y and z, interleaved; 1 is full scale of the converter.
+pub(super) fn acceleration(&Contact { draws, hand, frames, rate_hz }: &Contact<'_>) -> Vec<f32> {
+    let spectrum = Spectrum::draw(draws, "acceleration");
+    let level = draws.value("acceleration level") + FORCE_POWER * hand.force + hand.speed;
     let speed = hand.speed.exp();
     let rng = &mut draws.noise("acceleration");
     let mut interleaved = vec![0.0; 3 * frames];
     for axis in 0..3 {
-        let share = draws.nth("acceleration axis", axis, d.acceleration_axis);
+        let share = draws.nth("acceleration axis", axis);
         let unit = (level + share).exp() / ACCELEROMETER_END_HZ.sqrt();
         let density = |hz: f64| unit * spectrum.density(hz / speed);
         let mut samples = coloured(rng, frames, rate_hz, ACCELEROMETER_END_HZ, density);

@@ -1,52 +1,35 @@
-//! A quantity of the synthetic scene: a centre plus independent normal effects of the surface, the
-//! user and the trial (a random-effects model).
+//! A quantity of the synthetic scene: a centre plus independent, normally distributed effects of
+//! the surface, the user and the trial (a random-effects model).
 //!
-//! So the whole scene is calibrated by the numbers in `Difficulty`: the spread between surfaces, by
-//! which a method tells them apart, stands beside the spreads that blur it.
+//! [`Difficulty`] holds the numbers of all effects. A method tells surfaces apart by the spread
+//! between surfaces; the spreads between users and between trials make this harder.
 
 use rand_chacha::ChaCha8Rng;
 
+use super::parameters::Difficulty;
 use crate::seed::{self, normal, uniform};
 use crate::trial::{EXPERT, TrialKey};
 
-/// One quantity: its centre and the standard deviations of its effects, all in its own unit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Effect {
-    /// the mean over surfaces, for the expert
-    pub centre: f64,
-    /// standard deviation between surfaces, which a recogniser can use
-    pub surface: f64,
-    /// standard deviation of a user's difference from the expert, whose own effect is 0
-    pub user: f64,
-    /// standard deviation between trials of one surface by one user
-    pub trial: f64,
-}
-
-impl Effect {
-    /// A quantity with this centre and these spreads.
-    pub const fn new(centre: f64, surface: f64, user: f64, trial: f64) -> Self {
-        Self { centre, surface, user, trial }
-    }
-}
-
-/// The random draws of one trial. Keys name each draw, so a quantity does not depend on which
-/// others exist, nor a trial on which others are made.
+/// The random draws of one trial. Each draw has its own seed, made from names, so that it does not
+/// depend on draws of other quantities or other trials.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Draws<'a> {
     pub seed: u64,
+    pub d: &'a Difficulty,
     pub key: &'a TrialKey,
-    /// A surface that this one resembles, and the distance to it, from 0 to 1.
+    /// The surface that the trial's surface resembles, if any, and the distance to it (0: alike).
     pub like: Option<(&'a str, f64)>,
 }
 
 impl Draws<'_> {
     /// The value of a quantity in this trial.
-    pub fn value(&self, name: &str, effect: Effect) -> f64 {
-        self.nth(name, 0, effect)
+    pub fn value(&self, name: &str) -> f64 {
+        self.nth(name, 0)
     }
 
-    /// The value of one of several quantities with the same effects, such as the heights of bumps.
-    pub fn nth(&self, name: &str, index: u32, effect: Effect) -> f64 {
+    /// The value number `index` among quantities with equal spreads, such as the heights of bumps.
+    pub fn nth(&self, name: &str, index: u32) -> f64 {
+        let effect = self.d.effects[name];
         let (name, index) = (name.as_bytes(), &index.to_le_bytes()[..]);
         let (surface, user) = (self.key.surface.as_bytes(), self.key.user.as_bytes());
         let number = self.key.number.to_le_bytes();
@@ -64,7 +47,7 @@ impl Draws<'_> {
             + draw(effect.trial, &[b"trial", name, index, surface, user, &number])
     }
 
-    /// A uniform number in [0, 1), the same in all trials of the surface.
+    /// A uniform number in [0, 1), the same in all trials of a surface and of a surface like it.
     pub fn surface_uniform(&self, name: &str, index: u32) -> f64 {
         let index = index.to_le_bytes();
         let surface = self.like.map_or(self.key.surface.as_str(), |(other, _)| other);
@@ -72,7 +55,7 @@ impl Draws<'_> {
         uniform(&mut seed::rng(self.seed, &key))
     }
 
-    /// A generator for noise that differs from trial to trial.
+    /// A generator for noise that differs between trials.
     pub fn noise(&self, name: &str) -> ChaCha8Rng {
         let number = self.key.number.to_le_bytes();
         let (surface, user) = (self.key.surface.as_bytes(), self.key.user.as_bytes());
@@ -80,19 +63,25 @@ impl Draws<'_> {
     }
 }
 
-/// Maps any number to one between 0 and 1.
+/// The logistic function, which maps any number to a number between 0 and 1.
 pub(super) fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::parameters::Effect;
     use super::*;
 
-    const LEVEL: Effect = Effect::new(1.0, 0.5, 0.25, 0.125);
+    const LEVEL: Effect = Effect { centre: 1.0, surface: 0.5, user: 0.25, trial: 0.125 };
+
+    fn value_like(key: TrialKey, effect: Effect, like: Option<(&str, f64)>) -> f64 {
+        let d = &Difficulty { effects: [("level", effect)].into(), ..Difficulty::default() };
+        Draws { seed: 7, d, key: &key, like }.value("level")
+    }
 
     fn value(key: TrialKey, effect: Effect) -> f64 {
-        Draws { seed: 7, key: &key, like: None }.value("level", effect)
+        value_like(key, effect, None)
     }
 
     #[test]
@@ -109,13 +98,12 @@ mod tests {
         assert_eq!(first, value(TrialKey::new("A", "user3", 3), surfaces));
         assert_ne!(first, value(TrialKey::new("B", EXPERT, 1), surfaces));
     }
+
     #[test]
     fn a_twin_is_almost_like_its_original() {
         let surfaces = Effect { user: 0.0, trial: 0.0, ..LEVEL };
-        let value = |surface: &str, like| {
-            let key = &TrialKey::new(surface, EXPERT, 1);
-            Draws { seed: 7, key, like }.value("level", surfaces)
-        };
+        let value =
+            |surface: &str, like| value_like(TrialKey::new(surface, EXPERT, 1), surfaces, like);
         let (a, b) = (value("A", None), value("B", None));
         assert_eq!(value("B", Some(("A", 0.0))), a);
         assert!((value("B", Some(("A", 0.25))) - (0.75 * a + 0.25 * b)).abs() < 1e-12);

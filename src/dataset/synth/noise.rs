@@ -1,7 +1,7 @@
-//! Noise, from which signals are made: white, with a given spectrum, or with a correlation time.
+//! Noise to make signals from: white, with a given spectrum, or with a correlation time.
 //!
-//! Speed matters here and exact tails do not. So nearly normal numbers are made as sums of four
-//! uniform ones, which never exceed 3.5 standard deviations.
+//! Generation must be fast, but exact tails do not matter. So a nearly normal number is the sum of
+//! four uniform numbers, which never exceeds 3.5 standard deviations.
 
 use std::cell::RefCell;
 
@@ -10,24 +10,16 @@ use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 
 thread_local! {
-    /// Plans and buffers are reused from trial to trial, one set a thread.
-    static TRANSFORM: RefCell<Transform> = RefCell::default();
+    /// Keeps the plans of Fourier transforms, so that later trials can use them.
+    static PLANNER: RefCell<RealFftPlanner<f32>> = RefCell::new(RealFftPlanner::new());
 }
 
-#[derive(Default)]
-struct Transform {
-    planner: Option<RealFftPlanner<f32>>,
-    bins: Vec<Complex<f32>>,
-    scratch: Vec<Complex<f32>>,
-    time: Vec<f32>,
-}
-
-/// Distance in Hz of the points at which a spectrum is evaluated; in between it is interpolated.
+/// Distance in Hz between the points of a spectrum that are computed; the rest is interpolated.
 const KNOT_HZ: f64 = 10.0;
 
-/// Fills `out` with nearly normal numbers of mean 0 and variance 1.
+/// Fills `out` with nearly normal numbers (mean 0, variance 1).
 pub(super) fn fill_normal(rng: &mut impl Rng, out: &mut [f32]) {
-    // Four 16-bit numbers have mean 4·(2^16 − 1)/2 and variance 4·(2^32 − 1)/12.
+    // The sum of four uniform 16-bit numbers has mean 4·(2^16 − 1)/2 and variance 4·(2^32 − 1)/12.
     const MEAN: f32 = 131_070.0;
     const SCALE: f32 = 2.642_898e-5;
     let mut bytes = [0u8; 4096];
@@ -56,37 +48,30 @@ pub(super) fn coloured(
     let len = smooth_length(frames);
     let bin_hz = rate_hz / len as f64;
     let count = ((end_hz / bin_hz) as usize).clamp(1, len / 2);
-    // A bin of amplitude a and its mirror image add 4a² to the variance of the inverse transform.
+    // A bin of amplitude a and its mirror image add 4a² to the variance of the noise.
     let scale = 0.5 * bin_hz.sqrt();
     let knots: Vec<f32> = (0..=(count as f64 * bin_hz / KNOT_HZ) as usize + 1)
         .map(|k| (scale * density(k as f64 * KNOT_HZ)) as f32)
         .collect();
     let mut normals = vec![0.0; 2 * count];
     fill_normal(rng, &mut normals);
-    TRANSFORM.with_borrow_mut(|t| {
-        let plan = t.planner.get_or_insert_with(RealFftPlanner::new).plan_fft_inverse(len);
-        t.bins.clear();
-        t.bins.push(Complex::default());
-        for (k, pair) in normals.chunks_exact(2).enumerate() {
-            let at = (k + 1) as f32 * (bin_hz / KNOT_HZ) as f32;
-            let knot = (at as usize).min(knots.len() - 2);
-            let part = at - knot as f32;
-            let amplitude = knots[knot] + part * (knots[knot + 1] - knots[knot]);
-            t.bins.push(Complex::new(amplitude * pair[0], amplitude * pair[1]));
-        }
-        t.bins.resize(len / 2 + 1, Complex::default());
-        // The transform requires that the bin at half the rate is real.
-        t.bins[len / 2].im = 0.0;
-        t.time.resize(len, 0.0);
-        t.scratch.resize(plan.get_scratch_len(), Complex::default());
-        // The plan needs len/2 + 1 bins, len samples and scratch space, all resized just above.
-        plan.process_with_scratch(&mut t.bins, &mut t.time, &mut t.scratch)
-            .expect("buffers have the lengths that the plan asks for");
-        t.time[..frames].to_vec()
-    })
+    let plan = PLANNER.with_borrow_mut(|planner| planner.plan_fft_inverse(len));
+    let (mut bins, mut time) = (plan.make_input_vec(), plan.make_output_vec());
+    for (k, (bin, pair)) in (1..).zip(bins[1..].iter_mut().zip(normals.chunks_exact(2))) {
+        let at = k as f32 * (bin_hz / KNOT_HZ) as f32;
+        let knot = (at as usize).min(knots.len() - 2);
+        let part = at - knot as f32;
+        let amplitude = knots[knot] + part * (knots[knot + 1] - knots[knot]);
+        *bin = Complex::new(amplitude * pair[0], amplitude * pair[1]);
+    }
+    // The inverse transform requires a real number in the last bin, at half the rate.
+    bins[len / 2].im = 0.0;
+    plan.process(&mut bins, &mut time).expect("buffers of the plan's lengths");
+    time.truncate(frames);
+    time
 }
 
-/// Noise of mean 0 and variance 1 whose correlation falls to 1/e after `time_frames` (AR(1)).
+/// AR(1) noise of mean 0 and variance 1; its correlation falls to 1/e after `time_frames`.
 pub(super) fn correlated(rng: &mut impl Rng, frames: usize, time_frames: f64) -> Vec<f32> {
     let keep = (-1.0 / time_frames.max(1e-3)).exp();
     let (keep, fresh) = (keep as f32, (1.0 - keep * keep).sqrt() as f32);
@@ -100,13 +85,13 @@ pub(super) fn correlated(rng: &mut impl Rng, frames: usize, time_frames: f64) ->
     noise
 }
 
-/// Rounds a value as a 16-bit converter does; 1 is full scale.
+/// Rounds a value like a 16-bit converter; 1 is full scale.
 pub(super) fn quantised(x: f32) -> f32 {
-    // Between 256 and 512 an f32 has steps of 2^-15, so this sum rounds to 16 bits.
+    // Adding 384 rounds to 16 bits, since an f32 between 256 and 512 has steps of 2^-15.
     ((x.clamp(-1.0, 1.0 - 1.0 / 32_768.0)) + 384.0) - 384.0
 }
 
-/// The smallest even number, at least `n`, that has no prime factor above 5.
+/// The smallest even number from `n` on without a prime factor above 5.
 fn smooth_length(n: usize) -> usize {
     let smooth = |mut x: usize| {
         for p in [2, 3, 5] {

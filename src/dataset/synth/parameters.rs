@@ -1,42 +1,54 @@
 //! The constants of the synthetic scene: its size and its difficulty.
 //!
-//! Calibration changes numbers here and nothing else. Such a scene serves tests, demonstrations and
-//! stress tests; it must not be used to rank methods.
+//! Only these numbers change if the scene is calibrated anew. The scene serves tests,
+//! demonstrations and stress tests; it must not be used to rank methods.
 
-use super::effect::Effect;
+use std::collections::BTreeMap;
 
-/// The scene to generate.
+/// Mean and spreads (standard deviations) of one quantity, in the quantity's unit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Effect {
+    /// mean over surfaces, for the expert's trials
+    pub centre: f64,
+    /// standard deviation between surfaces, by which a method can tell surfaces apart
+    pub surface: f64,
+    /// standard deviation of the difference between a user and the expert
+    pub user: f64,
+    /// standard deviation between trials of one surface by one user
+    pub trial: f64,
+}
+
+/// Longest drag, in seconds; a longer one is cut to this length.
+pub(super) const LONGEST_DRAG_S: f64 = 600.0;
+
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
-    /// number of surfaces; surface k is the same for every number
+    /// number of surfaces; surface number k does not depend on how many there are
     pub surfaces: usize,
-    /// trials of each surface by the expert
     pub trials: u32,
-    /// number of users, each with one trial of every surface: trial u is by user u
+    /// number of users; user u makes one trial of every surface, trial number u
     pub users: u32,
-    /// the same seed gives the same scene
+    /// seed of all random draws; equal seeds give equal scenes
     pub seed: u64,
-    /// length of a drag in seconds
     pub drag_seconds: f64,
-    /// two surfaces that are almost alike
     pub twins: Option<Twins>,
     /// how well sources separate surfaces, and how much users differ
     pub difficulty: Difficulty,
 }
 
-/// Two surfaces that are almost alike.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Twins {
-    /// the first surface, counted from 0
+    /// one of the two similar surfaces, counted from 0
     pub original: usize,
-    /// the surface that resembles the first, counted from 0
+    /// the other of the two similar surfaces, counted from 0
     pub twin: usize,
-    /// distance of the twin from the original: 0 is the same surface, 1 an unrelated one
+    /// difference between the two: 0 for equal surfaces, 1 for unrelated ones
     pub distance: f64,
 }
 
 impl Default for Parameters {
-    /// The size of LMT108: 108 surfaces, ten trials by the expert and one by each of ten users.
+    /// The size of dataset LMT108: 108 surfaces, ten trials by the expert and one by each of ten
+    /// users.
     fn default() -> Self {
         Self {
             surfaces: 108,
@@ -50,219 +62,142 @@ impl Default for Parameters {
     }
 }
 
-/// Every quantity of the scene, with its centre and its spreads.
+/// Every quantity of the scene: its name, its mean and spreads in demonstrations and, if they
+/// differ, those in a scene like the dataset LMT108.
 ///
 /// `ln` marks quantities given as natural logarithms, so that a spread of 0.1 is about 10 %;
-/// `logit` marks quantities between 0 and 1. Levels are fractions of the converter's full scale.
+/// `logit` marks quantities between 0 and 1. Amplitudes are fractions of the full scale.
+#[rustfmt::skip]
+const QUANTITIES: [(&str, Effect, Option<Effect>); 40] = [
+    // Hand of the user, which shapes all sources of a trial.
+    // ln of the pressing force relative to the expert's mean
+    ("force",                  e(0.0, 0.0, 0.25, 0.15),     Some(e(0.0, 0.0, 0.08, 0.08))),
+    // ln of the speed; a higher speed stretches spectra and shortens correlation times
+    ("speed",                  e(0.0, 0.0, 0.20, 0.15),     Some(e(0.0, 0.0, 0.10, 0.10))),
+    // Sound, tap and drag (mi1, mi2).
+    // ln of the microphone's gain, which includes the effect of its distance
+    ("microphone gain",        e(0.0, 0.0, 0.20, 0.03),     Some(e(0.0, 0.0, 0.08, 0.03))),
+    // ln of the amplitude of the room's noise
+    ("room level",             e(-7.6, 0.0, 0.40, 0.10),    Some(e(-7.6, 0.0, 0.10, 0.05))),
+    // slope of the room noise's spectrum: amplitude falls as frequency^(−slope)
+    ("room slope",             e(0.8, 0.0, 0.10, 0.02),     Some(e(0.8, 0.0, 0.02, 0.02))),
+    // ln of the amplitude of the dragging sound
+    ("sound level",            e(-4.2, 0.45, 0.20, 0.15),   Some(e(-4.2, 0.15, 0.05, 0.08))),
+    // slope of the dragging sound's spectrum: the amplitude is proportional to 1/frequency^slope
+    ("sound slope",            e(0.5, 0.15, 0.0, 0.03),     None),
+    // ln of the height of each bump of the dragging sound's spectrum, as a factor on the power law
+    ("sound bump",             e(0.7, 0.70, 0.15, 0.15),    Some(e(0.7, 0.45, 0.05, 0.08))),
+    // ln of the centre of each bump of the dragging sound's spectrum, in Hz
+    ("sound centre",           e(7.0, 0.80, 0.0, 0.0),      None),
+    // ln of the amplitude of a tap's sound
+    ("tap level",              e(-3.0, 0.45, 0.10, 0.10),   Some(e(-3.0, 0.30, 0.03, 0.03))),
+    // ln of the relative strength of each resonance in a tap's sound
+    ("tap mode",               e(-1.0, 0.80, 0.10, 0.10),   Some(e(-1.0, 0.70, 0.04, 0.04))),
+    // ln of the frequency of each resonance of a tap, in Hz
+    ("tap frequency",          e(6.9, 0.80, 0.0, 0.01),     None),
+    // ln of the time in which a resonance of a tap decays to 1/e, in s
+    ("tap decay",              e(-4.8, 0.70, 0.05, 0.05),   Some(e(-4.8, 0.50, 0.05, 0.05))),
+    // ln of the relative strength of a tap's click, a short noise of all frequencies
+    ("tap click",              e(-0.7, 0.60, 0.10, 0.10),   Some(e(-0.7, 0.70, 0.04, 0.04))),
+    // Vibration (ac).
+    // ln of the amplitude of the acceleration
+    ("acceleration level",     e(-4.5, 0.55, 0.15, 0.12),   Some(e(-4.5, 0.08, 0.10, 0.08))),
+    // ln of a factor on the acceleration along each axis
+    ("acceleration axis",      e(0.0, 0.30, 0.05, 0.05),    Some(e(0.0, 0.17, 0.05, 0.05))),
+    // slope of the acceleration's spectrum, whose amplitude falls as frequency to minus the slope
+    ("acceleration slope",     e(0.3, 0.15, 0.0, 0.03),     None),
+    // ln of the height of each bump in the acceleration's spectrum
+    ("acceleration bump",      e(1.0, 0.80, 0.10, 0.10),    None),
+    // ln of the centre of each bump of the acceleration's spectrum, in Hz
+    ("acceleration centre",    e(5.5, 0.70, 0.0, 0.0),      None),
+    // Forces (fr).
+    // ln of the mean load on both force sensors together
+    ("friction level",         e(-1.4, 0.15, 0.15, 0.05),   Some(e(-1.4, 0.50, 0.30, 0.05))),
+    // logit of the first force sensor's share of the load
+    ("friction share",         e(0.0, 0.30, 0.15, 0.05),    Some(e(0.0, 0.10, 0.05, 0.03))),
+    // ln of the relative fluctuation of the load on both force sensors together
+    ("friction common",        e(-2.2, 0.50, 0.20, 0.15),   Some(e(-2.6, 0.60, 0.05, 0.08))),
+    // ln of the relative fluctuation that moves load from one force sensor to the other
+    ("friction swing",         e(-2.2, 0.50, 0.20, 0.15),   Some(e(-2.6, 0.60, 0.05, 0.08))),
+    // ln of the correlation time of the load's fluctuations, in s
+    ("friction correlation",   e(-4.0, 0.70, 0.10, 0.10),   None),
+    // Infrared reflectance (ir).
+    // logit of the mean reflectance
+    ("reflectance level",      e(-0.7, 0.80, 0.30, 0.05),   Some(e(-0.7, 0.80, 0.40, 0.05))),
+    // ln of the reflectance's standard deviation, for a mean of ½; it is less for means near 0 or 1
+    ("reflectance width",      e(-3.4, 0.55, 0.15, 0.15),   Some(e(-3.4, 0.40, 0.05, 0.08))),
+    // skewness of the reflectance's distribution; 0 is symmetric
+    ("reflectance skew",       e(0.0, 0.60, 0.05, 0.05),    Some(e(0.0, 0.50, 0.05, 0.05))),
+    // ln of the reflectance's correlation time, in s
+    ("reflectance correlation",e(-4.2, 0.90, 0.05, 0.05),   None),
+    // Metal (me).
+    // logit of the share of the time in which the detector senses a conducting surface
+    ("metal contact",          e(1.5, 2.00, 0.20, 0.20),    None),
+    // Pictures (ca1, ca2).
+    // hue of the surface's base colour, in turns
+    ("hue",                    e(0.08, 0.25, 0.0, 0.005),   None),
+    // logit of the saturation of the base colour
+    ("saturation",             e(-0.8, 0.90, 0.05, 0.05),   None),
+    // logit of the value (brightness) of the base colour
+    ("value",                  e(0.2, 0.80, 0.0, 0.03),     None),
+    // ln of the contrast of the texture
+    ("contrast",               e(-1.6, 0.50, 0.05, 0.08),   None),
+    // hue of the texture's second colour, in turns from the base colour
+    ("accent",                 e(0.0, 0.05, 0.0, 0.005),    None),
+    // ln of the wavelength of the texture, in pixels
+    ("wavelength",             e(3.2, 0.60, 0.05, 0.05),    None),
+    // ln of the strength of a picture's grain, the noise of single pixels
+    ("grain",                  e(-3.8, 0.50, 0.10, 0.05),   None),
+    // logit of the gloss, on which size and strength of the flash's reflection depend
+    ("gloss",                  e(-0.5, 1.00, 0.0, 0.05),    Some(e(-0.5, 0.40, 0.20, 0.80))),
+    // ln of the brightness of the light without flash
+    ("light",                  e(0.0, 0.0, 0.12, 0.03),     Some(e(0.0, 0.0, 0.05, 0.20))),
+    // ln of the ratio of red to blue in the light without flash
+    ("warmth",                 e(0.0, 0.0, 0.05, 0.01),     Some(e(0.0, 0.0, 0.03, 0.08))),
+    // ln of the brightness of the light with flash
+    ("flash",                  e(0.25, 0.0, 0.15, 0.06),    Some(e(-0.9, 0.0, 0.20, 0.80))),
+];
+
+const fn e(centre: f64, surface: f64, user: f64, trial: f64) -> Effect {
+    Effect { centre, surface, user, trial }
+}
+
+/// How well sources separate surfaces, and how much users differ.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difficulty {
-    // The hand, shared by all sources of a trial.
-    /// ln of the pressing force; 0 is the expert's mean
-    pub force: Effect,
-    /// ln of the speed; a higher speed stretches spectra and shortens correlation times
-    pub speed: Effect,
-    /// spread of the ln of the force within one drag
+    /// centre and spreads of each quantity of the scene, by the quantity's name
+    pub effects: BTreeMap<&'static str, Effect>,
+    /// standard deviation of ln(force) within one drag
     pub force_drift: f64,
-
-    // Sound, tap and drag (mi1, mi2).
-    /// ln of the microphone's gain: distance and setting
-    pub microphone_gain: Effect,
-    /// ln of the level of the room's noise
-    pub room_level: Effect,
-    /// slope of the room's noise: amplitude falls as frequency to minus this
-    pub room_slope: Effect,
-    /// ln of the level of the dragging sound
-    pub sound_level: Effect,
-    /// slope of the dragging sound's spectrum
-    pub sound_slope: Effect,
-    /// ln of the height of each bump of the dragging sound's spectrum, relative to its slope
-    pub sound_bump: Effect,
-    /// ln of the centre of each bump, in Hz
-    pub sound_centre: Effect,
-    /// ln of the level of a tap
-    pub tap_level: Effect,
-    /// ln of the relative strength of each resonance of a tap
-    pub tap_mode: Effect,
-    /// ln of the frequency of each resonance, in Hz
-    pub tap_frequency: Effect,
-    /// ln of the time in which a resonance decays to 1/e, in s
-    pub tap_decay: Effect,
-    /// ln of the relative strength of the click, a short noise of all frequencies
-    pub tap_click: Effect,
-
-    // Vibration (ac).
-    /// ln of the level of the acceleration
-    pub acceleration_level: Effect,
-    /// ln of the share of each axis
-    pub acceleration_axis: Effect,
-    /// slope of the acceleration's spectrum
-    pub acceleration_slope: Effect,
-    /// ln of the height of each bump of the acceleration's spectrum
-    pub acceleration_bump: Effect,
-    /// ln of the centre of each bump, in Hz
-    pub acceleration_centre: Effect,
-
-    // Forces (fr).
-    /// ln of the mean load on both resistors
-    pub friction_level: Effect,
-    /// logit of the first resistor's share
-    pub friction_share: Effect,
-    /// ln of the relative fluctuation common to both resistors
-    pub friction_common: Effect,
-    /// ln of the relative fluctuation that moves load from one resistor to the other
-    pub friction_swing: Effect,
-    /// ln of the correlation time of the fluctuations, in s
-    pub friction_correlation: Effect,
-
-    // Infrared reflectance (ir).
-    /// logit of the mean reflectance
-    pub reflectance_level: Effect,
-    /// ln of the reflectance's standard deviation at a mean of ½; less for means towards 0 and 1
-    pub reflectance_width: Effect,
-    /// skewness of the reflectance's distribution, 0 for none
-    pub reflectance_skew: Effect,
-    /// ln of the reflectance's correlation time, in s
-    pub reflectance_correlation: Effect,
-
-    // Metal (me).
-    /// share of the meshes and the glossy surfaces that conduct
+    /// share of the mesh and glossy surfaces that conduct electricity
     pub metal_fraction: f64,
-    /// logit of the share of the time in which the detector senses a conductor
-    pub metal_contact: Effect,
-    /// correlation time of the detector's signal, in s
     pub metal_correlation_s: f64,
-
-    // Pictures (ca1, ca2).
-    /// hue of the base colour, in turns
-    pub hue: Effect,
-    /// logit of the saturation of the base colour
-    pub saturation: Effect,
-    /// logit of the value (brightness) of the base colour
-    pub value: Effect,
-    /// ln of the contrast of the texture
-    pub contrast: Effect,
-    /// hue of the second colour, in turns from the base colour
-    pub accent: Effect,
-    /// ln of the wavelength of the texture, in pixels
-    pub wavelength: Effect,
-    /// ln of the strength of the grain, the noise of single pixels
-    pub grain: Effect,
-    /// logit of the glossiness: size and strength of the flash's reflection
-    pub gloss: Effect,
-    /// ln of the brightness of the light without flash
-    pub light: Effect,
-    /// warmth of the light without flash: ln of the ratio of red to blue
-    pub warmth: Effect,
-    /// ln of the brightness of the light with flash
-    pub flash: Effect,
 }
 
 impl Difficulty {
-    /// About as hard as LMT108, source by source.
+    /// A scene about as hard as the dataset LMT108, source by source.
     ///
     /// Calibrated on Table II of the paper with `cargo run --release --example synth_pattern`: on
     /// 108 such surfaces, expert against users, the method `reference` comes near the accuracies in
-    /// the paper (table in `src/dataset/synth/mod.rs`). So this scene is no evidence for
-    /// `reference`, must not be used to rank methods, and yields no published results.
+    /// the paper (table in `src/dataset/synth/mod.rs`). So this scene does not show that
+    /// `reference` is good, must not be used to rank methods, and yields no published results.
     ///
-    /// Weak sources are weak because surfaces resemble each other in them; large differences
-    /// between users would instead make them misleading and spoil the product over sources. Offsets
-    /// that the mean shift removes differ between users more than between trials: gains, the load,
-    /// and above all the mean reflectance, where users' offsets exceed the variation on one
-    /// surface. A flash so bright that pictures turn white would make them identical, and their
-    /// score near 0 would dominate the product.
+    /// Surfaces that resemble each other in a source make the source weak. Large differences
+    /// between users would make the source misleading instead, and spoil the product of scores over
+    /// sources. Users differ more than trials in the offsets that `align_mean` removes: gains, the
+    /// load, and above all the mean reflectance, where users' offsets exceed the variation on one
+    /// surface. A flash must not be so bright that pictures turn white: they would be identical,
+    /// and their scores near 0 would dominate the product.
     pub fn lmt108() -> Self {
-        let e = Effect::new;
-        Self {
-            force: e(0.0, 0.0, 0.08, 0.08),
-            speed: e(0.0, 0.0, 0.10, 0.10),
-            force_drift: 0.05,
-
-            microphone_gain: e(0.0, 0.0, 0.08, 0.03),
-            room_level: e(-7.6, 0.0, 0.10, 0.05),
-            room_slope: e(0.8, 0.0, 0.02, 0.02),
-            sound_level: e(-4.2, 0.15, 0.05, 0.08),
-            sound_bump: e(0.7, 0.45, 0.05, 0.08),
-            tap_level: e(-3.0, 0.30, 0.03, 0.03),
-            tap_mode: e(-1.0, 0.70, 0.04, 0.04),
-            tap_click: e(-0.7, 0.70, 0.04, 0.04),
-            tap_decay: e(-4.8, 0.50, 0.05, 0.05),
-
-            acceleration_level: e(-4.5, 0.08, 0.10, 0.08),
-            acceleration_axis: e(0.0, 0.17, 0.05, 0.05),
-
-            friction_level: e(-1.4, 0.50, 0.30, 0.05),
-            friction_share: e(0.0, 0.10, 0.05, 0.03),
-            friction_common: e(-2.6, 0.60, 0.05, 0.08),
-            friction_swing: e(-2.6, 0.60, 0.05, 0.08),
-
-            reflectance_level: e(-0.7, 0.80, 0.40, 0.05),
-            reflectance_width: e(-3.4, 0.40, 0.05, 0.08),
-            reflectance_skew: e(0.0, 0.50, 0.05, 0.05),
-
-            light: e(0.0, 0.0, 0.05, 0.20),
-            warmth: e(0.0, 0.0, 0.03, 0.08),
-            flash: e(-0.9, 0.0, 0.20, 0.80),
-            gloss: e(-0.5, 0.40, 0.20, 0.80),
-            ..Self::default()
-        }
+        let effects = QUANTITIES.map(|(name, easy, hard)| (name, hard.unwrap_or(easy)));
+        Self { effects: effects.into(), force_drift: 0.05, ..Self::default() }
     }
 }
 
 impl Default for Difficulty {
-    /// A scene for demonstrations, easier than LMT108.
+    /// A scene for demonstrations, easier than the dataset LMT108.
     fn default() -> Self {
-        let e = Effect::new;
-        Self {
-            force: e(0.0, 0.0, 0.25, 0.15),
-            speed: e(0.0, 0.0, 0.20, 0.15),
-            force_drift: 0.15,
-
-            microphone_gain: e(0.0, 0.0, 0.20, 0.03),
-            room_level: e(-7.6, 0.0, 0.40, 0.10),
-            room_slope: e(0.8, 0.0, 0.10, 0.02),
-            sound_level: e(-4.2, 0.45, 0.20, 0.15),
-            sound_slope: e(0.5, 0.15, 0.0, 0.03),
-            sound_bump: e(0.7, 0.70, 0.15, 0.15),
-            sound_centre: e(7.0, 0.80, 0.0, 0.0),
-            tap_level: e(-3.0, 0.45, 0.10, 0.10),
-            tap_mode: e(-1.0, 0.80, 0.10, 0.10),
-            tap_frequency: e(6.9, 0.80, 0.0, 0.01),
-            tap_decay: e(-4.8, 0.70, 0.05, 0.05),
-            tap_click: e(-0.7, 0.60, 0.10, 0.10),
-
-            acceleration_level: e(-4.5, 0.55, 0.15, 0.12),
-            acceleration_axis: e(0.0, 0.30, 0.05, 0.05),
-            acceleration_slope: e(0.3, 0.15, 0.0, 0.03),
-            acceleration_bump: e(1.0, 0.80, 0.10, 0.10),
-            acceleration_centre: e(5.5, 0.70, 0.0, 0.0),
-
-            friction_level: e(-1.4, 0.15, 0.15, 0.05),
-            friction_share: e(0.0, 0.30, 0.15, 0.05),
-            friction_common: e(-2.2, 0.50, 0.20, 0.15),
-            friction_swing: e(-2.2, 0.50, 0.20, 0.15),
-            friction_correlation: e(-4.0, 0.70, 0.10, 0.10),
-
-            reflectance_level: e(-0.7, 0.80, 0.30, 0.05),
-            reflectance_width: e(-3.4, 0.55, 0.15, 0.15),
-            reflectance_skew: e(0.0, 0.60, 0.05, 0.05),
-            reflectance_correlation: e(-4.2, 0.90, 0.05, 0.05),
-
-            metal_fraction: 0.75,
-            metal_contact: e(1.5, 2.00, 0.20, 0.20),
-            metal_correlation_s: 0.02,
-
-            hue: e(0.08, 0.25, 0.0, 0.005),
-            saturation: e(-0.8, 0.90, 0.05, 0.05),
-            value: e(0.2, 0.80, 0.0, 0.03),
-            contrast: e(-1.6, 0.50, 0.05, 0.08),
-            accent: e(0.0, 0.05, 0.0, 0.005),
-            wavelength: e(3.2, 0.60, 0.05, 0.05),
-            grain: e(-3.8, 0.50, 0.10, 0.05),
-            gloss: e(-0.5, 1.00, 0.0, 0.05),
-            light: e(0.0, 0.0, 0.12, 0.03),
-            warmth: e(0.0, 0.0, 0.05, 0.01),
-            flash: e(0.25, 0.0, 0.15, 0.06),
-        }
+        let effects = QUANTITIES.map(|(name, easy, _)| (name, easy)).into();
+        Self { effects, force_drift: 0.15, metal_fraction: 0.75, metal_correlation_s: 0.02 }
     }
 }

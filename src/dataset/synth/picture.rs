@@ -1,43 +1,42 @@
 //! Pictures of a surface, without flash (ca1) and with flash (ca2).
 //!
-//! A picture is two colours mixed by a few waves, with grain, in the light of room or flash.
+//! A picture mixes two colours in a pattern of a few waves, adds grain, and applies the light.
 
 use std::f64::consts::TAU;
 
 use rand::Rng;
 
 use super::effect::{Draws, logistic};
-use super::parameters::Difficulty;
 use crate::seed::uniform;
 use crate::trial::Image;
 
 const WAVES: usize = 5;
-/// Width in pixels of the flash's reflection on a mirror, and on a matt surface.
+/// Width in pixels of the flash's reflection: on a mirror, and on a matt surface.
 const REFLECTION_PIXELS: (f64, f64) = (40.0, 160.0);
-/// Factor on the contrast with flash, which also lights crevices.
+/// Factor by which the flash reduces the contrast, since it also lights crevices.
 const FLASH_CONTRAST: f64 = 0.6;
 
-/// RGB bytes of a picture, row by row.
-pub(super) fn picture(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> Vec<u8> {
+/// The RGB bytes of a picture, row by row.
+pub(super) fn picture(draws: &Draws<'_>, flash: bool) -> Vec<u8> {
     let rng = &mut draws.noise(if flash { "picture with flash" } else { "picture" });
     let flatter = if flash { FLASH_CONTRAST } else { 1.0 };
-    let contrast = flatter * draws.value("contrast", d.contrast).exp();
-    let hue = draws.value("hue", d.hue);
-    let saturation = logistic(draws.value("saturation", d.saturation));
-    let value = 0.9 * logistic(draws.value("value", d.value));
-    let accent = draws.value("accent", d.accent);
-    let light = illumination(draws, d, flash);
+    let contrast = flatter * draws.value("contrast").exp();
+    let hue = draws.value("hue");
+    let saturation = logistic(draws.value("saturation"));
+    let value = 0.9 * logistic(draws.value("value"));
+    let accent = draws.value("accent");
+    let light = illumination(draws, flash);
 
-    // Middle colour, and the colour that one unit of texture adds to it.
+    // `middle` is the mean colour; `swing` is the change of colour for one unit of texture.
     let bright = from_hsv(hue, saturation, value * (1.0 + contrast));
     let dark = from_hsv(hue + accent, saturation, value * (1.0 - contrast).max(0.0));
     let to_bytes = |x: f64, channel: usize| (255.0 * light[channel] * x) as f32;
     let middle: [f32; 3] = std::array::from_fn(|c| to_bytes(0.5 * (bright[c] + dark[c]), c));
     let swing: [f32; 3] = std::array::from_fn(|c| to_bytes(0.5 * (bright[c] - dark[c]), c));
-    let grain = (255.0 * value * draws.value("grain", d.grain).exp()) as f32;
-    let reflection = flash.then(|| Reflection::draw(draws, d, rng));
+    let grain = (255.0 * value * draws.value("grain").exp()) as f32;
+    let reflection = flash.then(|| Reflection::draw(draws, rng));
 
-    let texture = WaveTexture::draw(draws, d, rng);
+    let texture = WaveTexture::draw(draws, rng);
     let mut rgb = Vec::with_capacity(Image::ROWS * Image::COLS * 3);
     let mut line = [0f32; Image::COLS];
     let mut bytes = [0u8; 2 * Image::COLS];
@@ -45,12 +44,12 @@ pub(super) fn picture(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> Vec<u8>
         texture.row(row, &mut line);
         rng.fill_bytes(&mut bytes);
         for (col, (&t, noise)) in line.iter().zip(bytes.chunks_exact(2)).enumerate() {
-            // The sum of two bytes has mean 255 and a standard deviation of 104.5.
+            // The sum of two uniform bytes has mean 255 and standard deviation 104.5.
             let grain = grain * (f32::from(noise[0]) + f32::from(noise[1]) - 255.0) / 104.5;
             let shine = reflection.as_ref().map_or(0.0, |r| r.rows[row] * r.cols[col]);
             let t = t.clamp(-1.5, 1.5);
             for c in 0..3 {
-                // A conversion to u8 saturates at 0 and 255, as a camera does.
+                // The cast to u8 limits values to 0 and 255, like a camera.
                 rgb.push((middle[c] + swing[c] * t + grain + shine + 0.5) as u8);
             }
         }
@@ -58,26 +57,26 @@ pub(super) fn picture(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> Vec<u8>
     rgb
 }
 
-/// Brightness of the light in red, green and blue; 1 is the expert's room.
-fn illumination(draws: &Draws<'_>, d: &Difficulty, flash: bool) -> [f64; 3] {
+/// Brightness of the light in red, green and blue, relative to the expert's room.
+fn illumination(draws: &Draws<'_>, flash: bool) -> [f64; 3] {
     let (light, warmth) = if flash {
-        (draws.value("flash", d.flash), 0.0)
+        (draws.value("flash"), 0.0)
     } else {
-        (draws.value("light", d.light), draws.value("warmth", d.warmth))
+        (draws.value("light"), draws.value("warmth"))
     };
     let light = light.exp();
     [light * (0.5 * warmth).exp(), light, light * (-0.5 * warmth).exp()]
 }
 
-/// The reflection of the flash, a white spot: the product of a row profile and a column profile.
+/// The flash's reflection, a white spot: its brightness is `rows[y]` times `cols[x]`.
 struct Reflection {
     rows: Vec<f32>,
     cols: Vec<f32>,
 }
 
 impl Reflection {
-    fn draw(draws: &Draws<'_>, d: &Difficulty, rng: &mut impl Rng) -> Self {
-        let gloss = logistic(draws.value("gloss", d.gloss));
+    fn draw(draws: &Draws<'_>, rng: &mut impl Rng) -> Self {
+        let gloss = logistic(draws.value("gloss"));
         let (mirror, matt) = REFLECTION_PIXELS;
         let width = matt + gloss * (mirror - matt);
         let mut spot = |len: usize, strength: f64| {
@@ -89,18 +88,18 @@ impl Reflection {
     }
 }
 
-/// A texture: a sum of plane waves, of standard deviation 1/√2.
+/// A texture: a sum of plane waves, with standard deviation 1/√2.
 struct WaveTexture {
-    /// for each wave, cos and sin of the phase at each column, times the wave's strength
+    /// for each wave and column: strength times cos and sin of the phase
     cols: [Vec<(f32, f32)>; WAVES],
-    /// phase that each row adds
+    /// for each wave: the change of phase from row to row
     per_row: [f64; WAVES],
 }
 
 impl WaveTexture {
-    fn draw(draws: &Draws<'_>, d: &Difficulty, rng: &mut impl Rng) -> Self {
-        let wavelength = draws.value("wavelength", d.wavelength).exp().max(2.0);
-        // The picture's place and angle are random; angles between waves belong to the surface.
+    fn draw(draws: &Draws<'_>, rng: &mut impl Rng) -> Self {
+        let wavelength = draws.value("wavelength").exp().max(2.0);
+        // All waves turn by a random angle; the angles between waves belong to the surface.
         let turned = uniform(rng);
         let mut per_row = [0.0; WAVES];
         let cols = std::array::from_fn(|wave| {
@@ -121,7 +120,7 @@ impl WaveTexture {
         Self { cols, per_row }
     }
 
-    /// The texture along one row.
+    /// Writes the texture of one row into `line`.
     fn row(&self, row: usize, line: &mut [f32; Image::COLS]) {
         line.fill(0.0);
         for (cols, per_row) in self.cols.iter().zip(self.per_row) {

@@ -1,48 +1,39 @@
-//! The light of the camera, and the frames that were taken with it.
+//! The camera's light: switches it, and tells which frames were taken with light.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Switches the light of the camera, for example by a command to the stylus.
-pub trait FlashLine: Send {
-    /// Switches it on or off.
-    ///
-    /// # Errors
-    /// With a message, if it is not known whether this has worked.
-    fn switch(&mut self, on: bool) -> Result<(), String>;
-}
+/// Switches a light on or off. An error says why the light may not have switched.
+type Switch = dyn FnMut(bool) -> Result<(), String> + Send;
 
-/// The switch of the light.
 pub enum Flash {
-    /// A line outside the camera.
-    Line(Box<dyn FlashLine>),
-    /// A control of the camera itself.
+    /// A light that is not part of the camera, for example one that the stylus switches.
+    Line(Box<Switch>),
     Control(FlashControl),
 }
 
-/// A control of a V4L2 camera that switches its light.
+/// A control of a V4L2 camera (video for Linux) that switches the camera's light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FlashControl {
-    /// Number of the control, as `v4l2-ctl --list-ctrls` shows it.
+    /// Number of the control, as shown by `v4l2-ctl --list-ctrls`.
     pub id: u32,
-    /// Its value for a light that stays on.
+    /// Value of the control for a light that stays on; `off` is the value for no light.
     pub on: i64,
-    /// Its value for no light.
     pub off: i64,
 }
 
 impl FlashControl {
-    /// V4L2_CID_FLASH_LED_MODE with a torch (2) and without light (0).
+    /// The control V4L2_CID_FLASH_LED_MODE with its values for torch (2) and no light (0).
     pub const TORCH: Self = Self { id: 0x009c_0901, on: 2, off: 0 };
 }
 
-/// Requests pictures with flash; clones use the same camera.
+/// A button that requests pictures with flash. All clones belong to the same camera.
 #[derive(Clone, Debug, Default)]
 pub struct Shutter(Arc<AtomicBool>);
 
 impl Shutter {
-    /// Requests one picture with flash. A second request before it is taken changes nothing.
+    /// Requests a picture with flash. Further requests before it is taken change nothing.
     pub fn flash(&self) {
         self.0.store(true, Ordering::Release);
     }
@@ -52,24 +43,15 @@ impl Shutter {
     }
 }
 
-/// The light in which a frame was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FrameLight {
     Plain,
     Flash,
-    /// Taken while the light changed: useless.
+    /// A frame taken while the light was changing, which is useless.
     Between,
 }
 
-/// The judgement of a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct FlashVerdict {
-    pub light: FrameLight,
-    /// Whether to switch the light on or off now; `None` to leave it.
-    pub switch: Option<bool>,
-}
-
-/// Follows the light from frame to frame.
+/// Follows the state of the light from frame to frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cycle {
     settle: Duration,
@@ -84,41 +66,43 @@ enum FlashPhase {
 }
 
 impl Cycle {
-    /// A light that needs `settle` until frames show a change: its own time, that of the camera's
-    /// exposure control, and the frames under way in between.
+    /// A cycle with the light off. `settle` is the time after which all frames show a switch of the
+    /// light: light and exposure control need time, and some frames are on their way.
     pub fn new(settle: Duration) -> Self {
         Self { settle, phase: FlashPhase::Off }
     }
 
-    /// Judges a frame that arrived at `now`; `wanted` says whether a picture with flash is wanted.
-    pub fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> FlashVerdict {
+    /// Judges the light of a frame that arrived at `now`. Also returns whether to switch the light
+    /// on or off now (`None`: leave it). `wanted` tells whether a picture with flash is requested.
+    pub fn judge(
+        &mut self,
+        now: Instant,
+        wanted: impl FnOnce() -> bool,
+    ) -> (FrameLight, Option<bool>) {
         let settled = |since: Instant| now.saturating_duration_since(since) >= self.settle;
         match self.phase {
             FlashPhase::Rising(since) if settled(since) => {
                 self.phase = FlashPhase::Falling(now);
-                FlashVerdict { light: FrameLight::Flash, switch: Some(false) }
+                (FrameLight::Flash, Some(false))
             }
             FlashPhase::Falling(since) if settled(since) => {
                 self.phase = FlashPhase::Off;
-                FlashVerdict { light: FrameLight::Plain, switch: None }
+                (FrameLight::Plain, None)
             }
-            FlashPhase::Rising(_) | FlashPhase::Falling(_) => {
-                FlashVerdict { light: FrameLight::Between, switch: None }
-            }
+            FlashPhase::Rising(_) | FlashPhase::Falling(_) => (FrameLight::Between, None),
             FlashPhase::Off if wanted() => {
                 self.phase = FlashPhase::Rising(now);
-                FlashVerdict { light: FrameLight::Plain, switch: Some(true) }
+                (FrameLight::Plain, Some(true))
             }
-            FlashPhase::Off => FlashVerdict { light: FrameLight::Plain, switch: None },
+            FlashPhase::Off => (FrameLight::Plain, None),
         }
     }
 
-    /// Notes that the light is off, or could not be switched on: no frame will show it.
+    /// To be called if the light is off or failed: the next frames count as taken without light.
     pub fn cancel(&mut self) {
         self.phase = FlashPhase::Off;
     }
 
-    /// Whether the light is on, as far as is known.
     pub fn lit(&self) -> bool {
         matches!(self.phase, FlashPhase::Rising(_))
     }
@@ -132,12 +116,8 @@ mod tests {
     fn a_picture_with_flash_is_one_taken_after_the_light_has_settled() {
         let mut cycle = Cycle::new(Duration::from_millis(100));
         let begin = Instant::now();
-        let mut seen = Vec::new();
-        for i in 0..12 {
-            let now = begin + Duration::from_millis(40 * i);
-            let verdict = cycle.judge(now, || i == 2);
-            seen.push((verdict.light, verdict.switch));
-        }
+        let judge = |i: u64| cycle.judge(begin + Duration::from_millis(40 * i), || i == 2);
+        let seen: Vec<_> = (0..12).map(judge).collect();
         let plain = (FrameLight::Plain, None);
         let between = (FrameLight::Between, None);
         let (on, flash) = ((FrameLight::Plain, Some(true)), (FrameLight::Flash, Some(false)));

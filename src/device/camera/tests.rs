@@ -1,4 +1,4 @@
-//! The camera's driver, with cameras that misbehave as real ones do.
+//! Tests of the camera's driver, with simulated cameras that fail like real ones.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -6,10 +6,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use super::Frames;
 use super::frame::FrameFormat;
 use super::*;
-use crate::device::{DeviceReport, DeviceReportKind};
+use crate::device::running::Running;
 use crate::ring::{ImageTap, Waker, images};
 
-/// The next step of a simulated camera.
 enum CameraAct {
     Frame(Frame),
     Hang,
@@ -18,11 +17,11 @@ enum CameraAct {
 
 type CameraScript = dyn Fn(usize, usize) -> CameraAct + Send + Sync;
 
-/// A camera whose script gives the act for each opening and frame, both counted from 0.
+/// A simulated camera. For each opening and frame (from 0), its script says what happens.
 struct ScriptedCamera {
     script: Arc<CameraScript>,
     openings: AtomicUsize,
-    /// Values that its control was set to; shared with the frames.
+    /// All values that the camera's control was set to; the open stream shares this list.
     light: Arc<Mutex<Vec<i64>>>,
     first: Option<OpenError>,
 }
@@ -49,7 +48,7 @@ impl Frames for Playing {
         self.2 += 1;
         match (self.0)(self.1, self.2 - 1) {
             CameraAct::Frame(mut frame) => {
-                // With its light on, the camera gives red frames.
+                // Frames are red while the camera's light is on.
                 if self.3.lock().unwrap().last() == Some(&1) {
                     frame.bytes.iter_mut().step_by(3).for_each(|byte| *byte = 255);
                 }
@@ -82,76 +81,29 @@ fn scripted(script: impl Fn(usize, usize) -> CameraAct + Send + Sync + 'static) 
 }
 
 fn camera(video: ScriptedCamera) -> Camera {
-    Camera::new(SourceId::new("ca1").unwrap(), Arc::new(video)).every(Duration::ZERO)
+    Camera::new(SourceId::new("ca1").unwrap(), Arc::new(video), Turn::None, Duration::ZERO)
 }
 
-/// A camera that runs on a thread of its own.
-struct RunningCamera {
-    taps: Vec<ImageTap>,
-    reports: crossbeam_channel::Receiver<DeviceReport>,
-    stop: Stop,
-    thread: std::thread::JoinHandle<Result<(), DeviceError>>,
+fn start(camera: Camera) -> (Running, Vec<ImageTap>) {
+    let rings = camera.streams().into_iter().map(|_| images(1000, Waker::new().0));
+    let (sinks, taps): (Vec<_>, Vec<_>) = rings.unzip();
+    (Running::start(camera, sinks.into_iter().map(Sink::Images).collect()), taps)
 }
 
-fn start(mut camera: Camera) -> RunningCamera {
-    let (mut sinks, mut taps) = (Vec::new(), Vec::new());
-    for _ in camera.streams() {
-        let (sink, tap) = images(1000, Waker::new().0);
-        sinks.push(Sink::Images(sink));
-        taps.push(tap);
-    }
-    let (sender, reports) = crossbeam_channel::unbounded();
-    let stop = Stop::default();
-    let control = DeviceLink::new(0, stop.clone(), sender);
-    let thread = std::thread::spawn(move || camera.run(&mut sinks, &control));
-    RunningCamera { taps, reports, stop, thread }
+fn time_to_end(running: Running) -> Duration {
+    let begin = Instant::now();
+    running.end();
+    begin.elapsed()
 }
-
-impl RunningCamera {
-    /// Waits for the next state that is reported, and gives it with its reason; skips warnings.
-    fn state(&self) -> (DeviceState, String) {
-        loop {
-            let report = self.reports.recv_timeout(Duration::from_secs(10)).unwrap();
-            if let DeviceReportKind::State { state, detail } = report.kind {
-                return (state, detail);
-            }
-        }
-    }
-
-    fn warning(&self) -> String {
-        loop {
-            let report = self.reports.recv_timeout(Duration::from_secs(10)).unwrap();
-            if let DeviceReportKind::Warning(text) = report.kind {
-                return text;
-            }
-        }
-    }
-
-    #[track_caller]
-    fn states(&self, expected: &[DeviceState]) {
-        for state in expected {
-            assert_eq!(self.state().0, *state);
-        }
-    }
-
-    fn end(self) -> (Vec<ImageTap>, Duration) {
-        let begin = Instant::now();
-        self.stop.request();
-        self.thread.join().unwrap().unwrap();
-        (self.taps, begin.elapsed())
-    }
-}
-
-use DeviceState::{Absent, Lost, Opening, Stalled, Streaming};
 
 #[test]
 fn frames_become_pictures() {
-    let running = start(camera(scripted(|_, _| CameraAct::Frame(grey()))));
-    running.states(&[Opening, Streaming]);
+    let (running, mut taps) = start(camera(scripted(|_, _| CameraAct::Frame(grey()))));
+    running.says(&["opening", "streaming"]);
     std::thread::sleep(Duration::from_millis(200));
-    let (mut taps, took) = running.end();
+    let took = time_to_end(running);
     let mut count = 0;
-    taps[0].drain(|_, image| {
+    taps[0].drain_images(|_, image| {
         assert_eq!(image.pixel(240, 160), [90, 90, 90]);
         count += 1;
     });
@@ -160,36 +112,41 @@ fn frames_become_pictures() {
 
 #[test]
 fn a_wedged_camera_is_stalled_and_does_not_hold_up_the_end() {
-    let running = start(camera(scripted(|_, frame| match frame {
+    let (running, _) = start(camera(scripted(|_, frame| match frame {
         0..5 => CameraAct::Frame(grey()),
         _ => CameraAct::Hang,
     })));
-    running.states(&[Opening, Streaming, Stalled]);
-    assert!(running.end().1 < Duration::from_secs(1));
+    running.says(&["opening", "streaming", "stalled"]);
+    assert!(time_to_end(running) < Duration::from_secs(1));
 }
 
 #[test]
-fn a_camera_that_is_unplugged_is_lost_and_opened_again() {
-    let running = start(camera(scripted(|opening, frame| match (opening, frame) {
+fn a_camera_that_is_unplugged_or_whose_reader_panics_is_lost_and_opened_again() {
+    let unplugged = scripted(|opening, frame| match (opening, frame) {
         (0, 3) => CameraAct::End,
         _ => CameraAct::Frame(grey()),
-    })));
-    running.states(&[Opening, Streaming]);
-    let (state, why) = running.state();
-    assert!(state == Lost && why.contains("No such device"), "{why}");
-    running.states(&[Streaming]);
-    running.end();
+    });
+    let panics = scripted(|opening, _| match opening {
+        0 => panic!("a driver's bug"),
+        _ => CameraAct::Frame(grey()),
+    });
+    let of_unplugged: &[&str] = &["opening", "streaming", "lost: No such device", "streaming"];
+    let of_panics: &[&str] = &["opening", "lost", "streaming"];
+    for (video, said) in [(unplugged, of_unplugged), (panics, of_panics)] {
+        let (running, _) = start(camera(video));
+        running.says(said);
+        running.end();
+    }
 }
 
 #[test]
 fn a_camera_that_is_not_there_yet_is_absent_and_tried_again() {
     let mut video = scripted(|_, _| CameraAct::Frame(grey()));
     video.first = Some(OpenError::Absent("camera eye".into()));
-    let running = start(camera(video));
-    running.states(&[Opening]);
-    let (state, why) = running.state();
-    assert!(state == Absent && why.contains("surfaced devices"), "{why}");
-    running.states(&[Streaming]);
+    let (running, _) = start(camera(video));
+    let absent = "absent: camera eye is not there; plug it in, or look for its name with \
+                  `surfaced devices`";
+    running.says(&["opening", absent, "streaming"]);
     running.end();
 }
 
@@ -197,36 +154,24 @@ fn a_camera_that_is_not_there_yet_is_absent_and_tried_again() {
 fn a_camera_that_will_never_do_ends_with_the_reason() {
     let mut video = scripted(|_, _| CameraAct::End);
     video.first = Some(OpenError::Unfit("camera eye has no format".into()));
-    let running = start(camera(video));
-    let ended = running.thread.join().unwrap();
-    assert!(ended.unwrap_err().to_string().contains("no format"));
-}
-
-#[test]
-fn a_reader_that_panics_is_a_lost_camera() {
-    let running = start(camera(scripted(|opening, _| match opening {
-        0 => panic!("a driver's bug"),
-        _ => CameraAct::Frame(grey()),
-    })));
-    running.states(&[Opening, Lost, Streaming]);
-    running.end();
+    let (running, _) = start(camera(video));
+    assert!(running.ended().unwrap_err().to_string().contains("no format"));
 }
 
 #[test]
 fn damaged_frames_are_summed_up_and_only_damaged_ones_are_a_stall() {
-    let running = start(camera(scripted(|_, frame| match frame % 2 {
+    let (running, _) = start(camera(scripted(|_, frame| match frame % 2 {
         0 => CameraAct::Frame(short()),
         _ => CameraAct::Frame(grey()),
     })));
-    let said = running.warning();
-    assert!(said.contains("1 frames were damaged") && said.contains("expected 460800"), "{said}");
-    running.states(&[Streaming]);
+    let damaged = "1 frames were damaged; the last: a frame of 9 bytes; expected 460800";
+    running.says(&["opening", damaged, "streaming"]);
     std::thread::sleep(Duration::from_millis(200));
     assert!(running.reports.is_empty());
     running.end();
 
-    let running = start(camera(scripted(|_, _| CameraAct::Frame(short()))));
-    running.states(&[Opening, Stalled]);
+    let (running, _) = start(camera(scripted(|_, _| CameraAct::Frame(short()))));
+    running.says(&["opening", "frames were damaged", "stalled"]);
     running.end();
 }
 
@@ -238,8 +183,8 @@ fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
     let ca2 = SourceId::new("ca2").unwrap();
     let camera = camera(video).flash(ca2, control, Duration::from_millis(80));
     let (shutter, finder) = (camera.shutter(), camera.viewfinder());
-    let mut running = start(camera);
-    running.states(&[Opening, Streaming]);
+    let (running, mut taps) = start(camera);
+    running.says(&["opening", "streaming"]);
     assert_eq!(finder.view().flash, FlashState::Off);
     shutter.flash();
     let mut lit = Vec::new();
@@ -247,40 +192,32 @@ fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
     let begin = Instant::now();
     while lit.is_empty() && begin.elapsed() < Duration::from_secs(5) {
         shown_on |= finder.view().flash == FlashState::On;
-        running.taps[1].drain(|_, image| lit.push(image.pixel(0, 0)));
+        taps[1].drain_images(|_, image| lit.push(image.pixel(0, 0)));
         std::thread::sleep(Duration::from_millis(5));
     }
     std::thread::sleep(Duration::from_millis(200));
-    let (mut taps, _) = running.end();
+    running.end();
     assert_eq!(lit, [[255, 90, 90]]);
     assert!(shown_on && finder.view().flash == FlashState::Off);
     assert!(finder.view().region.is_some() && finder.jpeg().is_some());
-    taps[0].drain(|_, image| assert_eq!(image.pixel(0, 0), [90, 90, 90]));
+    taps[0].drain_images(|_, image| assert_eq!(image.pixel(0, 0), [90, 90, 90]));
     assert_eq!(*light.lock().unwrap(), [1, 0]);
 }
 
 #[test]
 fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
-    struct BrokenLight;
-    impl FlashLine for BrokenLight {
-        fn switch(&mut self, _: bool) -> Result<(), String> {
-            Err("the stylus does not answer".into())
-        }
-    }
     let ca2 = || SourceId::new("ca2").unwrap();
+    let broken = Flash::Line(Box::new(|_| Err("the stylus does not answer".into())));
     let wrong = Flash::Control(FlashControl { id: 8, on: 1, off: 0 });
-    for (flash, part) in
-        [(Flash::Line(Box::new(BrokenLight)), "does not answer"), (wrong, "no such control")]
-    {
+    for (flash, part) in [(broken, "does not answer"), (wrong, "no such control")] {
         let video = scripted(|_, _| CameraAct::Frame(grey()));
         let camera = camera(video).flash(ca2(), flash, Duration::from_millis(50));
         camera.shutter().flash();
         let finder = camera.viewfinder();
-        let running = start(camera);
-        let said = running.warning();
-        assert!(said.contains(part), "{said}");
+        let (running, mut taps) = start(camera);
+        running.comes_to_say(part);
         assert_eq!(finder.view().flash, FlashState::Failed);
-        let (mut taps, _) = running.end();
-        assert!(!taps[1].drain(|_, _| {}));
+        running.end();
+        assert!(!taps[1].drain_images(|_, _| {}));
     }
 }

@@ -1,4 +1,4 @@
-//! The real cameras: V4L2, through nokhwa.
+//! Opens and lists real cameras by V4L2 (video for Linux), with the crate nokhwa.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -11,16 +11,16 @@ use nokhwa::{Camera as Nokhwa, NokhwaError};
 
 use super::frame::FrameFormat;
 use super::{Frame, Frames, Turn, Video};
+use crate::device::OpenError;
 use crate::device::list::{
     ListedDevice, camera_alias, camera_number, node_problem, permission_hint,
 };
-use crate::device::open::OpenError;
 use crate::trial::Image;
 
 const DEV: &str = "/dev";
-/// The codings that are understood, the best first.
+/// The picture formats that can be decoded, best first.
 const CODINGS: [Coding; 4] = [Coding::RAWRGB, Coding::RAWBGR, Coding::YUYV, Coding::MJPEG];
-/// Frames a second that suffice; more cost work and light.
+/// Preferred frames per second. Higher rates cost computing time and light.
 const RATE_HZ: u32 = 30;
 
 #[derive(Clone, Debug)]
@@ -30,8 +30,8 @@ pub struct V4l {
 }
 
 impl V4l {
-    /// The camera with this name, as `surfaced devices` lists it. Of the sizes that it offers, the
-    /// smallest is taken that shows the upright region in full after this turn.
+    /// The camera with this name from `surfaced devices`. It is opened with the smallest picture
+    /// size that covers the compared region, once `turn` has made the picture upright.
     pub fn new(id: impl Into<String>, turn: Turn) -> Self {
         Self { id: id.into(), turn }
     }
@@ -45,20 +45,18 @@ impl Video for V4l {
     fn open(&self) -> Result<Box<dyn Frames>, OpenError> {
         let number = camera_number(Path::new(DEV), &self.id)?;
         let mut camera = open(number, &self.id)?;
-        let offers = camera
-            .compatible_camera_formats()
-            .map_err(|error| explain(number, &self.id, &error))?;
+        let said = |error| explain(number, &self.id, &error);
+        let offers = camera.compatible_camera_formats().map_err(said)?;
         let format = choose(&offers, self.turn).unwrap_or_else(|| camera.camera_format());
         if format != camera.camera_format() {
             let exact = RequestedFormat::with_formats(RequestedFormatType::Exact(format), &CODINGS);
-            camera.set_camera_requset(exact).map_err(|error| explain(number, &self.id, &error))?;
+            camera.set_camera_requset(exact).map_err(said)?;
         }
-        camera.open_stream().map_err(|error| explain(number, &self.id, &error))?;
+        camera.open_stream().map_err(said)?;
         Ok(Box::new(Reader(camera)))
     }
 }
 
-/// A camera whose stream is open.
 struct Reader(Nokhwa);
 
 impl Frames for Reader {
@@ -73,8 +71,8 @@ impl Frames for Reader {
                 Coding::RAWBGR => FrameFormat::Bgr,
                 other => return Err(format!("the camera has changed to {other} frames")),
             },
-            width: format.width() as usize,
-            height: format.height() as usize,
+            width: format.width(),
+            height: format.height(),
             bytes,
         })
     }
@@ -94,18 +92,19 @@ impl Frames for Reader {
 }
 
 fn open(number: u32, id: &str) -> Result<Nokhwa, OpenError> {
-    // Any format at first: only an open camera tells which formats it has.
+    // Opens the camera with any format first: only an open camera lists its formats.
     let any = RequestedFormat::with_formats(RequestedFormatType::None, &CODINGS);
     Nokhwa::with_backend(CameraIndex::Index(number), any, ApiBackend::Video4Linux)
         .map_err(|error| explain(number, id, &error))
 }
 
-/// The smallest format that shows the region of 320 × 480 without enlarging it; if there is none,
-/// the largest format. Among equal sizes, the best coding, then the rate closest to 30 Hz.
+/// The smallest format that covers the region of 320 × 480 without enlarging it, or else the
+/// largest format. Among equal sizes, the best coding counts, then the rate closest to 30 Hz.
 fn choose(offers: &[CameraFormat], turn: Turn) -> Option<CameraFormat> {
     let cost = |offer: &&CameraFormat| {
         let (width, height) = (u64::from(offer.width()), u64::from(offer.height()));
-        let (w, h) = if turn.swaps() { (height, width) } else { (width, height) };
+        let lies = matches!(turn, Turn::Right | Turn::Left);
+        let (w, h) = if lies { (height, width) } else { (width, height) };
         let whole = w >= Image::COLS as u64 && h >= Image::ROWS as u64;
         let area = width * height;
         let coding = CODINGS.iter().position(|known| *known == offer.format());
@@ -118,7 +117,7 @@ fn choose(offers: &[CameraFormat], turn: Turn) -> Option<CameraFormat> {
 
 fn explain(number: u32, id: &str, error: &NokhwaError) -> OpenError {
     let camera = format!("camera {id}");
-    // nokhwa gives the system's words, with the number of the error in them.
+    // The number of the system's error stands only in the text of nokhwa's error.
     let text = error.to_string();
     let has = |code: &str| text.contains(&format!("(os error {code})"));
     match () {
@@ -135,10 +134,7 @@ fn explain(number: u32, id: &str, error: &NokhwaError) -> OpenError {
     }
 }
 
-/// The cameras of this machine, with permanent names and the problems of each.
-///
-/// # Errors
-/// If V4L2 refuses the list.
+/// Lists the cameras of this machine, with their permanent names and their problems.
 pub fn cameras() -> Result<Vec<ListedDevice>, OpenError> {
     let found = nokhwa::query(ApiBackend::Video4Linux)
         .map_err(|error| OpenError::Failed(error.to_string()))?;
@@ -149,7 +145,7 @@ pub fn cameras() -> Result<Vec<ListedDevice>, OpenError> {
     Ok(numbers.into_iter().filter_map(|(number, name)| listed(number, name)).collect())
 }
 
-/// None for a node that is no camera: most cameras have a second node for metadata.
+/// A camera of the list; `None` for a node without pictures, as most cameras have for metadata.
 fn listed(number: u32, name: String) -> Option<ListedDevice> {
     let node = Path::new(DEV).join(format!("video{number}"));
     let stable = camera_alias(Path::new(DEV), &node);
@@ -167,7 +163,7 @@ fn listed(number: u32, name: String) -> Option<ListedDevice> {
     Some(ListedDevice { id, name, node: Some(node.display().to_string()), problem })
 }
 
-/// Whether a node is the first one of its hardware.
+/// Whether a node is the first of its camera's nodes.
 fn is_first(number: u32) -> bool {
     std::fs::read_to_string(format!("/sys/class/video4linux/video{number}/index"))
         .map_or(true, |index| index.trim() == "0")
@@ -193,7 +189,7 @@ mod tests {
             offer(320, 240, Coding::YUYV, 30),
         ];
         assert_eq!(choose(&offers, Turn::None), Some(offers[3]));
-        // On its side, 640 × 360 holds 480 × 320.
+        // A camera that lies on its side needs 480 × 320 pixels, and 640 × 360 covers them.
         assert_eq!(choose(&offers, Turn::Right), Some(offers[5]));
         assert_eq!(choose(&offers[5..], Turn::None), Some(offers[5]));
         assert_eq!(choose(&offers[4..5], Turn::None), None);

@@ -1,6 +1,6 @@
-//! The places that lines come from: a serial port, a TCP or UDP address, standard input.
+//! The sources of text lines: serial ports, TCP or UDP addresses, standard input.
 
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
 use std::str::FromStr;
 use std::sync::Mutex;
@@ -9,23 +9,22 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use crate::device::OpenError;
-use crate::device::serial::{OpenPort, Port, Selector, WAIT};
+use crate::device::serial::{Selector, WAIT};
 
-/// The usual rate of a microcontroller's port.
+/// Default rate of a microcontroller's serial port, in baud.
 const BAUD: u32 = 115_200;
-/// The time that a connection may take.
+/// Longest time that connecting may take.
 const CONNECT: Duration = Duration::from_secs(1);
-/// Longer than any datagram.
+/// Length in bytes of the buffer for a datagram; no datagram is longer.
 const DATAGRAM: usize = 64 * 1024;
 
-/// The place that lines come from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LinesAddress {
-    /// A serial port at a number of baud.
+    /// A serial port and its rate in baud.
     Serial(Selector, u32),
-    /// `HOST:PORT` of a program that sends lines to those who connect.
+    /// `HOST:PORT` of a program that accepts TCP connections and sends lines to each client.
     Tcp(String),
-    /// `HOST:PORT` on which datagrams come, each of whole lines.
+    /// `HOST:PORT` of this machine, at which UDP datagrams arrive; each holds whole lines.
     Udp(String),
     Stdin,
 }
@@ -33,7 +32,7 @@ pub enum LinesAddress {
 impl FromStr for LinesAddress {
     type Err = String;
 
-    /// A serial port as `PORT` or `PORT@BAUD`, `tcp://HOST:PORT`, `udp://HOST:PORT`, or `-`.
+    /// Parses a serial port (`PORT` or `PORT@BAUD`), `tcp://HOST:PORT`, `udp://HOST:PORT`, or `-`.
     fn from_str(text: &str) -> Result<Self, String> {
         let expected = "expected a serial port (`/dev/ttyACM0`, `COM3`, `usb:2341:0043`, with \
                         `@9600` for another rate than 115200 baud), `tcp://HOST:PORT`, \
@@ -49,15 +48,13 @@ impl FromStr for LinesAddress {
             Some(_) => refused(),
             None if text == "-" => Ok(Self::Stdin),
             None => {
-                let (port, baud) = match text.rsplit_once('@').map(|(p, baud)| (p, baud.parse())) {
-                    Some((port, Ok(1..))) => (port, text[port.len() + 1..].parse()),
-                    Some(_) => return refused(),
-                    None => (text, Ok(BAUD)),
-                };
+                let rated = text.rsplit_once('@').map(|(port, baud)| (port, baud.parse()));
+                let (port, baud) = rated.unwrap_or((text, Ok(BAUD)));
                 match (port.parse(), baud) {
-                    // That is the stylus's own chip.
-                    (Ok(Selector::Auto) | Err(_), _) | (_, Err(_)) => refused(),
-                    (Ok(port), Ok(baud)) => Ok(Self::Serial(port, baud)),
+                    // `auto` is refused: it selects the stylus's chip, which prints no lines.
+                    (Ok(Selector::Auto), _) => refused(),
+                    (Ok(port), Ok(baud @ 1..)) => Ok(Self::Serial(port, baud)),
+                    _ => refused(),
                 }
             }
         }
@@ -82,31 +79,33 @@ impl std::fmt::Display for LinesAddress {
 }
 
 impl LinesAddress {
-    /// Whether what comes first may begin within a line.
+    /// Whether the first bytes may begin in the middle of a line.
     pub fn begins_half(&self) -> bool {
         matches!(self, Self::Serial(..) | Self::Tcp(_))
     }
 
-    /// What to do where bytes come, but no lines of numbers.
-    pub fn garbage_hint(&self) -> &'static str {
-        match self {
-            Self::Serial(..) => "check its rate in baud (as in PORT@9600), and what it prints",
-            _ => "check what the program there sends",
-        }
+    /// The message for bytes that hold no numbers: says what is wrong, and what to check.
+    pub fn no_numbers(&self) -> String {
+        let check = match self {
+            Self::Serial(..) => "its rate in baud (as in PORT@9600), and what it prints",
+            _ => "what the program there sends",
+        };
+        format!("no lines of numbers come; check {check}")
     }
-}
 
-impl OpenPort for LinesAddress {
-    fn name(&self) -> String {
+    pub fn name(&self) -> String {
         match self {
             Self::Stdin => "lines from standard input".into(),
             other => format!("lines from {other}"),
         }
     }
 
-    fn open(&mut self) -> Result<(Box<dyn Port>, String), OpenError> {
-        let port: Box<dyn Port> = match self {
-            Self::Serial(port, baud) => return port.open_at(*baud),
+    /// Opens the address, and returns a reader with its name. A read times out after a moment.
+    pub fn open(&self) -> Result<(Box<dyn Read>, String), OpenError> {
+        let line: Box<dyn Read> = match self {
+            Self::Serial(port, baud) => {
+                return port.open_at(*baud).map(|(port, path)| (port as Box<dyn Read>, path));
+            }
             Self::Tcp(host) => Box::new(connect(host).map_err(|error| {
                 let what = "start the program that sends there, or correct the address";
                 OpenError::Failed(format!("tcp://{host}: {error}; {what}"))
@@ -118,7 +117,7 @@ impl OpenPort for LinesAddress {
             })?),
             Self::Stdin => Box::new(StandardInput),
         };
-        Ok((port, self.to_string()))
+        Ok((line, self.to_string()))
     }
 }
 
@@ -136,7 +135,7 @@ fn connect(host: &str) -> io::Result<TcpStream> {
     Err(last)
 }
 
-/// Datagrams as one text; the end of each ends its last line.
+/// Reads datagrams as one text. A datagram's last line ends with the datagram.
 struct Datagrams {
     socket: UdpSocket,
     datagram: Vec<u8>,
@@ -149,7 +148,7 @@ fn listen(host: &str) -> io::Result<Datagrams> {
 }
 
 impl Read for Datagrams {
-    /// The buffer must hold the longest datagram and a byte, as the driver's does.
+    /// The buffer must hold the longest datagram and one more byte, like the driver's buffer.
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.socket.recv(&mut self.datagram[..DATAGRAM])?;
         self.datagram[n] = b'\n';
@@ -159,107 +158,69 @@ impl Read for Datagrams {
     }
 }
 
-impl Write for Datagrams {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        Ok(bytes.len())
-    }
+/// The only reader of standard input. Bytes that a survey has put back are read again.
+static STDIN: Mutex<StdinReader> = Mutex::new(StdinReader { blocks: None, first: Vec::new() });
 
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-/// Standard input is there once, and what was read of it to learn what comes is played again.
-static STDIN: Mutex<Option<StdinReader>> = Mutex::new(None);
-
-/// Reads on a thread of its own, since a read cannot be ended; blocks wait for their reader, so
-/// that a program that writes waits too.
+/// Reads standard input on its own thread, since nothing can interrupt a read. The channel holds
+/// few blocks, so a program that writes too fast has to wait.
 struct StdinReader {
-    blocks: Receiver<Vec<u8>>,
-    /// Bytes that come first.
+    /// The blocks that the thread has read; `None` before the first read.
+    blocks: Option<Receiver<Vec<u8>>>,
+    /// Bytes that were put back, to be returned first.
     first: Vec<u8>,
 }
 
-impl StdinReader {
-    fn start() -> io::Result<Self> {
-        let (send, blocks) = crossbeam_channel::bounded(4);
-        let read = move || {
-            let mut buffer = [0; 16 * 1024];
-            while let Ok(n @ 1..) = io::stdin().read(&mut buffer) {
-                if send.send(buffer[..n].to_vec()).is_err() {
-                    return;
-                }
+fn start_reader() -> io::Result<Receiver<Vec<u8>>> {
+    let (send, blocks) = crossbeam_channel::bounded(4);
+    let read = move || {
+        let mut buffer = [0; 16 * 1024];
+        while let Ok(n @ 1..) = io::stdin().read(&mut buffer) {
+            if send.send(buffer[..n].to_vec()).is_err() {
+                return;
             }
-        };
-        std::thread::Builder::new().name("stdin".into()).spawn(read)?;
-        Ok(Self { blocks, first: Vec::new() })
-    }
+        }
+    };
+    std::thread::Builder::new().name("stdin".into()).spawn(read)?;
+    Ok(blocks)
 }
 
-/// Standard input; clones read the same one.
+/// Standard input. All values of this type share it.
 pub struct StandardInput;
 
 impl StandardInput {
-    /// Puts bytes that were read back before all others.
+    /// Puts back bytes, so that the next reads return these bytes first.
     pub fn put_back(bytes: Vec<u8>) {
-        if let Ok(mut stdin) = STDIN.lock()
-            && let Some(reader) = stdin.as_mut()
-        {
-            let rest = std::mem::replace(&mut reader.first, bytes);
-            reader.first.extend(rest);
+        if let Ok(mut reader) = STDIN.lock() {
+            reader.first.splice(0..0, bytes);
         }
     }
 }
 
 impl Read for StandardInput {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let mut stdin = STDIN.lock().map_err(|_| io::Error::other("its reader panicked"))?;
-        if stdin.is_none() {
-            *stdin = Some(StdinReader::start()?);
-        }
-        // Set above.
-        let Some(reader) = stdin.as_mut() else { return Ok(0) };
-        if reader.first.is_empty() {
-            reader.first = match reader.blocks.recv_timeout(WAIT) {
+        let mut reader = STDIN.lock().map_err(|_| io::Error::other("its reader panicked"))?;
+        let StdinReader { blocks, first } = &mut *reader;
+        if first.is_empty() {
+            let blocks = match blocks {
+                Some(blocks) => blocks,
+                None => blocks.insert(start_reader()?),
+            };
+            *first = match blocks.recv_timeout(WAIT) {
                 Ok(block) => block,
                 Err(RecvTimeoutError::Timeout) => return Err(io::ErrorKind::TimedOut.into()),
                 Err(RecvTimeoutError::Disconnected) => return Ok(0),
             };
         }
-        let n = reader.first.len().min(buffer.len());
-        buffer[..n].copy_from_slice(&reader.first[..n]);
-        reader.first.drain(..n);
+        let n = first.len().min(buffer.len());
+        buffer[..n].copy_from_slice(&first[..n]);
+        first.drain(..n);
         Ok(n)
-    }
-}
-
-impl Write for StandardInput {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn an_address_is_a_port_a_host_or_standard_input() {
-        for text in ["/dev/ttyACM0", "COM3@9600", "usb:2341:0043@115200", "tcp://robot:5000", "-"] {
-            assert_eq!(text.parse::<LinesAddress>().unwrap().to_string(), text);
-        }
-        let path = |port: &str| Selector::Path(port.into());
-        assert_eq!("COM3@9600".parse(), Ok(LinesAddress::Serial(path("COM3"), 9600)));
-        assert_eq!("udp://[::]:5000".parse(), Ok(LinesAddress::Udp("[::]:5000".into())));
-        for text in ["", "auto", "tcp://robot", "http://a:1", "udp://:x", "COM3@fast", "COM3@0"] {
-            let refused = text.parse::<LinesAddress>().unwrap_err();
-            assert!(refused.contains("tcp://HOST:PORT"), "{text}: {refused}");
-        }
-    }
 
     #[test]
     fn a_datagram_ends_its_line() {
@@ -278,7 +239,7 @@ mod tests {
 
     #[test]
     fn nobody_there_is_said_with_what_to_do() {
-        // A port that was free a moment ago.
+        // Nothing listens at this port, which was free a moment ago.
         let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let error = LinesAddress::Tcp(free.to_string()).open().err().unwrap().to_string();
         assert!(error.contains("start the program"), "{error}");

@@ -1,178 +1,123 @@
-//! From rows of numbers to frames of the streams: no I/O, no clock.
+//! Turns rows of numbers into frames of the streams, without I/O and without a clock.
 //!
-//! A row is a frame of every stream. A counter or a column of microseconds shows exactly how many
-//! frames are missing; without either, those of a silence of at least [`SILENCE_S`] are counted by
-//! the clock. A row that cannot be used is a missing frame too, so that an index always means the
-//! same moment.
+//! A row is one frame of every stream. A column that counts rows or microseconds shows exactly how
+//! many frames are missing. Without such a column, only a silence of at least [`SILENCE_S`] counts
+//! as missing frames, by its duration. An unusable row also counts as missing, so that indexes keep
+//! time.
 
 use super::parser::{Line, LineParser};
 use crate::device::serial::gap;
 use crate::scene::SourceId;
 
-/// Without a column that counts, a shorter silence is a delay and no loss, in seconds.
+/// Seconds of silence from which frames count as missing, if no column counts rows or time.
 const SILENCE_S: f64 = 0.5;
-/// This many rows of another width in a row, and the columns have changed.
+/// Number of consecutive rows of another width after which the columns count as changed.
 const CHANGED: u32 = 20;
-/// Where counters of the usual widths start again.
+/// Values at which counters of the usual widths (8, 16, 32 bits) start again from 0.
 const WRAPS: [u64; 3] = [1 << 8, 1 << 16, 1 << 32];
 
-/// A column, by its name in the header or by its place.
+/// A column, given by its place (counted from 1) or by its name in the header.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(untagged)]
 pub enum Column {
-    /// Its place, counted from 1.
     Place(usize),
-    /// Its name.
     Name(String),
 }
 
-/// The column that counts.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Count {
-    /// A counter of rows.
     Rows(Column),
-    /// Microseconds.
     Micros(Column),
 }
 
-/// A stream to be made of columns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinesStream {
     pub id: SourceId,
-    /// Its channels, at least one.
+    /// The columns that are the stream's channels; at least one.
     pub columns: Vec<Column>,
-    /// The factor that makes about ±1 of its values; measured where it is not given.
+    /// Factor that scales the stream's values to about ±1; `None` to measure the factor.
     pub scale: Option<f64>,
 }
 
-/// Counts of what came, since they were last taken.
+/// Counts of errors in lines and frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LineCounts {
-    /// Rows that became frames.
-    pub rows: u64,
     pub garbage: u64,
     pub too_long: u64,
-    /// Rows of another number of columns.
+    /// Rows with another number of columns than expected.
     pub other_width: u64,
-    /// Rows in which a value of a stream, or of the column that counts, is no number.
+    /// Rows with a value that is no number in a column that is used.
     pub not_numbers: u64,
     pub gaps: u64,
-    /// Frames that are missing in the longest gap.
+    /// Number of missing frames in the longest gap.
     pub missing: u64,
     pub restarts: u64,
-    /// Changes of the columns.
+    /// Number of changes of the columns.
     pub changes: u64,
 }
 
-impl LineCounts {
-    /// Adds those of a later time.
-    pub fn add(&mut self, later: &Self) {
-        self.rows += later.rows;
-        self.garbage += later.garbage;
-        self.too_long += later.too_long;
-        self.other_width += later.other_width;
-        self.not_numbers += later.not_numbers;
-        self.gaps += later.gaps;
-        self.missing = self.missing.max(later.missing);
-        self.restarts += later.restarts;
-        self.changes += later.changes;
-    }
-}
-
-/// Events from the line.
 #[derive(Debug, PartialEq)]
 pub enum LinesEvent<'a> {
-    /// Frames of a stream, interleaved.
+    /// Interleaved frames of a stream.
     Frames { stream: usize, samples: &'a [f32] },
-    /// Frames of all streams that never arrived, or could not be used.
+    /// Number of frames that are missing or unusable, in all streams.
     Missing(u64),
 }
 
-/// The columns of the rows, as they come now.
+/// The meaning of the columns at present.
 #[derive(Debug)]
 struct Layout {
     width: usize,
-    /// Of each stream: columns from 0, and the factor.
+    /// For each stream: its columns (counted from 0), and its factor.
     picks: Vec<(Vec<usize>, f32)>,
     count: Option<usize>,
 }
 
-/// Turns bytes into frames.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct LinesIntake {
     streams: Vec<LinesStream>,
     count: Option<Count>,
-    rate_hz: f64,
+    pub rate_hz: f64,
     parser: LineParser,
-    names: Vec<String>,
+    /// Names of the columns, from the header; empty without a header.
+    pub names: Vec<String>,
     layout: Option<Layout>,
-    /// Rows in a row that the layout does not fit.
+    /// Number of consecutive rows whose number of columns differs from that in `layout`.
     misfits: u32,
-    /// Why rows cannot be used, if they cannot.
-    refused: Option<String>,
-    counts: LineCounts,
-    /// Whether there were frames, and the last value of the column that counts.
-    started: bool,
+    /// The reason why rows cannot be used; `None` if they can be used.
+    pub refused: Option<String>,
+    /// Counts of errors since the last report.
+    pub counts: LineCounts,
+    rows: u64,
+    /// The last value in the column of row numbers or microseconds.
     last: f64,
-    /// When the last frame came, in seconds.
     last_s: f64,
     reopened: bool,
-    /// Lines that came at once.
+    /// Number of lines in the bytes of the latest `feed`.
     at_once: u64,
-    /// Samples of each stream that were not passed on.
+    /// Samples of each stream that are not passed on yet.
     blocks: Vec<Vec<f32>>,
 }
 
 impl LinesIntake {
-    /// Makes these streams of rows at this rate in Hz. A scale that is not given is 1.
+    /// Makes `streams` of rows that come at `rate_hz`. A scale that is `None` counts as 1.
     pub fn new(streams: Vec<LinesStream>, count: Option<Count>, rate_hz: f64) -> Self {
         let blocks = vec![Vec::new(); streams.len()];
-        Self {
-            streams,
-            count,
-            rate_hz,
-            parser: LineParser::default(),
-            names: Vec::new(),
-            layout: None,
-            misfits: 0,
-            refused: None,
-            counts: LineCounts::default(),
-            started: false,
-            last: f64::NAN,
-            last_s: 0.0,
-            reopened: false,
-            at_once: 0,
-            blocks,
-        }
+        Self { streams, count, rate_hz, blocks, ..Self::default() }
     }
 
-    /// The line was reopened; what comes next may begin within a line if `half`.
+    /// To be called when the line was reopened. `half`: the first bytes may begin within a line.
     pub fn reopened(&mut self, half: bool) {
         self.parser.reopened(half);
         self.reopened = true;
     }
 
-    /// The names of the columns, so far as a header told.
-    pub fn set_names(&mut self, names: &[String]) {
-        self.names = names.to_vec();
-    }
-
-    /// Why no row can be used, where that is so.
-    pub fn refused(&self) -> Option<&str> {
-        self.refused.as_deref()
-    }
-
-    /// The counts since they were last taken.
-    pub fn take_counts(&mut self) -> LineCounts {
-        std::mem::take(&mut self.counts)
-    }
-
-    /// Takes bytes that came at `now_s` (seconds of any clock that does not go back), and passes
-    /// `on` what they hold, in order. Returns whether there were frames.
-    pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(LinesEvent<'_>)) -> bool {
-        let rows = self.counts.rows;
+    /// Parses bytes that arrived at `now_s` (seconds of any clock that never goes back); passes
+    /// frames and gaps to `on`, in order. Returns the number of rows that became frames.
+    pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(LinesEvent<'_>)) -> u64 {
+        let rows = self.rows;
         self.at_once = bytes.iter().filter(|byte| **byte == b'\n').count() as u64;
-        // Taken out, so that a row that borrows from it leaves the rest usable.
+        // Rows borrow from the parser, so it is taken out while `self` is used.
         let mut parser = std::mem::take(&mut self.parser);
         parser.feed(bytes, |line| match line {
             Line::Row(row) => self.row(row, now_s, &mut on),
@@ -182,27 +127,27 @@ impl LinesIntake {
         });
         self.parser = parser;
         self.flush(&mut on);
-        self.counts.rows > rows
+        self.rows - rows
     }
 
     fn header(&mut self, names: &[String], now_s: f64) {
-        // Some programs repeat it now and then; a reset takes time.
-        self.counts.restarts += u64::from(self.started && now_s - self.last_s >= SILENCE_S);
+        // Only a header after a silence is a restart, since some programs repeat their header.
+        self.counts.restarts += u64::from(self.rows > 0 && now_s - self.last_s >= SILENCE_S);
         if self.names != names {
             self.names = names.to_vec();
-            // Found anew from the next row, if that is as wide.
+            // The next row lays the columns out anew.
             self.layout = None;
         }
     }
 
-    /// A line that is no frame, where rows are expected: a missing one, unless a column counts.
+    /// Counts an unusable line. Unless a column counts the rows, the line is a missing frame.
     fn unusable(
         &mut self,
         which: fn(&mut LineCounts) -> &mut u64,
         on: &mut impl FnMut(LinesEvent<'_>),
     ) {
         *which(&mut self.counts) += 1;
-        if self.count.is_none() && self.started {
+        if self.count.is_none() && self.rows > 0 {
             self.miss(1, on);
         }
     }
@@ -253,20 +198,20 @@ impl LinesIntake {
         }
         self.last_s = now_s;
         self.reopened = false;
-        self.counts.rows += 1;
+        self.rows += 1;
         let Some(layout) = &self.layout else { return };
         for (block, (columns, factor)) in self.blocks.iter_mut().zip(&layout.picks) {
-            // Within f32, as looked at above; the factor only makes it smaller.
+            // The cast is safe: values fit into f32, and a measured factor makes them smaller.
             block.extend(columns.iter().map(|&column| row[column] as f32 * factor));
         }
     }
 
-    /// Frames missing before a row, and whether its counter restarted.
+    /// Number of frames missing before a row, and whether the row's counter restarted.
     fn missing_before(&mut self, counted: Option<f64>, now_s: f64) -> (u64, bool) {
         let silent_s = now_s - self.last_s;
-        let first = !std::mem::replace(&mut self.started, true);
+        let first = self.rows == 0;
         let Some(value) = counted else {
-            // What comes at once after a silence was late and not lost.
+            // Rows that come together after a silence were only late, so they are subtracted.
             let silent = silent_s >= SILENCE_S || self.reopened;
             let by_clock = (silent_s * self.rate_hz).round().max(0.0) as u64;
             return match silent && !first {
@@ -280,12 +225,12 @@ impl LinesIntake {
         }
         let by_time = matches!(self.count, Some(Count::Micros(_)));
         let rows = if by_time { 1e-6 * self.rate_hz } else { 1.0 };
-        // A little early is the next row nevertheless.
+        // By time, the least is 1: a row that comes a little early still is the next row.
         let steps = |to: f64| ((to - before) * rows).round().max(f64::from(u8::from(by_time)));
         let most = (silent_s + 1.0) * self.rate_hz + 1.0;
         let wrapped = WRAPS.iter().map(|wrap| *wrap as f64).filter(|wrap| before < *wrap);
         let mut wrapped = wrapped.map(|wrap| steps(value + wrap));
-        // The row before is number 0, so one that follows it directly is number 1.
+        // The row before has index 0, so a row that follows it directly has index 1.
         let index = match value > before {
             true => steps(value) as u64,
             false => wrapped.find(|steps| *steps <= most).unwrap_or(0.0) as u64,
@@ -293,7 +238,6 @@ impl LinesIntake {
         gap(Some(1), index, 1, silent_s, self.rate_hz, self.reopened)
     }
 
-    /// Where the columns are in rows of this width.
     fn lay_out(&self, width: usize) -> Result<Layout, String> {
         let named = self.names.len() == width;
         let place = |column: &Column| match column {

@@ -1,46 +1,44 @@
-//! From bytes to rows of numbers: no I/O, no clock.
+//! Parses bytes into rows of numbers, without I/O and without a clock.
 //!
-//! A line ends with `\n` or `\r`. Its fields are separated by commas, semicolons, tabs or spaces,
-//! blanks beside a comma or semicolon being part of it; a field may be labelled, as in `ax:0.5`.
+//! A line ends with `\n` or `\r`. Commas, semicolons, tabs or spaces separate its fields; blanks
+//! around a comma or semicolon are ignored. A field may have a label, as in `ax:0.5`.
 
-/// The longest line in bytes; a longer one is discarded.
+/// Longest line in bytes; longer lines are dropped.
 pub const LONGEST_LINE: usize = 4096;
 
-/// What one line holds.
 #[derive(Debug, PartialEq)]
 pub enum Line<'a> {
-    /// At least one number. A field that is none, or not finite, is NaN.
+    /// A line with a number or a missing value (NaN). Any field that is no finite number is NaN.
     Row(&'a [f64]),
-    /// Words alone, each of which can name a column.
+    /// A line without numbers, whose fields can all be names of columns.
     Header(&'a [String]),
-    /// Neither.
+    /// A line that is neither a row nor a header.
     Garbage,
-    /// Longer than [`LONGEST_LINE`].
+    /// A line longer than [`LONGEST_LINE`].
     TooLong,
 }
 
-/// Splits bytes into lines, and lines into numbers.
 #[derive(Debug, Default)]
 pub struct LineParser {
-    /// The line so far, until its end comes.
+    /// The bytes of the incomplete line.
     line: Vec<u8>,
-    /// Whether the line in progress is discarded, as it is too long.
+    /// Whether the incomplete line is too long, and will be dropped.
     too_long: bool,
-    /// Whether the line in progress may lack its begin.
+    /// Whether the incomplete line may lack its beginning.
     half: bool,
     row: Vec<f64>,
     names: Vec<String>,
 }
 
 impl LineParser {
-    /// The line was reopened: what comes next may begin within a line if `half`. Such a line
-    /// counts only if it is a header.
+    /// To be called when the line was reopened. `half` says that the next bytes may begin within a
+    /// line; this first line then counts only if it is a header.
     pub fn reopened(&mut self, half: bool) {
         self.line.clear();
         (self.too_long, self.half) = (false, half);
     }
 
-    /// Takes bytes, and passes `on` each line that they complete; empty ones are passed over.
+    /// Takes bytes, and passes each completed line to `on`. Skips empty lines.
     pub fn feed(&mut self, bytes: &[u8], mut on: impl FnMut(Line<'_>)) {
         let is_end = |byte: &u8| matches!(byte, b'\n' | b'\r');
         let mut rest = bytes;
@@ -48,7 +46,7 @@ impl LineParser {
             let (head, tail) = rest.split_at(end);
             rest = &tail[1..];
             if self.line.is_empty() && !self.too_long {
-                // The usual case, without a copy.
+                // Usually, `head` is a whole line, which needs no copy.
                 self.finish(head, &mut on);
                 continue;
             }
@@ -67,7 +65,6 @@ impl LineParser {
         self.keep(rest);
     }
 
-    /// Keeps a part of a line whose end has not come.
     fn keep(&mut self, part: &[u8]) {
         self.too_long |= self.line.len() + part.len() > LONGEST_LINE;
         match self.too_long {
@@ -94,11 +91,11 @@ impl LineParser {
         }
     }
 
-    /// Whether it is a row; otherwise a header; `None` if it is neither.
+    /// Parses a line. Returns `Some(true)` for a row, `Some(false)` for a header, `None` otherwise.
     fn parse(&mut self, line: &[u8]) -> Option<bool> {
         self.row.clear();
         self.row.extend(Fields(Some(line)).map(|field| value_of(field).unwrap_or(f64::NAN)));
-        // The usual case costs no second look.
+        // Fields are parsed again only if none is a finite number, which is rare.
         if self.row.iter().any(|x| !x.is_nan()) || Fields(Some(line)).any(|f| value_of(f).is_some())
         {
             return Some(true);
@@ -111,7 +108,7 @@ impl LineParser {
     }
 }
 
-/// The fields of a line that is not empty, without the blanks around them.
+/// Iterates over the fields of a line that is not empty. Removes blanks around fields.
 struct Fields<'a>(Option<&'a [u8]>);
 
 impl<'a> Iterator for Fields<'a> {
@@ -128,13 +125,13 @@ impl<'a> Iterator for Fields<'a> {
             true => tail[1..].trim_ascii_start(),
             false => tail,
         };
-        // A mark at the end is one too many, as many a sketch prints it.
+        // Ignores a separator at the end of the line, which many programs print.
         self.0 = (!tail.is_empty()).then_some(tail);
         Some(field)
     }
 }
 
-/// A number, which may be labelled; words for a missing one are NaN, and so is an empty field.
+/// The number in a field, after its label. NaN for an empty field or a word such as `nan`.
 fn value_of(field: &[u8]) -> Option<f64> {
     let text = std::str::from_utf8(field).ok()?;
     let text = text.rsplit_once([':', '=']).map_or(text, |(_, value)| value);
@@ -145,7 +142,6 @@ fn value_of(field: &[u8]) -> Option<f64> {
     missing.iter().any(|word| text.eq_ignore_ascii_case(word)).then_some(f64::NAN)
 }
 
-/// The name of a column, if it can be one.
 fn name_of(field: &[u8]) -> Option<&str> {
     const LONGEST: usize = 64;
     let text = std::str::from_utf8(field).ok()?.trim_matches(|c| matches!(c, '"' | '#' | ':'));
@@ -158,7 +154,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// All lines as text.
+    /// Parses bytes, and returns the debug text of each completed line.
     fn lines(parser: &mut LineParser, bytes: &[u8]) -> Vec<String> {
         let mut out = Vec::new();
         parser.feed(bytes, |line| out.push(format!("{line:?}")));
@@ -176,10 +172,9 @@ mod tests {
 
     #[test]
     fn every_usual_separator_is_understood() {
-        for text in ["1,-2.5,3e-2\n", "1;-2.5;3E-2\r\n", "1\t-2.5\t.03\r", " 1  -2.5 +0.03 \n"] {
-            assert_eq!(rows(text), [[1.0, -2.5, 0.03]], "{text:?}");
-        }
-        for text in ["1, -2.5 ,3e-2,\n", "1 ; -2.5 ;\t3e-2\n", "ax:1 ay:-2.5 az:0.03\n"] {
+        let plain = ["1,-2.5,3e-2\n", "1;-2.5;3E-2\r\n", "1\t-2.5\t.03\r", " 1  -2.5 +0.03 \n"];
+        let padded = ["1, -2.5 ,3e-2,\n", "1 ; -2.5 ;\t3e-2\n", "ax:1 ay:-2.5 az:0.03\n"];
+        for text in plain.into_iter().chain(padded) {
             assert_eq!(rows(text), [[1.0, -2.5, 0.03]], "{text:?}");
         }
         assert_eq!(rows("ax=1,ay=2\n\n\r\n3,4\n"), [[1.0, 2.0], [3.0, 4.0]]);
@@ -191,7 +186,7 @@ mod tests {
             let row = &rows(&format!("1,{word},3\n"))[0];
             assert!(row[0] == 1.0 && row[1].is_nan() && row[2] == 3.0, "{word}: {row:?}");
         }
-        // A failing sensor is no header.
+        // Missing values in all fields are a row of a failing sensor, not a header.
         assert!(rows("nan,nan\n")[0].iter().all(|x| x.is_nan()));
     }
 

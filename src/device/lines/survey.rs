@@ -1,80 +1,74 @@
-//! What comes from a device that nobody has described: columns, ranges, rate, and which column
-//! counts. No I/O, no clock.
+//! Finds out what an undescribed device sends: its columns, their ranges, the rate, and which
+//! column counts rows or time. Does no I/O and has no clock.
 
 use super::intake::{Column, Count, LinesStream};
 use super::parser::{Line, LineParser};
 use crate::scene::SourceId;
 
-/// The time that a survey takes, in seconds.
 pub const SURVEY_S: f64 = 3.0;
-/// What comes first may have waited in a buffer, in seconds.
+/// Seconds at the start that do not count for the rate, since early rows may come from a buffer.
 const SETTLE_S: f64 = 0.3;
-/// Fewer rows say nothing of a rate.
+/// Fewest rows that suffice to measure a rate.
 const FEWEST: u64 = 20;
-/// Steps of a column that are kept.
+/// Most differences between successive numbers of a column that are kept.
 const MOST_STEPS: usize = 4096;
-/// Rates of sensors in Hz; what is faster comes from a file.
+/// Lowest and highest rate of a sensor, in Hz; faster lines come from a file.
 const RATES_HZ: (f64, f64) = (1.0, 200_000.0);
-/// A step of the printed numbers, in full scales, is at most this: a few steps of 16 bits.
+/// Largest share of full scale that the last printed digit may stand for (a few 16-bit steps).
 const STEP: f64 = 1e-4;
-/// The highest number seen leaves this much room, as rest is seen more often than contact.
+/// Least ratio of full scale to the highest number seen, since sensors are mostly at rest.
 const ROOM: f64 = 3.0;
 
-/// One column of what came.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct ColumnSurvey {
-    /// Its name in the header, if there was one.
     pub name: Option<String>,
-    /// The lowest and the highest number, where there was any.
+    /// The lowest number in the column; `None` if there was none. `highest` is the opposite.
     pub lowest: Option<f64>,
     pub highest: Option<f64>,
-    /// Decimal places of its numbers.
     pub decimals: i32,
-    /// Whether it counts rows or microseconds, or only grows, as other clocks do.
+    /// The unit in which the column counts: `rows`, `microseconds`, or `time` for any other clock.
     pub counts: Option<&'static str>,
     #[serde(skip)]
     steps: Steps,
 }
 
-/// The steps from number to number of a column.
+/// The steps (differences) from each number of a column to the next.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Steps {
     first: f64,
     last: f64,
     numbers: u64,
-    /// Steps of exactly 1, and steps that go down or stay.
+    /// Number of steps of exactly 1; `down` is the number of steps that are 0 or negative.
     ones: u64,
     down: u64,
-    /// The first of all others, which tell the usual one whatever is lost now and then.
+    /// The first steps that go up. Steps near their median are usual, even if rows are lost.
     up: Vec<f64>,
 }
 
-/// What comes from a device.
 #[derive(Debug, Default)]
 pub struct Survey {
     parser: LineParser,
     names: Vec<String>,
     columns: Vec<ColumnSurvey>,
-    /// When the first row came, in seconds.
+    /// Time of the first row, in seconds; `None` before it.
     began_s: Option<f64>,
     rows: u64,
-    /// Lines that are no rows, or have another number of columns.
+    /// Number of lines that are not rows, or have another number of columns.
     others: u64,
     bytes: u64,
-    /// Sums over arrivals after [`SETTLE_S`]: their number, time, rows, products.
+    /// Sums of 1, t, rows, t² and t·rows over arrivals after [`SETTLE_S`], to fit a line to them.
     line: [f64; 5],
     last_s: f64,
 }
 
 impl Survey {
-    /// A survey of a line that was opened within a line if `half`.
+    /// An empty survey. `half` says that the first bytes may begin within a line.
     pub fn new(half: bool) -> Self {
         let mut survey = Self::default();
         survey.parser.reopened(half);
         survey
     }
 
-    /// Takes bytes that came at `now_s`, in seconds.
     pub fn feed(&mut self, bytes: &[u8], now_s: f64) {
         self.bytes += bytes.len() as u64;
         let (mut parser, before) = (std::mem::take(&mut self.parser), self.rows);
@@ -99,7 +93,7 @@ impl Survey {
 
     fn row(&mut self, row: &[f64]) {
         if self.columns.len() != row.len() {
-            // The width that comes most in a row wins; a half row costs the survey a moment.
+            // The number of columns of most rows wins, so a cut row costs only a moment.
             self.others += u64::from(!self.columns.is_empty());
             if self.rows > 2 * self.others {
                 return;
@@ -112,27 +106,26 @@ impl Survey {
         }
     }
 
-    /// Whether enough has come: [`SURVEY_S`] of rows.
+    /// Whether rows have come for [`SURVEY_S`] seconds, and at least `FEWEST` of them.
     pub fn is_complete(&self) -> bool {
         self.last_s >= SURVEY_S && self.rows >= FEWEST
     }
 
-    /// Whether any row came.
     pub fn has_rows(&self) -> bool {
         self.rows > 0
     }
 
-    /// Whether bytes came, but no rows.
+    /// Whether bytes have come, but no rows.
     pub fn is_garbage(&self) -> bool {
         self.bytes > 0 && !self.has_rows()
     }
 
-    /// The names of the columns, where a header gave them.
+    /// The names of the columns; empty if there is no header.
     pub fn names(&self) -> &[String] {
         if self.names.len() == self.columns.len() { &self.names } else { &[] }
     }
 
-    /// The columns, with what each is.
+    /// The columns, each with the unit in which it counts, if any.
     pub fn columns(&self) -> Vec<ColumnSurvey> {
         let arrivals_hz = self.arrivals_hz();
         let mut columns = self.columns.clone();
@@ -143,46 +136,40 @@ impl Survey {
         columns
     }
 
-    /// The column that shows exactly how many rows were lost, if there is one.
+    /// The first column that counts in the unit `kind`; columns are counted from 0.
+    fn counter(&self, kind: &str) -> Option<usize> {
+        self.columns().iter().position(|column| column.counts == Some(kind))
+    }
+
+    /// The column that shows exactly how many rows are lost; `None` if no column does.
     pub fn count(&self) -> Option<Count> {
-        let place = |kind: &str| {
-            let at = self.columns().iter().position(|column| column.counts == Some(kind))?;
-            Some(Column::Place(at + 1))
-        };
+        let place = |kind| self.counter(kind).map(|at| Column::Place(at + 1));
         place(ROWS).map(Count::Rows).or_else(|| place(MICROS).map(Count::Micros))
     }
 
-    /// The places of the columns that measure, counted from 1.
+    /// The columns that measure something, by their places (counted from 1).
     pub fn measuring(&self) -> Vec<Column> {
         let columns = self.columns().into_iter().enumerate();
         let measures = columns.filter(|(_, c)| c.counts.is_none() && c.lowest.is_some());
         measures.map(|(at, _)| Column::Place(at + 1)).collect()
     }
 
-    /// Rows a second, as they arrived.
     fn arrivals_hz(&self) -> f64 {
         let [n, t, rows, tt, tr] = self.line;
         (n * tr - t * rows) / (n * tt - t * t)
     }
 
-    /// Rows a second, rounded so that two surveys of one device agree; those that were lost count
-    /// where a column shows them.
-    ///
-    /// # Errors
-    /// If it cannot be a sensor's: what came, and what to do.
+    /// Rows per second, rounded so that two surveys of a device agree. Includes lost rows if a
+    /// column counts them. An error says what to do if no sensor can have this rate.
     pub fn rate_hz(&self) -> Result<f64, String> {
         let arrivals_hz = self.arrivals_hz();
-        let steps = |at: &Column| match at {
-            Column::Place(place) => self.columns.get(place - 1).map(|column| &column.steps),
-            Column::Name(_) => None,
-        };
-        let whole = |steps: &Steps| steps.down == 0 && steps.numbers >= FEWEST;
-        let rate_hz = match self.count() {
-            Some(Count::Micros(at)) => steps(&at).map_or(arrivals_hz, |s| 1e6 / s.usual()),
-            Some(Count::Rows(at)) => steps(&at)
-                .filter(|steps| whole(steps))
-                .map_or(arrivals_hz, |s| arrivals_hz * (s.last - s.first) / (s.numbers - 1) as f64),
-            None => arrivals_hz,
+        let steps = |kind| self.counter(kind).map(|at| &self.columns[at].steps);
+        let rate_hz = match (steps(ROWS), steps(MICROS)) {
+            (Some(s), _) if s.down == 0 => {
+                arrivals_hz * (s.last - s.first) / (s.numbers - 1) as f64
+            }
+            (None, Some(s)) => 1e6 / s.usual(),
+            _ => arrivals_hz,
         };
         let (least, most) = RATES_HZ;
         if !(least..=most).contains(&rate_hz) {
@@ -199,8 +186,8 @@ impl Survey {
         Ok(round_rate(rate_hz))
     }
 
-    /// The factor that makes about ±1 of what these columns give: a power of ten by which a step
-    /// of the printed numbers is small, and the highest number seen leaves room.
+    /// A power of ten that brings `columns` to about ±1. It makes a printed step a small share of
+    /// full scale, and leaves room above the highest number seen.
     pub fn scale(&self, columns: &[Column]) -> f64 {
         let named = |name: &String| self.names().iter().position(|other| other == name);
         let place = |column: &Column| match column {
@@ -219,14 +206,13 @@ impl Survey {
         power_of_ten(by_step.min(by_range).clamp(-30, 0))
     }
 
-    /// The streams with a scale each.
     pub fn scaled(&self, streams: &[LinesStream]) -> Vec<LinesStream> {
         let scale = |s: &LinesStream| s.scale.unwrap_or_else(|| self.scale(&s.columns));
         let scaled = |s: &LinesStream| LinesStream { scale: Some(scale(s)), ..s.clone() };
         streams.iter().map(scaled).collect()
     }
 
-    /// All columns that measure as one stream called `id`; none if nothing measures.
+    /// A stream called `id` of all columns that measure something; `None` if there are none.
     pub fn stream(&self, id: SourceId) -> Option<LinesStream> {
         let columns = self.measuring();
         let scale = Some(self.scale(&columns));
@@ -234,12 +220,12 @@ impl Survey {
     }
 }
 
-/// A power of ten as it is written: 0.001 and not 0.0010000000000000002.
+/// The f64 closest to a power of ten, such as 0.001 and not 0.0010000000000000002.
 fn power_of_ten(exponent: i32) -> f64 {
     format!("1e{exponent}").parse().unwrap_or(1.0)
 }
 
-/// Two significant digits where those are within 0.5 %, else three; a whole number, as files hold.
+/// Rounds a rate to two digits if the error is at most 0.5 %, otherwise to three; no decimals.
 fn round_rate(rate_hz: f64) -> f64 {
     let digits = |n: i32| {
         let unit = 10_f64.powi(rate_hz.log10().floor() as i32 + 1 - n);
@@ -250,7 +236,7 @@ fn round_rate(rate_hz: f64) -> f64 {
     (if near { coarse } else { digits(3) }).round().max(1.0)
 }
 
-/// The kinds of columns that count.
+/// The units that a column can count in.
 const ROWS: &str = "rows";
 const MICROS: &str = "microseconds";
 const TIME: &str = "time";
@@ -259,7 +245,7 @@ impl ColumnSurvey {
     fn add(&mut self, x: f64) {
         self.lowest = Some(self.lowest.map_or(x, |low| low.min(x)));
         self.highest = Some(self.highest.map_or(x, |high| high.max(x)));
-        // The shortest text of a number is how it was printed, less zeros at its end.
+        // Display prints a number with the decimals that were read, except zeros at the end.
         let decimals = |x: f64| x.to_string().split_once('.').map_or(0, |(_, d)| d.len() as i32);
         self.decimals = self.decimals.max(decimals(x));
         self.steps.add(x);
@@ -282,7 +268,7 @@ impl Steps {
         self.numbers += 1;
     }
 
-    /// The mean of the steps that are near their median.
+    /// The mean of the steps that are close to the median step.
     fn usual(&self) -> f64 {
         let mut up = self.up.clone();
         up.sort_unstable_by(f64::total_cmp);
@@ -292,10 +278,10 @@ impl Steps {
         near.iter().sum::<f64>() / near.len() as f64
     }
 
-    /// The kind of counter, if it is one, of rows that come at this rate.
+    /// The unit in which the column counts, for rows at this rate; `None` if it does not count.
     fn kind(&self, rate_hz: f64) -> Option<&'static str> {
         let steps = self.numbers.saturating_sub(1).max(1);
-        // A counter of 8 bits begins again every 256 rows, and some rows are lost.
+        // Allows a few negative steps, since a counter of 8 bits starts again every 256 rows.
         if self.numbers < FEWEST || self.down * 100 > steps {
             return None;
         }
@@ -313,7 +299,7 @@ impl Steps {
 mod tests {
     use super::*;
 
-    /// A survey of lines that arrive in bursts of 16 ms, for four seconds.
+    /// A survey of four seconds of lines that arrive in bursts, 16 ms apart.
     fn survey(rate_hz: f64, line: impl Fn(u64) -> String) -> Survey {
         let (mut survey, mut sent) = (Survey::new(true), 0);
         for burst in 1..250 {

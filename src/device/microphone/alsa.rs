@@ -1,36 +1,23 @@
-//! The real sound system: ALSA, through cpal.
+//! The real sound system: ALSA, through the crate cpal.
 
 use std::any::Any;
 use std::time::Duration;
 
 use cpal::traits::{DeviceTrait, HostTrait, StreamTrait};
 use cpal::{
-    BufferSize, Data, Device, ErrorKind, I24, SampleFormat, StreamConfig, SupportedBufferSize,
-    SupportedStreamConfigRange, U24,
+    BufferSize, Data, Device, ErrorKind, I24, Sample, SampleFormat, StreamConfig,
+    SupportedBufferSize, SupportedStreamConfigRange, U24,
 };
 use crossbeam_channel::Sender;
 
-use super::callback_sink::Pcm;
 use super::{CallbackSink, RATE_HZ, Sound, StreamError};
+use crate::device::OpenError;
 use crate::device::list::ListedDevice;
-use crate::device::open::OpenError;
 
-/// Frames per callback, if the device allows this size: 12 ms.
+/// Preferred number of frames per callback; 512 frames are 12 ms.
 const PERIOD: u32 = 512;
-/// The interval at which the thread of a stream checks that its device is still there.
+/// Time between two checks of a stream's thread whether the device is still there.
 const POLL: Duration = Duration::from_millis(500);
-
-impl Pcm for I24 {
-    fn unit(self) -> f32 {
-        self.inner() as f32 / 8_388_608.0
-    }
-}
-
-impl Pcm for U24 {
-    fn unit(self) -> f32 {
-        (self.inner() - 8_388_608) as f32 / 8_388_608.0
-    }
-}
 
 #[derive(Clone, Debug)]
 pub struct Alsa {
@@ -38,26 +25,19 @@ pub struct Alsa {
 }
 
 impl Alsa {
-    /// The microphone with this name in ALSA, as `surfaced devices` lists it; the system's own
-    /// choice if it is `default`. Names with the number of a card (`hw:0,0`) work, but may mean
-    /// another device after one more is plugged in.
-    ///
-    /// # Errors
-    /// If it is ALSA's null device, which is no microphone.
+    /// The microphone with this ALSA name from `surfaced devices`; `default` is the system's
+    /// choice. A name with a card's number (`hw:0,0`) may mean another device once more devices are
+    /// connected. Refuses ALSA's null device.
     pub fn new(id: impl Into<String>) -> Result<Self, OpenError> {
         let id = id.into();
-        match is_null(&id) {
-            true => Err(OpenError::Unfit(format!(
+        match id.split(':').next() {
+            Some("null") => Err(OpenError::Unfit(format!(
                 "`{id}` is ALSA's null device, which delivers silence as fast as it is read; \
                  choose a microphone from `surfaced devices`"
             ))),
-            false => Ok(Self { id }),
+            _ => Ok(Self { id }),
         }
     }
-}
-
-fn is_null(id: &str) -> bool {
-    id.split(':').next() == Some("null")
 }
 
 impl Sound for Alsa {
@@ -92,7 +72,8 @@ impl Sound for Alsa {
                 format,
                 callback(format, usize::from(config.channels), sink),
                 move |error| {
-                    // Some errors repeat endlessly; only the first ones matter.
+                    // An error that does not fit into the channel is dropped, as some errors repeat
+                    // endlessly.
                     let _ = match error.kind() {
                         ErrorKind::Xrun => errors.try_send(StreamError::Overrun),
                         ErrorKind::RealtimeDenied | ErrorKind::DeviceChanged => Ok(()),
@@ -107,7 +88,7 @@ impl Sound for Alsa {
     }
 }
 
-/// Hands each block of the stream to `sink` in the format that it comes in.
+/// Makes a callback that passes each block of the stream to `sink`, converted from `format`.
 fn callback(
     format: SampleFormat,
     channels: usize,
@@ -118,10 +99,10 @@ fn callback(
             match format {
                 $(SampleFormat::$format => {
                     if let Some(samples) = $data.as_slice::<$type>() {
-                        sink.take(samples, channels);
+                        sink.take(samples, channels, f32::from_sample);
                     }
                 })*
-                // `choose` takes no other format.
+                // `choose` accepts none of the other formats.
                 _ => {}
             }
         };
@@ -132,14 +113,14 @@ fn callback(
     }
 }
 
-/// The rank of a format, highest for the best one; `None` if it is not supported.
+/// Rank of a sample format, higher for better ones; `None` if it is not supported.
 fn rank(format: SampleFormat) -> Option<u32> {
     use SampleFormat::{F32, F64, I8, I16, I24, I32, U8, U16, U24, U32};
     let order = [U8, I8, U16, I16, U24, I24, U32, F64, I32, F32];
     order.iter().position(|known| *known == format).map(|at| at as u32)
 }
 
-/// The best offer at 44.1 kHz: the fewest channels, then the best format.
+/// The best offer at 44.1 kHz: the one with fewest channels and, among those, the best format.
 fn choose(offers: &[SupportedStreamConfigRange]) -> Option<SupportedStreamConfigRange> {
     let fits = |offer: &&SupportedStreamConfigRange| {
         (offer.min_sample_rate()..=offer.max_sample_rate()).contains(&RATE_HZ)
@@ -158,15 +139,15 @@ fn unfit(id: &str, offers: &[SupportedStreamConfigRange]) -> OpenError {
     rates.dedup();
     let rates = rates.iter().map(|rate| format!("{rate} Hz")).collect::<Vec<_>>().join(", ");
     OpenError::Unfit(format!(
-        "microphone {id} does not do {RATE_HZ} Hz (it does {rates}); name it with `plughw:` in \
-         front, or take `default`: then ALSA converts"
+        "microphone {id} does not support {RATE_HZ} Hz (it supports {rates}); put `plughw:` \
+         before its name, or take `default`: then ALSA converts"
     ))
 }
 
-/// Keeps ALSA from writing to stderr on this thread: each search for an absent device writes many
-/// lines, and what matters is also returned as an error.
+/// Keeps ALSA on this thread from writing to stderr: a search for an absent device writes many
+/// lines, and the returned error is enough.
 fn hush() {
-    // The text goes to a buffer, which the next call replaces.
+    // From now on, ALSA writes to a buffer, which the next call replaces.
     let _ = alsa::Output::local_error_handler();
 }
 
@@ -197,10 +178,7 @@ fn explain(id: &str, error: &cpal::Error) -> OpenError {
     }
 }
 
-/// The microphones of this machine, with permanent names and the problems of each.
-///
-/// # Errors
-/// If ALSA refuses the list.
+/// Lists the microphones of this machine, with their permanent names and their problems.
 pub fn microphones() -> Result<Vec<ListedDevice>, OpenError> {
     hush();
     let host = cpal::default_host();
@@ -227,9 +205,9 @@ fn problem(id: &str, device: &Device) -> Option<String> {
     }
 }
 
-/// Whether to list this one of ALSA's many names for a device: for a card, only the one that
-/// converts rates (`plughw`) and holds the card's name, not its number; else any name without a
-/// card.
+/// Whether to list the name `id`, since ALSA has many names for one device. Of a card's names, only
+/// the one is listed that converts rates (`plughw`) and holds the card's name instead of its
+/// number. Most names without a card are listed, too.
 fn worth_listing(id: &str) -> bool {
     const OTHERS: [&str; 8] =
         ["null", "lavrate", "samplerate", "speexrate", "speex", "upmix", "vdownmix", "oss"];
@@ -284,9 +262,17 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_24_bits_have_their_full_scale_at_1() {
-        assert_eq!(I24::new(-8_388_608).map(Pcm::unit), Some(-1.0));
-        assert_eq!(U24::new(0).map(Pcm::unit), Some(-1.0));
-        assert_eq!(U24::new(8_388_608).map(Pcm::unit), Some(0.0));
+    fn every_format_has_silence_at_0_and_full_scale_at_1() {
+        assert_eq!([i8::MIN, 0, 64].map(f32::from_sample), [-1.0, 0.0, 0.5]);
+        assert_eq!([i16::MIN, 0, 16_384].map(f32::from_sample), [-1.0, 0.0, 0.5]);
+        assert_eq!([i32::MIN, 0, 1 << 30].map(f32::from_sample), [-1.0, 0.0, 0.5]);
+        assert_eq!([0_u8, 128, 192].map(f32::from_sample), [-1.0, 0.0, 0.5]);
+        assert_eq!([0_u16, 32_768, 49_152].map(f32::from_sample), [-1.0, 0.0, 0.5]);
+        assert_eq!([0_u32, 1 << 31, 3 << 30].map(f32::from_sample), [-1.0, 0.0, 0.5]);
+        assert_eq!([-1.0_f32, 0.0, 0.5].map(f32::from_sample), [-1.0, 0.0, 0.5]);
+        assert_eq!([-1.0_f64, 0.0, 0.5].map(f32::from_sample), [-1.0, 0.0, 0.5]);
+        assert_eq!(I24::new(-8_388_608).map(f32::from_sample), Some(-1.0));
+        assert_eq!(U24::new(0).map(f32::from_sample), Some(-1.0));
+        assert_eq!(U24::new(8_388_608).map(f32::from_sample), Some(0.0));
     }
 }

@@ -1,92 +1,84 @@
-//! Carries sound from the callback's ring to the session, and counts by the clock what was lost.
+//! Carries sound from the callback's ring to the session, and finds lost sound by the clock. Estimates
+//! how many frames an interruption cost, how many were only late, and whether the rate is right.
 
-use super::pace::Pace;
-use super::{LevelWatch, RATE_HZ, SoundLevel};
+use super::level::{self, LevelWatch, SoundLevel};
 use crate::ring::{Piece, SeriesSink, SeriesTap};
 
-/// After a pause of this length, in seconds, sound may be missing without a report of it: a sound
-/// server that was held up skips that time.
+const RATE_HZ: f64 = level::RATE_HZ as f64;
+/// Shortest pause, in seconds, that may hide a loss: a sound server that was delayed skips sound
+/// without a report.
 const PAUSE_S: f64 = 0.2;
-/// The usual time after such a pause until late sound has arrived, in seconds.
+/// Time in seconds within which late sound has usually arrived after a pause.
 const CATCH_UP_S: f64 = 0.25;
 
-/// The state that lasts from one opening of the microphone to the next.
+/// The state of listening, which is kept when the microphone is reopened.
 pub(super) struct Listening<'a> {
     sink: &'a mut SeriesSink,
     pace: Pace,
     level: LevelWatch,
     before: Before,
-    /// The time of the last sound, or of the opening of the stream.
+    /// Time of the last sound or, if later, of the opening of the stream.
     last_s: f64,
     received: bool,
 }
 
-/// The event before the next frames.
 #[derive(Clone, Copy, PartialEq)]
 enum Before {
     Frames,
-    /// A pause, and the time at which frames came again.
+    /// A pause, with the time of the first frames after it.
     Pause(f64),
-    /// A loss of unknown size.
+    /// A loss of unknown duration.
     Loss,
 }
 
-/// The result of reading the callback's ring.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Carried {
-    /// Whether sound was carried.
     pub sound: bool,
-    /// The level, if it has changed.
+    /// The new level; `None` if the level has not changed.
     pub level: Option<SoundLevel>,
 }
 
 impl<'a> Listening<'a> {
     pub fn new(sink: &'a mut SeriesSink) -> Self {
-        let rate_hz = f64::from(RATE_HZ);
         Self {
             sink,
-            pace: Pace::new(rate_hz),
-            level: LevelWatch::new(rate_hz),
+            pace: Pace::default(),
+            level: LevelWatch::new(),
             before: Before::Frames,
             last_s: 0.0,
             received: false,
         }
     }
 
-    /// Notes that a stream was opened, with its own ring.
+    /// To be called when a stream was opened, with a new ring.
     pub fn opened(&mut self, now_s: f64) {
-        self.pace.reopened();
+        // Watches the pace anew, since the stream may begin with old frames from a buffer.
+        self.pace.first = None;
         self.last_s = now_s;
         self.before = if self.received { Before::Loss } else { Before::Frames };
     }
 
-    /// Notes that sound was lost before the next sound that enters the ring.
+    /// To be called when sound was lost just before the next sound in the ring.
     pub fn overrun(&mut self) {
         self.before = Before::Loss;
     }
 
-    /// Whether sound has ever come.
-    pub fn received(&self) -> bool {
-        self.received
-    }
-
-    /// For how long no sound has come.
     pub fn silent_s(&self, now_s: f64) -> f64 {
         now_s - self.last_s
     }
 
-    /// Whether sound comes much faster than in real time.
+    /// Whether sound comes much faster than real time.
     pub fn unpaced(&self, now_s: f64) -> bool {
         self.pace.unpaced(now_s, self.sink.position())
     }
 
-    /// Carries all frames of the ring to the session. After a pause it first waits for late ones,
-    /// unless this is the `last` call for this ring.
+    /// Carries all frames in the ring to the session. After a pause, first waits for late frames,
+    /// except in the `last` call for a ring.
     pub fn look(&mut self, tap: &mut SeriesTap, last: bool, clock: impl Fn() -> f64) -> Carried {
-        // Frames that did not fit into the ring count like those in it.
+        // `held` also counts frames that did not fit into the ring.
         let held = tap.meter().counts().pushed.saturating_sub(tap.position());
-        // The clock is read after the ring: a delay of this thread in between can make sound seem
-        // late, but never early.
+        // Reads the clock after the ring: a delay between the two makes sound seem late, but never
+        // early.
         let now_s = clock();
         if held == 0 {
             return Carried::default();
@@ -107,12 +99,12 @@ impl<'a> Listening<'a> {
             Before::Pause(_) => self.pace.missing_for_sure(now_s, end),
             Before::Loss => self.pace.missing(now_s, end),
         };
-        // Missing frames come before the frames that followed them.
+        // Skips the missing frames first, since they come before the frames in the ring.
         self.sink.skip(missing);
-        self.pace.skipped(missing);
-        // Sound that arrives after it was counted as lost has no place any more.
+        self.pace.skipped += missing;
+        // Drops sound that was counted as lost and arrives late: its place is already filled.
         let late = self.pace.late(now_s, end + missing).min(held);
-        self.pace.came_late(late);
+        self.pace.skipped -= late;
         self.pace.arrived(now_s, end + missing - late);
         let (mut late, mut level) = (late, None);
         tap.drain(|piece| match piece {
@@ -135,6 +127,81 @@ impl<'a> Listening<'a> {
     }
 }
 
+/// Largest drift between two clocks, in seconds per second; it is usually far less.
+const DRIFT: f64 = 500e-6;
+/// Least difference, in seconds, that counts as a loss; a smaller one is a delay.
+const DELAY_S: f64 = 0.05;
+/// Most seconds of sound that a new stream may deliver at once.
+const BURST_S: f64 = 4.0;
+/// Time in seconds during which the pace of a new stream is watched.
+const TRIAL_S: f64 = 5.0;
+
+/// Estimates from arrival times how many frames are missing, and how many are only late.
+///
+/// A frame can come late, but not early. The start of the stream is thus estimated as the smallest
+/// difference between a frame's arrival time and its own time in the stream. If this difference
+/// grows by more than the usual delay, frames are missing. If it shrinks again, the frames counted
+/// as missing were only late. Late sound must not change the estimate, or each interruption would
+/// count twice.
+#[derive(Default)]
+struct Pace {
+    /// The estimated start of the stream, and the time of the estimate, in seconds.
+    begin: Option<(f64, f64)>,
+    /// Time and position in the stream of the first arrival.
+    first: Option<(f64, u64)>,
+    /// Number of frames counted as missing that may still arrive late.
+    skipped: u64,
+}
+
+impl Pace {
+    /// Notes that frames arrived at `now_s`. `position` is the index after the last one; lost
+    /// frames count in it.
+    fn arrived(&mut self, now_s: f64, position: u64) {
+        let seems = now_s - position as f64 / RATE_HZ;
+        let begin = match self.begin {
+            None => seems,
+            Some((begin, at_s)) => {
+                let drift = DRIFT * (now_s - at_s);
+                let earliest = if self.skipped > 0 { begin - drift } else { f64::NEG_INFINITY };
+                seems.min(begin + drift).max(earliest)
+            }
+        };
+        self.begin = Some((begin, now_s));
+        self.first.get_or_insert((now_s, position));
+    }
+
+    /// Estimates how many frames an interruption cost, from the arrival of the first frames after
+    /// it at `now_s`. Their `position` does not count lost frames yet. The error is the delay of
+    /// these frames, a few milliseconds.
+    fn missing(&self, now_s: f64, position: u64) -> u64 {
+        let Some((begin, at_s)) = self.begin else { return 0 };
+        let late_s = now_s - position as f64 / RATE_HZ - begin - DRIFT * (now_s - at_s);
+        (late_s * RATE_HZ).max(0.0) as u64
+    }
+
+    /// Like `missing`, but 0 if the frames may only be delayed.
+    fn missing_for_sure(&self, now_s: f64, position: u64) -> u64 {
+        let missing = self.missing(now_s, position);
+        if missing as f64 >= DELAY_S * RATE_HZ { missing } else { 0 }
+    }
+
+    /// The number of frames that were counted as missing, but were only late: frames up to
+    /// `position` arrived at `now_s`, too early for a stream with so many lost frames.
+    fn late(&self, now_s: f64, position: u64) -> u64 {
+        let Some((begin, at_s)) = self.begin else { return 0 };
+        let early_s = begin - (now_s - position as f64 / RATE_HZ) - DRIFT * (now_s - at_s);
+        let early = if early_s >= DELAY_S { (early_s * RATE_HZ) as u64 } else { 0 };
+        early.min(self.skipped)
+    }
+
+    /// Whether frames come much faster than real time, like those of ALSA's null device.
+    fn unpaced(&self, now_s: f64, position: u64) -> bool {
+        let Some((first_s, first)) = self.first else { return false };
+        let (elapsed_s, frames) = (now_s - first_s, position.saturating_sub(first));
+        elapsed_s < TRIAL_S && frames as f64 / RATE_HZ > elapsed_s + BURST_S
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -142,18 +209,17 @@ mod tests {
     use super::*;
     use crate::ring::{Waker, series};
 
-    /// Length of one step of a simulation, in seconds and in frames.
+    /// Length of a simulation step, in seconds and in frames.
     const STEP_S: f64 = 0.02;
     const STEP: u64 = 882;
-    /// Frames of one callback, as ALSA calls it.
+    /// Usual number of frames in a callback of ALSA.
     const PERIOD: u64 = 512;
-    /// Frames that the callback's ring holds here: too few for the sound that is held up, so that
-    /// some is lost.
+    /// Length of the callback's ring in frames: too short for all delayed sound, so some is lost.
     const RING: usize = 22_050;
-    /// The largest error of the frames counted, in seconds: a delay that is no loss, and 1.5 steps.
+    /// Largest allowed error of the counts, in seconds: a delay that is no loss, and 1.5 steps.
     const BOUND_S: f64 = 0.05 + 1.5 * STEP_S;
 
-    /// A simulated sound server with its own clock, and the callback's ring.
+    /// A simulated sound server with a clock, and the callback's ring.
     struct Hall {
         steps: u64,
         now_s: f64,
@@ -163,13 +229,13 @@ mod tests {
 
     #[derive(Clone, Copy, Debug)]
     enum SinkAct {
-        /// Sound for this number of steps.
+        /// Plays sound for this number of steps.
         Play(u64),
-        /// Nothing for `steps` steps. The share `passed_over` of their sound never comes; the rest
-        /// comes at once, after `after` steps of new sound: if `piecewise`, the ring is read after
-        /// each callback, else only after all of it.
+        /// Pauses for `steps` steps. Of their sound, the share `passed_over` never comes; the rest
+        /// comes at once, after `after` steps of new sound. The ring is read after each callback if
+        /// `piecewise`, otherwise only at the end.
         Stall { steps: u64, passed_over: f64, after: u64, piecewise: bool },
-        /// Nothing for this number of steps, then the stream is opened again.
+        /// Pauses for this number of steps, then reopens the stream.
         Reopen(u64),
     }
 
@@ -196,7 +262,7 @@ mod tests {
             self.look(listening);
         }
 
-        /// Sound that was held up arrives.
+        /// Delivers delayed sound at once.
         fn burst(&mut self, listening: &mut Listening, mut frames: u64, piecewise: bool) {
             while frames > 0 {
                 let part = if piecewise { frames.min(PERIOD) } else { frames };
@@ -224,8 +290,8 @@ mod tests {
             }
         }
 
-        /// Plays these acts, with sound before and after each. Returns by how much the frames
-        /// counted were ahead of the clock, and behind it, at worst, in seconds.
+        /// Plays these acts, with sound before and after each. Returns, in seconds, how far the
+        /// counted frames were ahead of the clock at most, and how far behind.
         fn play(&mut self, acts: &[SinkAct]) -> (f64, f64) {
             let (mut sink, mut tap) = series(1, 1 << 24, Waker::new().0);
             let meter = tap.meter().clone();
@@ -237,7 +303,7 @@ mod tests {
                 self.act(listening, act);
                 self.act(listening, SinkAct::Play(25));
                 let counts = meter.counts();
-                let off_s = self.now_s - counts.pushed as f64 / f64::from(RATE_HZ);
+                let off_s = self.now_s - counts.pushed as f64 / RATE_HZ;
                 worst_s = (worst_s.0.max(-off_s), worst_s.1.max(off_s));
             }
             tap.drain(|_| {});
@@ -257,7 +323,7 @@ mod tests {
     #[test]
     fn time_that_was_counted_as_lost_is_not_counted_again_when_its_sound_comes_late() {
         for piecewise in [true, false] {
-            // The sound comes after the wait for it has ended, so it was counted as lost.
+            // The delayed sound comes too late to be waited for, so it first counts as lost.
             let stall = SinkAct::Stall { steps: 30, passed_over: 0.0, after: 20, piecewise };
             account_holds(&[stall, stall]);
             account_holds(&[stall; 20]);
@@ -272,9 +338,53 @@ mod tests {
 
     #[test]
     fn small_remains_do_not_add_up() {
-        // 40 ms come late each time: too little to be told from a mere delay.
+        // Each stall delivers 40 ms late, too little to tell a loss from a delay.
         let stall = SinkAct::Stall { steps: 25, passed_over: 0.92, after: 20, piecewise: true };
         account_holds(&[stall; 50]);
+    }
+
+    const BLOCK: u64 = 441;
+
+    /// Delivers frames for some seconds, with a varying delay, by a clock that is off by `drift`.
+    fn run(pace: &mut Pace, from: (f64, u64), seconds: f64, drift: f64) -> (f64, u64) {
+        let (mut now_s, mut position) = from;
+        for i in 0..(seconds * 100.0) as u64 {
+            now_s += 0.01 * (1.0 + drift);
+            position += BLOCK;
+            pace.arrived(now_s + (i * 7 % 11) as f64 * 0.0005, position);
+        }
+        (now_s, position)
+    }
+
+    #[test]
+    fn an_interruption_is_measured_to_within_ten_milliseconds() {
+        for drift in [-100e-6, 0.0, 100e-6] {
+            let mut pace = Pace::default();
+            let (now_s, position) = run(&mut pace, (5.0, 0), 600.0, drift);
+            assert_eq!(pace.missing(now_s + 0.01, position + BLOCK) / 441, 0);
+            let missing = pace.missing(now_s + 2.01, position + BLOCK) as f64 / RATE_HZ;
+            assert!((missing - 2.0).abs() < 0.01, "{missing}");
+        }
+    }
+
+    #[test]
+    fn after_the_loss_is_counted_nothing_is_missing_any_more() {
+        let mut pace = Pace::default();
+        let (now_s, position) = run(&mut pace, (0.0, 0), 10.0, 0.0);
+        let position = position + BLOCK + pace.missing(now_s + 3.0, position + BLOCK);
+        pace.arrived(now_s + 3.0, position);
+        let (now_s, position) = run(&mut pace, (now_s + 3.0, position), 10.0, 0.0);
+        assert!(pace.missing(now_s + 0.01, position + BLOCK) < 441);
+    }
+
+    #[test]
+    fn a_stream_without_a_pace_is_distinguished_from_one_that_begins_with_a_full_buffer() {
+        let mut pace = Pace::default();
+        pace.arrived(0.0, 441);
+        assert!(!pace.unpaced(0.1, 2 * 44_100));
+        assert!(pace.unpaced(0.5, 10 * 44_100));
+        let (now_s, position) = run(&mut pace, (0.0, 441), 4.0, 0.0);
+        assert!(!pace.unpaced(now_s, position));
     }
 
     proptest! {

@@ -1,170 +1,133 @@
-//! From bytes on the line to frames of the streams: no I/O, no clock.
+//! Decodes bytes of the serial line into frames of the streams, without I/O and without a clock.
 //!
-//! Indexes count the stylus's sampling clock, so a jump in them is the length of a gap. Where they
-//! start again (a reset, a replug) the length is taken from the arrival times instead, and is never
-//! less than [`LEAST_RESTART_S`], so that such a gap is always reported.
+//! Indexes count ticks of the stylus's sampling clock, so a jump of the index is a gap of that
+//! length. After a restart (reset or replug), the index begins again, and arrival times give the
+//! length of the gap: at least [`LEAST_RESTART_S`], so that it is always reported.
 
 use surfaced_wire::{DecodeError, Decoder, Hello, Message, Samples, Status};
 
 use crate::scene::SourceId;
 
-/// A restart counts as a gap of at least this many seconds: more than a scan bridges.
+/// Least length of the gap at a restart, in seconds: too long for a scan to go on across it.
 pub const LEAST_RESTART_S: f64 = 2e-3;
-/// A jump of the index may be longer than the silence before it by this much, in seconds, since
-/// what the system had buffered arrives late. Beyond, the index is not believed.
+/// Seconds by which a jump of the index may be longer than the silence before it, since data that
+/// the system had buffered arrive late. A longer jump counts as a restart.
 const LATEST_S: f64 = 10.0;
-/// After the line was reopened, index and arrival times may differ by this much, in seconds.
+/// Most seconds by which index and arrival time may differ after the line was reopened.
 const ANEW_S: f64 = 1.0;
 
-/// The unit of a stream's values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Value {
-    /// A fraction of the converter's full scale, `v / 32768`: what a 16-bit WAV file of the same
-    /// values reads as, so that live data and LMT108-like libraries agree.
+    /// A fraction of the converter's full scale, `v / 32768`. A 16-bit WAV file gives the same
+    /// fractions, so live data agree with datasets like LMT108.
     #[default]
     FullScale,
-    /// The unit that hello gives: `v × scale`.
+    /// A value in the unit from the stylus's hello: `v × scale`.
     Unit,
 }
 
-/// A stream to be made of the stylus's channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wanted {
     pub id: SourceId,
-    /// Names of its channels in the stylus's table, in the stream's order; at least one.
+    /// The stream's channels, in order, by their names in the stylus's hello; at least one.
     pub channels: Vec<String>,
     pub value: Value,
 }
 
-/// Events from the line.
 #[derive(Debug)]
 pub enum IntakeEvent<'a> {
-    /// Frames of a stream, interleaved.
+    /// Interleaved frames of a stream; `stream` is its index among the wanted streams.
     Frames {
-        /// number of the stream among those wanted
         stream: usize,
         samples: &'a [f32],
     },
-    /// Frames of a stream that never arrived.
+    /// Frames of a stream that were lost.
     Missing {
-        /// number of the stream among those wanted
         stream: usize,
         frames: u64,
     },
-    /// A stylus that can be used has introduced itself.
+    /// A usable stylus has introduced itself. `who` is its serial number and firmware, `lacking`
+    /// the streams whose channels it lacks, `changed` whether its channels are other than before.
     Hello {
-        /// serial number and firmware
         who: String,
-        /// streams that it has no channels for
         lacking: Vec<SourceId>,
-        /// whether its channels differ from those of its last hello
         changed: bool,
     },
-    /// The device that introduced itself cannot be used: the reason.
+    /// The device that introduced itself cannot be used; the text gives the reason.
     Refused(String),
-    /// The index restarted: the stylus was reset, or the line lost it for long.
+    /// The index began again: the stylus was reset, or the line was lost for a long time.
     Restarted,
     Status(Status),
-    /// A frame was damaged, or has an unknown format.
+    /// A frame of the serial line was damaged, or its format is unknown.
     Damaged(DecodeError),
 }
 
-/// One stream's place in a sample of the stylus.
-#[derive(Clone, Debug, PartialEq)]
-struct StreamPlace {
-    /// For each channel of the stream: channel of the sample, and its factor.
-    picks: Vec<(usize, f32)>,
-}
+/// For each channel of a stream: the index of its value in the stylus's sample, and the factor to
+/// multiply the value by.
+type StreamPlace = Vec<(usize, f32)>;
 
-/// The accepted part of a hello.
+/// The part of a stylus's accepted introduction (hello) that is needed to decode samples.
 #[derive(Clone, Debug, PartialEq)]
 struct Table {
     channels: usize,
-    /// For each stream wanted; none where the stylus lacks a channel of it.
+    /// The places of each wanted stream; `None` if the stylus lacks one of the stream's channels.
     places: Vec<Option<StreamPlace>>,
 }
 
-/// Counts of unused input.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Unused {
-    /// Frames of the wire that were damaged or not understood.
-    pub damaged: u64,
-    /// Samples that came before a hello that describes them.
-    pub unknown: u64,
-    pub restarts: u64,
-}
-
-/// Turns bytes into frames.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Intake {
     wanted: Vec<Wanted>,
     rate_hz: u32,
     decoder: Decoder,
+    /// The table of the last accepted introduction (hello).
     table: Option<Table>,
-    /// The table of the last hello, to see whether the next one differs.
-    last_table: Option<Table>,
-    /// Index of the next sample; none before the first.
+    /// Whether samples can be decoded: the last hello was accepted, and samples fit its table.
+    introduced: bool,
+    /// Expected index of the next sample; `None` before the first sample.
     next: Option<u64>,
-    /// When the last samples came, in seconds.
     last_s: f64,
     reopened: bool,
-    /// Frames by which a stream without channels lags behind the others.
+    /// Number of frames that each stream lacks so far while the stylus has no channels for it.
     lag: Vec<u64>,
     block: Vec<f32>,
-    unused: Unused,
+    /// Number of frames of the line that were damaged or of an unknown format.
+    pub(super) damaged: u64,
 }
 
 impl Intake {
-    /// Makes the streams `wanted` from input sampled at `rate_hz`.
+    /// Decodes the `wanted` streams from samples taken at `rate_hz`.
     pub fn new(wanted: Vec<Wanted>, rate_hz: u32) -> Self {
-        Self {
-            lag: vec![0; wanted.len()],
-            wanted,
-            rate_hz,
-            decoder: Decoder::new(),
-            table: None,
-            last_table: None,
-            next: None,
-            last_s: 0.0,
-            reopened: false,
-            block: Vec::new(),
-            unused: Unused::default(),
-        }
+        Self { lag: vec![0; wanted.len()], wanted, rate_hz, ..Self::default() }
     }
 
-    pub fn unused(&self) -> Unused {
-        self.unused
-    }
-
-    /// Whether samples are understood: a hello was accepted.
     pub fn introduced(&self) -> bool {
-        self.table.is_some()
+        self.introduced
     }
 
-    /// Notes that the line was reopened: the stylus must introduce itself again.
+    /// To be called when the line was reopened: the stylus must then introduce itself again.
     pub fn reopened(&mut self) {
         self.decoder.reset();
-        self.table = None;
+        self.introduced = false;
         self.reopened = true;
     }
 
-    /// Takes bytes that came at `now_s` (seconds of any clock that does not go back), and passes
-    /// what they hold to `on`, in order. Returns whether there were samples that are understood.
+    /// Decodes bytes that arrived at `now_s` (seconds of any clock that never goes back), and
+    /// passes the events in them to `on`, in order. Returns whether samples could be decoded.
     pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(IntakeEvent<'_>)) -> bool {
         let mut any = false;
         let mut input = bytes;
-        // The decoder is taken out, so that a message that borrows from it leaves `self` usable.
+        // Messages borrow from the decoder, so it is taken out while `self` is used.
         let mut decoder = std::mem::take(&mut self.decoder);
         while let Some(result) = decoder.next(&mut input) {
             match result {
                 Ok(Message::Samples(samples)) => any |= self.samples(&samples, now_s, &mut on),
                 Ok(Message::Hello(hello)) => self.hello(&hello, &mut on),
                 Ok(Message::Status(status)) => on(IntakeEvent::Status(status)),
-                // An echo; the stylus sends no commands.
+                // Ignores commands: they are echoes, since the stylus sends none.
                 Ok(Message::Command(_)) => {}
                 Err(error) => {
-                    self.unused.damaged += 1;
+                    self.damaged += 1;
                     on(IntakeEvent::Damaged(error));
                 }
             }
@@ -174,21 +137,39 @@ impl Intake {
     }
 
     fn hello(&mut self, hello: &Hello<'_>, on: &mut impl FnMut(IntakeEvent<'_>)) {
+        let table = match self.table_of(hello) {
+            Ok(table) => table,
+            Err(why) => {
+                self.introduced = false;
+                return on(IntakeEvent::Refused(why));
+            }
+        };
+        let changed = self.table.as_ref().is_some_and(|last| *last != table);
+        if changed || !self.introduced {
+            let lacking = self.wanted.iter().zip(&table.places).filter(|(_, p)| p.is_none());
+            let lacking = lacking.map(|(wanted, _)| wanted.id.clone()).collect();
+            let [major, minor, patch] = hello.firmware;
+            let who = format!("{}, firmware {major}.{minor}.{patch}", hello.serial);
+            on(IntakeEvent::Hello { who, lacking, changed });
+        }
+        (self.table, self.introduced) = (Some(table), true);
+    }
+
+    /// The table for a hello. An error says why its device cannot be used.
+    fn table_of(&self, hello: &Hello<'_>) -> Result<Table, String> {
         if hello.sample_rate_hz != self.rate_hz {
-            self.table = None;
-            return on(IntakeEvent::Refused(format!(
+            return Err(format!(
                 "it samples at {} Hz, but {} Hz is expected; change rate_hz of the stylus in the \
                  configuration, or its firmware",
                 hello.sample_rate_hz, self.rate_hz
-            )));
+            ));
         }
         let unusable = |scale: f32| !(scale * f32::from(i16::MIN)).is_finite();
         if let Some(channel) = hello.channels.iter().find(|channel| unusable(channel.scale)) {
-            self.table = None;
-            return on(IntakeEvent::Refused(format!(
+            return Err(format!(
                 "its channel {} has a scale of {}, which makes infinite values; mend its firmware",
                 channel.name, channel.scale
-            )));
+            ));
         }
         let find = |name: &str, value| {
             let (at, channel) = hello.channels.iter().enumerate().find(|(_, c)| c.name == name)?;
@@ -199,32 +180,18 @@ impl Intake {
             Some((at, factor))
         };
         let place = |wanted: &Wanted| {
-            let picks: Option<Vec<_>> =
-                wanted.channels.iter().map(|name| find(name, wanted.value)).collect();
-            picks.filter(|picks| !picks.is_empty()).map(|picks| StreamPlace { picks })
+            wanted.channels.iter().map(|name| find(name, wanted.value)).collect::<Option<_>>()
         };
-        let places: Vec<_> = self.wanted.iter().map(place).collect();
+        let places: Vec<Option<StreamPlace>> = self.wanted.iter().map(place).collect();
         if places.iter().all(Option::is_none) {
             let names: Vec<_> = hello.channels.iter().map(|c| c.name).collect();
-            self.table = None;
-            return on(IntakeEvent::Refused(format!(
+            return Err(format!(
                 "it has the channels {}, and none of the streams can be made of them; see \
                  [stylus.sources] in the configuration",
                 names.join(", ")
-            )));
+            ));
         }
-        let lacking = self.wanted.iter().zip(&places).filter(|(_, place)| place.is_none());
-        let lacking = lacking.map(|(wanted, _)| wanted.id.clone()).collect();
-        let table = Table { channels: hello.channels.len(), places };
-        let known = self.table.as_ref() == Some(&table);
-        let changed = self.last_table.as_ref().is_some_and(|last| *last != table);
-        self.last_table = Some(table.clone());
-        self.table = Some(table);
-        if !known {
-            let [major, minor, patch] = hello.firmware;
-            let who = format!("{}, firmware {major}.{minor}.{patch}", hello.serial);
-            on(IntakeEvent::Hello { who, lacking, changed });
-        }
+        Ok(Table { channels: hello.channels.len(), places })
     }
 
     fn samples(
@@ -233,11 +200,10 @@ impl Intake {
         now_s: f64,
         on: &mut impl FnMut(IntakeEvent<'_>),
     ) -> bool {
-        // A frame of another width than the table's belongs to another table: wait for its hello.
-        let fits = |table: &&Table| table.channels == samples.channels();
+        // Samples of another width belong to another table, so decoding waits for the next hello.
+        let fits = |table: &&Table| self.introduced && table.channels == samples.channels();
         let Some(table) = self.table.as_ref().filter(fits) else {
-            self.unused.unknown += samples.count() as u64;
-            self.table = None;
+            self.introduced = false;
             return false;
         };
         let count = samples.count() as u64;
@@ -245,14 +211,13 @@ impl Intake {
         let (missing, restarted) =
             gap(self.next, samples.first_index(), count, silent_s, rate_hz, self.reopened);
         if restarted {
-            self.unused.restarts += 1;
             on(IntakeEvent::Restarted);
         }
         self.next = Some(samples.next_index());
         self.last_s = now_s;
         self.reopened = false;
         for (stream, place) in table.places.iter().enumerate() {
-            let Some(StreamPlace { picks }) = place else {
+            let Some(picks) = place else {
                 self.lag[stream] += missing + count;
                 continue;
             };
@@ -262,7 +227,7 @@ impl Intake {
             }
             self.block.clear();
             for sample in samples.bytes().chunks_exact(2 * table.channels) {
-                // Every pick is a channel of the table, whose width is the sample's.
+                // Indexing is safe: `at` is a channel of the table, which is as wide as a sample.
                 let value = |&(at, factor): &(usize, f32)| {
                     f32::from(i16::from_le_bytes([sample[2 * at], sample[2 * at + 1]])) * factor
                 };
@@ -274,8 +239,8 @@ impl Intake {
     }
 }
 
-/// The number of samples missing before `count` samples that begin with index `first`, and whether
-/// their index restarted.
+/// The number of samples lost before `count` samples whose first index is `first`, and whether the
+/// index restarted. `next` is the index expected.
 pub(in crate::device) fn gap(
     next: Option<u64>,
     first: u64,
@@ -285,7 +250,7 @@ pub(in crate::device) fn gap(
     reopened: bool,
 ) -> (u64, bool) {
     let Some(next) = next else { return (0, false) };
-    // Casts saturate; a clock that went back counts as no silence.
+    // The casts saturate; a negative silence, from a clock that went back, counts as 0.
     let by_time = (silent_s * rate_hz).round().max(0.0) as u64;
     let by_time = by_time.saturating_sub(count);
     if let Some(by_index) = first.checked_sub(next) {

@@ -1,60 +1,37 @@
-//! Serial ports: finds and opens that of the stylus, and explains failures.
+//! Finds and opens the stylus's serial port, and explains failures.
 
-use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
-use serialport::{ErrorKind, SerialPortInfo, SerialPortType, UsbPortInfo};
+use serialport::{ErrorKind, SerialPort, SerialPortInfo, SerialPortType, UsbPortInfo};
 
 use crate::device::OpenError;
 use crate::device::list::{available_ports, permission_hint};
 
-/// Rate of the stylus's line, in baud; a pseudo-terminal ignores it.
+/// Rate of the stylus's serial line in baud; pseudo-terminals ignore it.
 pub const BAUD: u32 = 3_000_000;
-/// The longest that a read or a write waits.
+/// Longest time that a read or a write on the line waits.
 pub(in crate::device) const WAIT: Duration = Duration::from_millis(50);
-/// USB serial chips that can do [`BAUD`]: FTDI's.
+/// USB vendor and product numbers of FTDI's serial chips, which can run at [`BAUD`].
 const FTDI: u16 = 0x0403;
 const FTDI_CHIPS: [u16; 5] = [0x6001, 0x6010, 0x6011, 0x6014, 0x6015];
 
-/// An open line. A read waits for a moment, then fails as timed out.
-pub trait Port: Read + Write + Send {}
-
-impl<T: Read + Write + Send> Port for T {}
-
-/// Opens a device's line; again after it was lost.
-pub trait OpenPort: Send {
-    /// The name of the device, for messages.
-    fn name(&self) -> String;
-
-    /// Opens the line and gives it with its path or name.
-    ///
-    /// # Errors
-    /// If it is absent or cannot be opened.
-    fn open(&mut self) -> Result<(Box<dyn Port>, String), OpenError>;
-}
-
-/// Selects the port of the stylus.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Selector {
-    /// The only FTDI chip that is plugged in.
+    /// The only FTDI chip that is connected; an error if there are several.
     #[default]
     Auto,
-    Usb {
-        vendor: u16,
-        product: u16,
-        /// its serial number, where there are several
-        serial: Option<String>,
-    },
-    /// A path: one that stays (`/dev/serial/by-id/…`), or a pseudo-terminal.
+    /// The port with these USB numbers; `serial` selects one of several equal devices.
+    Usb { vendor: u16, product: u16, serial: Option<String> },
+    /// The path of a port: a permanent link (`/dev/serial/by-id/…`) or a pseudo-terminal.
     Path(PathBuf),
 }
 
 impl FromStr for Selector {
     type Err = String;
 
-    /// `auto`, `usb:VENDOR:PRODUCT` or `usb:VENDOR:PRODUCT:SERIAL` (the numbers in hexadecimal),
+    /// Parses `auto`, `usb:VENDOR:PRODUCT` or `usb:VENDOR:PRODUCT:SERIAL` (numbers in hexadecimal),
     /// or a path.
     fn from_str(text: &str) -> Result<Self, String> {
         if text == "auto" {
@@ -78,6 +55,9 @@ impl FromStr for Selector {
     }
 }
 
+/// An open line, whose reads time out after [`WAIT`], and the path of its port.
+type OpenLine = (Box<dyn SerialPort>, String);
+
 impl Selector {
     fn fits(&self, usb: &UsbPortInfo) -> bool {
         match self {
@@ -90,7 +70,7 @@ impl Selector {
         }
     }
 
-    /// The one port of `ports` that fits.
+    /// The path of the one matching port in `ports`; an error if there is none or more than one.
     fn choose(&self, ports: &[SerialPortInfo]) -> Result<String, OpenError> {
         let fits = |port: &&SerialPortInfo| match &port.port_type {
             SerialPortType::UsbPort(usb) => self.fits(usb),
@@ -109,6 +89,30 @@ impl Selector {
             ))),
         }
     }
+
+    pub(super) fn name(&self) -> String {
+        match self {
+            Self::Auto => "stylus".into(),
+            other => format!("stylus {other}"),
+        }
+    }
+
+    pub fn open(&self) -> Result<OpenLine, OpenError> {
+        self.open_at(BAUD)
+    }
+
+    pub(in crate::device) fn open_at(&self, baud: u32) -> Result<OpenLine, OpenError> {
+        let path = match self {
+            Self::Path(path) => path.display().to_string(),
+            _ => {
+                let ports = available_ports()
+                    .map_err(|error| failed("the list of serial ports", &error))?;
+                self.choose(&ports)?
+            }
+        };
+        let opened = serialport::new(&path, baud).timeout(WAIT).open();
+        opened.map_err(|error| failed(&path, &error)).map(|port| (port, path))
+    }
 }
 
 impl std::fmt::Display for Selector {
@@ -124,44 +128,8 @@ impl std::fmt::Display for Selector {
     }
 }
 
-impl OpenPort for Selector {
-    fn name(&self) -> String {
-        match self {
-            Self::Auto => "stylus".into(),
-            other => format!("stylus {other}"),
-        }
-    }
-
-    fn open(&mut self) -> Result<(Box<dyn Port>, String), OpenError> {
-        self.open_at(BAUD)
-    }
-}
-
-impl Selector {
-    /// Opens the line at this number of baud, and gives it with its path.
-    ///
-    /// # Errors
-    /// If it is absent or cannot be opened.
-    pub(in crate::device) fn open_at(
-        &self,
-        baud: u32,
-    ) -> Result<(Box<dyn Port>, String), OpenError> {
-        let path = match self {
-            Self::Path(path) => path.display().to_string(),
-            _ => {
-                let ports = available_ports()
-                    .map_err(|error| failed("the list of serial ports", &error))?;
-                self.choose(&ports)?
-            }
-        };
-        match serialport::new(&path, baud).timeout(WAIT).open() {
-            Ok(port) => Ok((Box::new(port), path)),
-            Err(error) => Err(failed(&path, &error)),
-        }
-    }
-}
-
-/// `serialport` reports a locked port as `NoDevice`, and a missing one as several other errors.
+/// Explains an error of `serialport`, which reports a locked port as `NoDevice`, and a missing port
+/// in several ways.
 fn failed(path: &str, error: &serialport::Error) -> OpenError {
     let node = Path::new(path);
     let device = path.to_string();
@@ -169,7 +137,7 @@ fn failed(path: &str, error: &serialport::Error) -> OpenError {
         ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => {
             OpenError::Denied { device, hint: permission_hint(node, "dialout") }
         }
-        // A port of Windows has a name, and no node.
+        // Also searches the list of ports, since a port on Windows has a name, but no node.
         ErrorKind::NoDevice
             if node.exists()
                 || available_ports()

@@ -1,4 +1,4 @@
-//! Covariance of the features at two times a lag apart, by blocks: nearly all the work of `pooled`.
+//! Covariance of features at two times a lag apart, in blocks: nearly all the work of `pooled`.
 
 use std::ops::Range;
 
@@ -6,24 +6,46 @@ use multiversion::multiversion;
 
 use super::features::Features;
 use super::lags::Lag;
+use super::products::{COLUMNS, F32Lanes, LANES, Length, ROWS, dots, total};
 
-/// Frames processed at once: few enough that all their features stay in the first-level cache.
+/// Number of frames processed at once, so few that their features stay in the first-level cache.
 const TILE: usize = 512;
-/// Fewest blocks, in all trials together.
+/// Fewest blocks (parts of trials), counted over all trials.
 const BLOCKS: usize = 20;
 
-/// Means of f(s)·f(s + t)ᵀ over the starts s of each block, for each lag t.
+/// Means of f(s)·f(s + t)ᵀ, for features f, over the starts s of each block, for each lag t.
 #[derive(Clone, Debug)]
 pub struct Covariances {
     /// Number of features.
     pub features: usize,
-    /// Number of blocks, at least 20.
+    /// Number of blocks of all trials, at least 20.
     pub blocks: usize,
-    /// For each lag: entry (i, j) of block b at (b·F + i)·F + j, i the feature at the earlier time.
+    /// For each lag, entry (i, j) of block b at (b·F + i)·F + j, for F features, i the earlier.
     pub lags: Vec<Vec<f64>>,
 }
 
-/// The covariance at lag 0 over all trials, F × F, and that at each lag, in ⌈20/Q⌉ blocks a trial.
+impl Covariances {
+    /// Sum over the lags up to `longest` of weight · (mean covariance over blocks), shape F × F.
+    pub fn weighted_sum(
+        &self,
+        lags: &[Lag],
+        longest: f64,
+        weight: impl Fn(&Lag) -> f64,
+    ) -> Vec<f64> {
+        let entries = self.features * self.features;
+        let mut sum = vec![0.0; entries];
+        let within = lags.iter().take_while(|lag| lag.frames as f64 <= longest);
+        for (lag, values) in within.zip(&self.lags) {
+            let scale = weight(lag) / self.blocks as f64;
+            for block in values.chunks_exact(entries) {
+                sum.iter_mut().zip(block).for_each(|(sum, c)| *sum += scale * c);
+            }
+        }
+        sum
+    }
+}
+
+/// Covariance of features at lag 0, over all Q trials, and at each lag, in ⌈20/Q⌉ blocks a trial.
 pub fn covariances(features: &Features, lags: &[Lag]) -> (Vec<f64>, Covariances) {
     let count = features.columns.len();
     let parts = BLOCKS.div_ceil(features.trials);
@@ -52,16 +74,16 @@ pub fn covariances(features: &Features, lags: &[Lag]) -> (Vec<f64>, Covariances)
     (at_once, Covariances { features: count, blocks, lags: means })
 }
 
-/// One block at one lag.
+/// The starts of one block at one lag, and a place for their mean covariance.
 struct Block<'a> {
     lag: usize,
-    /// Frames of the trial's grid.
+    /// Indices of the block's starts in the trial's [`Grid`].
     starts: Range<usize>,
-    /// Receives the mean of f(s)·f(s + lag)ᵀ; must be zeros before.
+    /// Receives the mean of f(s)·f(s + lag)ᵀ; must hold zeros before.
     mean: &'a mut [f64],
 }
 
-/// Every `stride`-th frame of each trial, padded with [`LANES`] zeros, which [`dots`] may read.
+/// Every `stride`-th frame of each trial, padded with [`LANES`] zeros that [`dots`] may read.
 struct Grid {
     stride: usize,
     frames: usize,
@@ -99,8 +121,8 @@ impl Grid {
         mean
     }
 
-    /// Fills blocks of one trial, each of another lag. It goes through the frames once, and handles
-    /// all lags of a few frames while they are in the cache.
+    /// Fills blocks of one trial, each with a different lag. It goes through the frames once, and
+    /// computes all lags for a few frames while they are in the cache.
     fn fill(&self, trial: usize, blocks: &mut [Block]) {
         let longest = blocks.iter().map(|block| block.starts.len()).max().unwrap_or(0);
         let mut lanes = vec![[0.0; LANES]; self.columns.len() * self.columns.len()];
@@ -148,7 +170,8 @@ fn add_products(
     }
 }
 
-/// The sums of all rows in the `B` columns from `first` on.
+/// Computes the product sums of all features with `B` features, from feature `first` on.
+#[allow(clippy::manual_memcpy)] // A call of `copy_from_slice` is not always inlined here.
 #[inline(always)]
 fn rows<const B: usize>(
     columns: &[Vec<f32>],
@@ -164,25 +187,29 @@ fn rows<const B: usize>(
         let products = dots([&x[earlier..], &y[earlier..]], b, frames);
         for (i, products) in products.iter().enumerate() {
             let at = (pair * ROWS + i) * count + first;
-            lanes[at..at + B].copy_from_slice(products);
+            for j in 0..B {
+                lanes[at + j] = products[j];
+            }
         }
     }
     for x in rest {
         let [products] = dots([&x[earlier..]], b, frames);
         let at = (count - 1) * count + first;
-        lanes[at..at + B].copy_from_slice(&products);
+        for j in 0..B {
+            lanes[at + j] = products[j];
+        }
     }
 }
 
-// Slow changes move a trial's mean. Subtracting the mean therefore lowers the covariance at every
-// lag by the mean's variance V, so that long correlations look short.
+// Slow changes move a trial's mean. Subtracting that mean therefore lowers the covariance at every lag
+// by the mean's variance V, and makes long correlations look short.
 
 /// Variance of the trial mean, F × F:
 ///
 /// V = [Γ(0) + Σ_{t≤M} w·(1 − t/L)·(G(t) + G(t)ᵀ)] / (L − 1 − 2·Σ_{t≤M} w·(1 − t/L)),
 ///
-/// with G the mean covariance at lag t of the features, which are centred in each trial, and w the
-/// number of lags that t represents. The denominator is smaller than L because G = Γ − V.
+/// where G is the mean covariance at lag t of the features, which are centred in each trial, and w is
+/// the number of lags that t represents. The denominator is smaller than L because G = Γ − V.
 pub fn mean_variance(
     at_once: &[f64],
     covariances: &Covariances,
@@ -192,26 +219,16 @@ pub fn mean_variance(
 ) -> Vec<f64> {
     let count = covariances.features;
     let length = frames as f64;
-    let mut one_way = vec![0.0; count * count];
-    let mut taken = 0.0;
-    for (lag, values) in lags.iter().zip(&covariances.lags) {
-        if lag.frames as f64 > longest {
-            break;
-        }
-        let weight = lag.weight * (1.0 - lag.frames as f64 / length);
-        taken += weight;
-        let scale = weight / covariances.blocks as f64;
-        for block in values.chunks_exact(count * count) {
-            one_way.iter_mut().zip(block).for_each(|(sum, c)| *sum += scale * c);
-        }
-    }
+    let weight = |lag: &Lag| lag.weight * (1.0 - lag.frames as f64 / length);
+    let taken: f64 = lags.iter().take_while(|lag| lag.frames as f64 <= longest).map(weight).sum();
+    let one_way = covariances.weighted_sum(lags, longest, weight);
     let scale = 1.0 / (length - 1.0 - 2.0 * taken);
     (0..count * count)
         .map(|at| (at_once[at] + one_way[at] + one_way[at % count * count + at / count]) * scale)
         .collect()
 }
 
-/// (C + V)/√((1 + Vᵢᵢ)(1 + Vⱼⱼ)) of every block and lag: correlations as without centring.
+/// Correlations without centring: (C + V)/√((1 + Vᵢᵢ)(1 + Vⱼⱼ)) for V = `mean_variance`.
 pub fn corrected(covariances: &Covariances, mean_variance: &[f64]) -> Covariances {
     let count = covariances.features;
     let scale: Vec<f64> =
@@ -227,121 +244,14 @@ pub fn corrected(covariances: &Covariances, mean_variance: &[f64]) -> Covariance
     corrected
 }
 
-/// Number of f32 in one register of AVX-512, two of AVX2, or four of NEON.
-pub(super) const LANES: usize = 16;
-pub(super) type F32Lanes = [f32; LANES];
-
-/// Rows of products computed at once.
-pub(super) const ROWS: usize = 2;
-/// Columns of products computed at once: with more, the sums exceed the registers of AVX2 and NEON.
-pub(super) const COLUMNS: usize = 3;
-
-/// Σ a·b, with four independent sums, since an addition takes four cycles.
-pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [[0.0f32; LANES]; 4];
-    let (a, a_rest) = a.as_chunks::<{ 4 * LANES }>();
-    let (b, b_rest) = b.as_chunks::<{ 4 * LANES }>();
-    for (a, b) in a.iter().zip(b) {
-        let (a, b) = (a.as_chunks::<LANES>().0, b.as_chunks::<LANES>().0);
-        for part in 0..4 {
-            sums[part] = plus_product(sums[part], &a[part], &b[part]);
-        }
-    }
-    let [first, second, third, fourth] = sums;
-    let rest: f32 = a_rest.iter().zip(b_rest).map(|(x, y)| x * y).sum();
-    (total(&first) + total(&second)) + (total(&third) + total(&fourth)) + rest
-}
-
-/// The number of values in a sum, at least one.
-#[derive(Clone, Copy)]
-pub(super) struct Length {
-    /// Number of registers before the last one; all their values count.
-    last: usize,
-    /// 1 for each value of the last register that counts, 0 for the others.
-    counts: F32Lanes,
-}
-
-impl Length {
-    /// # Panics
-    /// If it is 0.
-    #[inline(always)]
-    pub(super) fn of(values: usize) -> Self {
-        let last = (values - 1) / LANES;
-        let mut counts = [0.0; LANES];
-        counts[..values - last * LANES].fill(1.0);
-        Self { last, counts }
-    }
-}
-
-/// Σ a·b over the first values, lane by lane, for each pair of one of the a and one of the b: a
-/// value loaded once serves several products. Reads on to the end of the last register; those
-/// values do not count.
-///
-/// # Panics
-/// If a slice ends before the last register does.
-#[inline(always)]
-pub(super) fn dots<const A: usize, const B: usize>(
-    a: [&[f32]; A],
-    b: [&[f32]; B],
-    Length { last, counts }: &Length,
-) -> [[F32Lanes; B]; A] {
-    let last = *last;
-    let a = a.map(|a| &a.as_chunks::<LANES>().0[..=last]);
-    let b = b.map(|b| &b.as_chunks::<LANES>().0[..=last]);
-    let mut sums = [[[0.0f32; LANES]; B]; A];
-    for at in 0..last {
-        sums = plus_products(sums, a.map(|a| a[at]), b.map(|b| b[at]));
-    }
-    let mut counted = [[0.0; LANES]; A];
-    for i in 0..A {
-        counted[i] = plus_product([0.0; LANES], &a[i][last], counts);
-    }
-    plus_products(sums, counted, b.map(|b| b[last]))
-}
-
-#[inline(always)]
-fn plus_products<const A: usize, const B: usize>(
-    mut sums: [[F32Lanes; B]; A],
-    a: [F32Lanes; A],
-    b: [F32Lanes; B],
-) -> [[F32Lanes; B]; A] {
-    for i in 0..A {
-        for j in 0..B {
-            sums[i][j] = plus_product(sums[i][j], &a[i], &b[j]);
-        }
-    }
-    sums
-}
-
-/// Multiplies and adds with two roundings, not fused, so that every machine gives the same bits.
-#[inline(always)]
-fn plus_product(mut sum: F32Lanes, a: &F32Lanes, b: &F32Lanes) -> F32Lanes {
-    for lane in 0..LANES {
-        sum[lane] += a[lane] * b[lane];
-    }
-    sum
-}
-
-/// The sum of the lanes, by halves, so that each step is one addition of registers.
-#[inline(always)]
-pub(super) fn total(sum: &F32Lanes) -> f32 {
-    let (mut eight, mut four) = ([0.0; 8], [0.0; 4]);
-    for lane in 0..8 {
-        eight[lane] = sum[lane] + sum[lane + 8];
-    }
-    for lane in 0..4 {
-        four[lane] = eight[lane] + eight[lane + 4];
-    }
-    (four[0] + four[2]) + (four[1] + four[3])
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::features::{Samples, features};
     use super::super::lags::lags;
+    use super::super::products::dot;
     use super::*;
 
-    /// One entry of a block, by its definition.
+    /// One covariance of a block, by its definition.
     fn plain(features: &Features, lag: Lag, block: usize, i: usize, j: usize) -> f64 {
         let parts = BLOCKS.div_ceil(features.trials);
         let (trial, part) = (block / parts, block % parts);
@@ -382,7 +292,8 @@ mod tests {
         }
     }
 
-    /// Covariance of an AR(1) process of correlation time τ, centred in each trial, and V.
+    /// Covariance of a centred AR(1) process of correlation time τ, and the variance V of a trial
+    /// mean.
     fn centred_ar1(tau: f64, frames: usize, lags: &[Lag]) -> (Covariances, f64) {
         let length = frames as f64;
         let rho = |t: f64| (-t / tau).exp();

@@ -1,19 +1,19 @@
-//! Finds the lag from which the dependence stays below the threshold, and an upper bound of it.
+//! Finds the lag from which on dependence stays below the threshold, and an upper bound of this lag.
 
 use super::size::Size;
 
 /// The 95 % quantile of the standard normal distribution.
 const UPPER: f64 = 1.645;
-/// A later bin moves T* behind it if it exceeds the threshold by this number of standard errors.
-/// Chance hardly ever does so, although there are about sixty bins.
+/// T* moves beyond a later bin if dependence there exceeds the threshold by this number of standard
+/// errors. Chance hardly ever causes this in any of about sixty bins.
 const SURE: f64 = 4.0;
-/// Dependence at a long lag is lasting if above the threshold by this number of standard errors.
+/// Dependence lasts if it exceeds the threshold by this number of standard errors at a long lag.
 const THERE: f64 = 2.0;
 
-/// Dependence of one channel on another, against the lag.
+/// Dependence of one channel on another, as a function of the lag.
 #[derive(Clone, Debug)]
 pub struct Curve {
-    /// Centre of each bin, in frames.
+    /// Centre of each bin of lags, in frames.
     pub lags: Vec<f64>,
     pub sizes: Vec<Size>,
     /// Fit of the sizes that never rises with the lag.
@@ -25,7 +25,7 @@ pub struct Curve {
 pub struct Crossing {
     /// Lag at which the fit crosses the threshold, in frames; `None` if the fit stays above.
     pub estimate: Option<f64>,
-    /// Lag at which the fit's upper confidence bound crosses the threshold, in frames.
+    /// Lag at which the fit's upper confidence bound crosses the threshold; `None` if never.
     pub upper: Option<f64>,
 }
 
@@ -35,19 +35,15 @@ impl Curve {
         Self { lags, sizes, fitted }
     }
 
-    /// Standard error of √size near a threshold, from the jackknife of the size; at least the
-    /// largest standard error of an entry, since few blocks may agree by chance.
-    pub fn root_error(&self, bin: usize, threshold: f64) -> f64 {
-        let slope = 2.0 * threshold.sqrt();
+    /// Standard error of √size at a bin, for a size `near`, from the jackknife error of the size.
+    /// It is at least the largest error of one covariance, since few blocks may agree by chance.
+    fn root_error(&self, bin: usize, near: f64) -> f64 {
+        let slope = 2.0 * near.sqrt();
         (self.sizes[bin].error / slope).max(self.sizes[bin].entry_error)
     }
 
-    pub fn upper(&self, bin: usize, threshold: f64) -> f64 {
-        self.fitted[bin].max(0.0).sqrt() + UPPER * self.root_error(bin, threshold)
-    }
-
-    /// The factor by which the data must grow until, at the longer half of the lags, the upper
-    /// bound for independent samples is half the threshold (as a correlation).
+    /// The factor by which the data must grow until the upper bound for independent samples is half
+    /// the threshold (as a correlation) in the longer half of the lags.
     pub fn lacking(&self, threshold: f64) -> f64 {
         let bins = self.lags.len() / 2..self.lags.len();
         let mut errors: Vec<f64> = bins.map(|bin| self.root_error(bin, threshold)).collect();
@@ -58,12 +54,11 @@ impl Curve {
 
     /// Half the width of the 90 % interval of √size at a bin.
     pub fn half_width(&self, bin: usize, threshold: f64) -> f64 {
-        let slope = 2.0 * self.fitted[bin].max(threshold).sqrt();
-        UPPER * (self.sizes[bin].error / slope).max(self.sizes[bin].entry_error)
+        UPPER * self.root_error(bin, self.fitted[bin].max(threshold))
     }
 
-    /// The lags at which the fit and its upper bound fall below a threshold of the size. A later
-    /// bin that is surely above the threshold moves both beyond it.
+    /// The lags at which the fit and its upper bound fall below `threshold`, a size. Both lags move
+    /// beyond a later bin that is surely above the threshold.
     pub fn crossing(&self, threshold: f64) -> Crossing {
         let root = threshold.sqrt();
         let fit = |bin: usize| self.fitted[bin].max(0.0).sqrt();
@@ -83,7 +78,7 @@ impl Curve {
                 None => return Crossing { estimate: None, upper: None },
             }
         }
-        let upper = |bin: usize| self.upper(bin, threshold);
+        let upper = |bin: usize| fit(bin) + UPPER * self.root_error(bin, threshold);
         let upper = first(from, &upper).map(|bin| self.between(bin, root, &upper).max(estimate));
         Crossing { estimate: Some(estimate), upper }
     }
@@ -94,8 +89,8 @@ impl Curve {
         self.fitted[bin] - THERE * self.sizes[bin].error >= threshold
     }
 
-    /// The lag between the previous bin and `bin` at which a curve crosses `root`, by linear
-    /// interpolation of the curve's logarithm, as for an exponential decay.
+    /// The lag between the previous bin and `bin` at which `curve` crosses `root`. The logarithm of
+    /// the curve is interpolated linearly, as for an exponential decay.
     fn between(&self, bin: usize, root: f64, curve: &dyn Fn(usize) -> f64) -> f64 {
         let Some(before) = bin.checked_sub(1) else { return self.lags[0] };
         let (high, low) = (curve(before), curve(bin).max(0.1 * root));
@@ -107,8 +102,8 @@ impl Curve {
     }
 }
 
-/// Least-squares fit of a sequence that never rises, by pooling adjacent violators (M. Ayer et al.,
-/// Ann. Math. Statist. 26, 1955).
+/// Least-squares fit by a sequence that never rises, found by pooling adjacent violators (M. Ayer et
+/// al., Ann. Math. Statist. 26, 1955).
 pub fn antitonic(values: &[f64]) -> Vec<f64> {
     // Mean and length of each run of equal values so far.
     let mut levels: Vec<(f64, usize)> = Vec::new();
@@ -172,7 +167,7 @@ mod tests {
         assert_eq!(got, Crossing { estimate: Some(1.0), upper: Some(1.0) });
     }
 
-    /// The minimax formula: the least, over earlier starts, of the largest mean up to a later end.
+    /// The same fit by a formula: minimum over earlier starts of the largest mean to a later end.
     fn by_minimax(values: &[f64]) -> Vec<f64> {
         let mean = |a: usize, b: usize| values[a..=b].iter().sum::<f64>() / (b - a + 1) as f64;
         (0..values.len())

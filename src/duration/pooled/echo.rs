@@ -1,16 +1,16 @@
-//! Tests every lag for an echo, a dependence at a single lag, which can fall between the bins.
+//! Tests every lag for an echo: dependence at a single lag, which can fall between bins.
 
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 
 use super::features::Features;
 
-/// A covariance must exceed the threshold by this number of robust standard deviations.
+/// An echo exceeds the threshold by this number of robust standard deviations.
 const SURE: f64 = 6.0;
 
-/// The last lag above `from`, up to `longest`, at which a covariance c of two features surely
-/// exceeds `correlation`: |c| − 6·deviation ≥ `correlation`, where the deviation is estimated from
-/// the median of |c| over these lags.
+/// The last lag above `from`, up to `longest`, at which a covariance c of two features surely exceeds
+/// `correlation`: |c| − 6·deviation ≥ `correlation`. The deviation is estimated from the median of |c|
+/// over these lags.
 pub fn last_echo(
     features: &Features,
     correlation: f64,
@@ -27,17 +27,17 @@ pub fn last_echo(
             let mut sizes: Vec<f32> = beyond.iter().map(|c| c.abs()).collect();
             let middle = sizes.len() / 2;
             let median = *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
-            // 1.4826 is the ratio of deviation to median absolute value of a normal distribution.
+            // For a normal distribution, standard deviation = 1.4826 · median absolute value.
             let least = correlation + SURE * 1.4826 * f64::from(median);
             beyond.iter().rposition(|c| f64::from(c.abs()) >= least).map(|at| from + 1 + at)
         })
         .max()
 }
 
-/// Means of fᵢ(s)·fⱼ(s + t) over all starts s and trials, for t = 0 to `longest` and each (i, j).
+/// Means of fᵢ(s)·fⱼ(s + t) over all s and trials, for t = 0 to `longest` and all pairs i, j.
 fn all_covariances(features: &Features, longest: usize) -> Vec<Vec<f32>> {
     let frames = features.frames;
-    // Padding with zeros by the longest lag keeps the end of a trial from wrapping to its start.
+    // Padding by zeros for the longest lag keeps a trial's end from wrapping to its start.
     let points = (frames + longest).next_power_of_two();
     let mut planner = RealFftPlanner::<f32>::new();
     let (forward, inverse) = (planner.plan_fft_forward(points), planner.plan_fft_inverse(points));
@@ -51,7 +51,7 @@ fn all_covariances(features: &Features, longest: usize) -> Vec<Vec<f32>> {
                 input.fill(0.0);
                 input[..frames].copy_from_slice(&column[trial * frames..(trial + 1) * frames]);
                 let mut spectrum = forward.make_output_vec();
-                // The transform's only error is a wrong length; these lengths come from the plan.
+                // The transform fails only if a length is wrong; these lengths come from the plan.
                 forward.process(&mut input, &mut spectrum).expect("buffers of the plan's lengths");
                 spectrum
             })
@@ -66,8 +66,8 @@ fn all_covariances(features: &Features, longest: usize) -> Vec<Vec<f32>> {
     let mut found = Vec::with_capacity(2 * sums.len());
     let mut output = inverse.make_output_vec();
     for sum in &mut sums {
-        // The first and last bins are real; an imaginary part from rounding would make the inverse
-        // transform return an error.
+        // The first and last frequency bins are real; the inverse transform fails if rounding
+        // leaves an imaginary part.
         if let Some(first) = sum.first_mut() {
             first.im = 0.0;
         }
@@ -77,7 +77,7 @@ fn all_covariances(features: &Features, longest: usize) -> Vec<Vec<f32>> {
         inverse.process(sum, &mut output).expect("buffers of the plan's lengths");
         let scale = |t: usize| 1.0 / (points as f32 * (features.trials * (frames - t)) as f32);
         found.push((0..=longest).map(|t| output[t] * scale(t)).collect());
-        // The negative lags hold the pair in the other order.
+        // Negative lags are positive lags of the same features in the other order.
         found.push((0..=longest).map(|t| output[(points - t) % points] * scale(t)).collect());
     }
     found

@@ -1,6 +1,6 @@
-//! Features of samples: Hermite polynomials of normal scores. Their covariance between two times
-//! measures how samples at these times depend on each other, as a kernel of finite rank does
-//! (H. O. Lancaster, "The structure of bivariate distributions", Ann. Math. Statist. 29, 1958).
+//! Features of samples: Hermite polynomials of normal scores. Their covariance at two times
+//! measures how samples at these times depend on each other, like a kernel of finite rank (H. O.
+//! Lancaster, "The structure of bivariate distributions", Ann. Math. Statist. 29, 1958).
 
 use std::ops::Range;
 
@@ -8,32 +8,32 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::trial::Series;
 
-/// A feature must keep this share of its variance when projections on earlier ones are removed.
+/// A feature is kept if at least this share of its variance is uncorrelated with earlier features.
 const LEAST_KEPT: f64 = 0.05;
-/// Most channels with which products of pairs are added.
+/// Products of two channels are added only up to this number of channels.
 const MOST_PAIRED: usize = 4;
 
-/// Features of all trials. Each has mean 0 in every trial and variance 1 over all trials; the
+/// Features of all trials. Each feature has mean 0 in every trial and variance 1 over all trials. The
 /// features of one channel are uncorrelated.
 #[derive(Clone, Debug)]
 pub struct Features {
     /// Q, the number of trials.
     pub trials: usize,
-    /// L, frames of each trial.
+    /// L, the number of frames of each trial.
     pub frames: usize,
-    /// For each feature, its values, one trial after another.
+    /// The values of each feature, one trial after another.
     pub columns: Vec<Vec<f32>>,
     /// Range of columns of each channel, then of each product of two channels.
     pub channels: Vec<Range<usize>>,
-    /// For each feature, the ratio of the variance between trial means to its whole variance.
+    /// For each feature, (variance of the trial means)/(total variance).
     pub between: Vec<f64>,
 }
 
-/// z, (z² − 1)/√2 and (z³ − 3z)/√6 of each channel, and the products of two channels' z.
+/// z, (z² − 1)/√2 and (z³ − 3z)/√6 for the normal scores z of each channel, and products of two z.
 ///
-/// A constant channel is left out, and so is a feature that depends nearly linearly on earlier ones
-/// of its channel (a channel of two values keeps one feature). With more than four channels there
-/// are no products, whose number would grow with the square.
+/// A constant channel is left out. A feature is left out if it depends nearly linearly on earlier
+/// features of its channel (a channel of two values keeps one feature). With more than four channels
+/// there are no products, since their number grows with the square.
 pub fn features(samples: &Samples) -> Features {
     let mut features = Features {
         trials: samples.trials,
@@ -63,7 +63,7 @@ pub fn features(samples: &Samples) -> Features {
 }
 
 impl Features {
-    /// Adds a channel's features, each made orthonormal to the ones before.
+    /// Adds a channel's features, each made orthonormal to the channel's features before it.
     fn add<const N: usize>(&mut self, raw: [Vec<f32>; N]) {
         let first = self.columns.len();
         for mut column in raw {
@@ -92,7 +92,7 @@ impl Features {
         }
     }
 
-    /// Subtracts each trial's mean; returns the variance between those means.
+    /// Subtracts each trial's mean, and returns the variance of these means.
     fn centre(&self, column: &mut [f32]) -> f64 {
         let means: Vec<f64> = (column.chunks_exact_mut(self.frames))
             .map(|trial| {
@@ -114,7 +114,7 @@ fn variance(column: &[f32]) -> f64 {
 }
 
 fn dot(a: &[f32], b: &[f32]) -> f64 {
-    (a.chunks(4096).zip(b.chunks(4096))).map(|(a, b)| f64::from(super::covariance::dot(a, b))).sum()
+    (a.chunks(4096).zip(b.chunks(4096))).map(|(a, b)| f64::from(super::products::dot(a, b))).sum()
 }
 
 /// Q trials of L frames of each channel.
@@ -122,19 +122,19 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
 pub struct Samples {
     /// Q, the number of trials.
     pub trials: usize,
-    /// L, frames of each trial.
+    /// L, the number of frames of each trial.
     pub frames: usize,
-    /// For each channel, one trial after another: frame i of trial q at q·L + i.
+    /// The values of each channel, one trial after another: frame i of trial q at q·L + i.
     pub channels: Vec<Vec<f32>>,
 }
 
 impl Samples {
-    /// Every `step`-th frame of the frames `range` of each trial.
+    /// Takes every `step`-th frame from the frames `range` of each trial.
     ///
     /// Frames are dropped, not averaged, so the dependence at the remaining lags is unchanged.
     ///
     /// # Panics
-    /// If a trial is shorter than `range`, or has fewer channels than the first.
+    /// If a trial is shorter than `range`, or has fewer channels than the first trial.
     pub fn every(step: usize, range: Range<usize>, series: &[Series]) -> Self {
         let channels = series.first().map_or(0, Series::channels);
         let channel = |c: usize| -> Vec<f32> {
@@ -154,27 +154,25 @@ impl Samples {
     }
 }
 
-/// Normal scores Φ⁻¹((r − ½)/N) of the midranks r of N values, scaled to mean 0 and variance 1.
-/// Equal values get equal scores. `None` if all values are equal.
-///
-/// # Panics
-/// If there are 2³² values or more.
+/// Normal scores Φ⁻¹((r − ½)/N), where r are the midranks of N values, scaled to mean 0 and variance
+/// 1. Equal values get equal scores. `None` if all values are equal.
 pub fn normal_scores(values: &[f32]) -> Option<Vec<f32>> {
     let count = values.len();
-    assert!(u32::try_from(count).is_ok(), "the position of a value takes 32 bits");
-    let mut order: Vec<u64> =
-        values.iter().zip(0..).map(|(&x, i)| u64::from(ordered(x)) << 32 | i).collect();
-    order.sort_unstable();
+    // Adding 0 turns −0 into 0. Indices of 32 bits make the sort faster (up to 500,000 values).
+    let mut order: Vec<(f32, u32)> = values.iter().map(|x| x + 0.0).zip(0..).collect();
+    order.sort_unstable_by(|(a, _), (b, _)| a.total_cmp(b));
+    if order.first().map(|(x, _)| x) == order.last().map(|(x, _)| x) {
+        return None;
+    }
     let normal = Normal::standard();
     let mut scores = vec![0.0f32; count];
     let (mut first, mut sum, mut squares) = (0, 0.0, 0.0);
     while first < count {
-        let value = order[first] >> 32;
-        let ties = order[first..].iter().take_while(|&&o| o >> 32 == value).count();
+        let ties = order[first..].iter().take_while(|(x, _)| *x == order[first].0).count();
         // The midrank of ranks first + 1 to first + ties, minus ½, is first + ties/2.
         let score = normal.inverse_cdf((first as f64 + 0.5 * ties as f64) / count as f64);
-        for &o in &order[first..first + ties] {
-            scores[(o & 0xffff_ffff) as usize] = score as f32;
+        for &(_, at) in &order[first..first + ties] {
+            scores[at as usize] = score as f32;
         }
         sum += score * ties as f64;
         squares += score * score * ties as f64;
@@ -182,18 +180,9 @@ pub fn normal_scores(values: &[f32]) -> Option<Vec<f32>> {
     }
     let mean = sum / count as f64;
     let variance = squares / count as f64 - mean * mean;
-    if order.first().map(|o| o >> 32) == order.last().map(|o| o >> 32) {
-        return None;
-    }
     let scale = 1.0 / variance.sqrt();
     scores.iter_mut().for_each(|z| *z = ((f64::from(*z) - mean) * scale) as f32);
     Some(scores)
-}
-
-/// An integer that sorts like the value; −0 and 0 give the same.
-fn ordered(x: f32) -> u32 {
-    let bits = (x + 0.0).to_bits();
-    if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
 }
 
 #[cfg(test)]
@@ -241,7 +230,7 @@ mod tests {
         assert!(features(&samples(1, noise)).between[0] < 0.02);
     }
 
-    /// Normal scores from midranks by counting.
+    /// Normal scores from midranks, found by counting.
     fn by_counting(values: &[f32]) -> Vec<f64> {
         let n = values.len() as f64;
         let normal = Normal::standard();

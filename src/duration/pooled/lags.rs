@@ -1,28 +1,27 @@
-//! The lags at which dependence is measured: each up to eight, then bins that grow with the lag.
+//! The lags at which dependence is measured: each lag up to eight, then bins that grow with the lag.
 
-/// Each lag up to this one has a bin of its own.
+/// Each lag up to this one, in frames, is a bin by itself.
 const SINGLE: usize = 8;
-/// Ratio of a bin's upper edge to its lower edge.
+/// Upper edge of a bin divided by its lower edge.
 const RATIO: f64 = 1.15;
-/// The longest lag is a trial's length divided by this.
+/// The longest lag is the length of a trial divided by this number.
 const LONGEST: usize = 4;
-/// A lag is at least this many times the distance between starts, so that starts lie dense.
+/// A lag is at least this many times the stride (the distance between starts of pairs).
 const STARTS_A_LAG: usize = 128;
-/// Enough starts for one lag, in all trials together.
+/// Number of pairs of samples, over all trials together, that is enough for one lag.
 const STARTS: usize = 20_000;
 
-/// One lag, in frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lag {
-    /// The lag, a multiple of `stride`.
+    /// The lag in frames, a multiple of `stride`.
     pub frames: usize,
-    /// Distance from one start to the next, a power of two.
+    /// Distance from the start of one pair to that of the next, in frames; a power of two.
     pub stride: usize,
-    /// Number of lags that this sampled lag represents: half the distance between its neighbours.
+    /// Number of lags that this lag represents: half the distance between its neighbours.
     pub weight: f64,
 }
 
-/// Lags whose dependence is averaged.
+/// Successive lags over which dependence is averaged.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bin {
     /// Indices of the bin's lags in [`Lags::all`].
@@ -31,23 +30,23 @@ pub struct Bin {
     pub centre: f64,
 }
 
-/// All lags, the shortest first, and their bins.
+/// All lags in ascending order, and their bins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lags {
     pub all: Vec<Lag>,
     pub bins: Vec<Bin>,
 }
 
-/// Lags for `trials` trials of `frames` frames, up to a quarter of a trial.
+/// The lags for `trials` trials of `frames` frames, up to a quarter of a trial.
 ///
 /// The stride of a lag t is the largest power of two that is at most t/128 and leaves 20,000
-/// starts. Strides never fall, and a lag is a multiple of its stride. So starts, and the samples a
-/// lag after them, lie on one grid, which only grows coarser.
+/// starts. Strides never fall with t, and each lag is a multiple of its stride. So starts, and the
+/// samples one lag later, lie on one grid, which grows coarser with t.
 pub fn lags(trials: usize, frames: usize) -> Lags {
     let longest = frames / LONGEST;
     let stride = |t: usize| {
         let most = (t / STARTS_A_LAG).min(trials * (frames - longest) / STARTS).max(1);
-        // The largest power of two not above `most`.
+        // The largest power of two that is at most `most`.
         1 << most.ilog2()
     };
     let mut lags = Lags { all: Vec::new(), bins: Vec::new() };
@@ -56,7 +55,7 @@ pub fn lags(trials: usize, frames: usize) -> Lags {
     }
     let (mut lower, mut last) = (SINGLE as f64 + 0.5, SINGLE);
     while lower * RATIO <= longest as f64 + 1.0 {
-        // Three lags, in the middles of the bin's thirds.
+        // Three lags: the middle of each third of the bin.
         let mut bin = Vec::with_capacity(3);
         for third in [1.0, 3.0, 5.0] {
             let t = lower * RATIO.powf(third / 6.0);

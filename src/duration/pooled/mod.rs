@@ -5,11 +5,11 @@
 //!                └► echo
 //! ```
 //!
-//! `features` makes values Gaussian by their ranks and computes Hermite polynomials of them.
-//! [`covariance`] computes their covariance at each of the `lags` and undoes the effect of centring
-//! each trial, [`size`] measures it without bias, and [`crossing`] finds the lag from which it
-//! stays below the threshold. [`echo`] tests single lags. [`estimate`] chooses how far a source is
-//! thinned and converts to its samples and seconds.
+//! `features` makes values Gaussian by their ranks, and computes Hermite polynomials of them.
+//! [`covariance`] computes the covariance of these features at each of the `lags`, and undoes the
+//! effect of centring each trial. [`size`] measures the covariance without bias. [`crossing`] finds
+//! the lag from which on it stays below the threshold. [`echo`] tests each lag. [`estimate`]
+//! chooses how far a source is thinned, and converts lags to its samples and to seconds.
 
 mod covariance;
 mod crossing;
@@ -17,6 +17,7 @@ mod echo;
 mod estimate;
 mod features;
 mod lags;
+mod products;
 mod size;
 
 use covariance::{Covariances, covariances};
@@ -28,7 +29,7 @@ use lags::{Lags, lags};
 
 /// The longest lag must exceed T* by this factor, to show that dependence does not return.
 const BEYOND: f64 = 1.5;
-/// Repetitions of the correction for the trials' means, since it and T* depend on each other.
+/// Largest number of corrections for trial means. They depend on T*, and T* on them.
 const CORRECTIONS: usize = 3;
 
 /// T* in samples, or why there is none.
@@ -36,14 +37,14 @@ const CORRECTIONS: usize = 3;
 pub enum PooledAnswer {
     /// T* and its upper bound.
     Found {
-        /// the estimate
+        /// the estimate of T*
         t_star: f64,
-        /// one-sided 95 % upper bound: the spacing to use
+        /// one-sided 95 % upper bound of T*; use it as the distance between samples
         upper: f64,
     },
     /// Dependence stays above the threshold up to the longest lag: the signal repeats or drifts.
     Never,
-    /// Dependence falls below the threshold too late for the trials to show that it stays there.
+    /// Dependence falls below the threshold too late for the trials to show that it stays below.
     NotWithinRange,
     /// The trials hold too little data to tell.
     TooLittleData {
@@ -52,9 +53,9 @@ pub enum PooledAnswer {
     },
 }
 
-/// T* from `samples`, which hold every `step`-th sample of the trials. The threshold is the
-/// dependence of a Gaussian process of this `correlation`. `None` if nothing changes in any trial,
-/// or if trials are too short.
+/// T* from `samples`, which hold every `step`-th sample of the trials. The threshold is the dependence
+/// of a Gaussian process with this `correlation`. `None` if nothing changes in any trial, or if the
+/// trials are too short.
 fn pooled(
     samples: &Samples,
     correlation: f64,
@@ -72,7 +73,7 @@ fn pooled(
     let (at_once, raw) = covariances(&features, &lags.all);
 
     let mut found = PairCurves::new(&raw, &features, &lags, threshold);
-    let mut variance = vec![0.0; at_once.len()];
+    let (mut corrected, mut variance) = (None, vec![0.0; at_once.len()]);
     let mut summed = None;
     for _ in 0..CORRECTIONS {
         let reach = found.reach(longest);
@@ -82,9 +83,9 @@ fn pooled(
             break;
         }
         variance = covariance::mean_variance(&at_once, &raw, &lags.all, features.frames, reach);
-        let corrected = covariance::corrected(&raw, &variance);
-        found = PairCurves::new(&corrected, &features, &lags, threshold);
-        found.corrected = Some(corrected);
+        let now = covariance::corrected(&raw, &variance);
+        found = PairCurves::new(&now, &features, &lags, threshold);
+        corrected = Some(now);
     }
     if let Some(t_star) = found.estimate
         && let Some(echo) = echo::last_echo(&features, correlation, t_star.ceil() as usize, longest)
@@ -93,19 +94,13 @@ fn pooled(
         found.estimate = Some(after);
         found.upper = found.upper.map(|upper| upper.max(after));
     }
-    let answer = found.answer(threshold, range, longest as f64, samples.trials);
-    let inflation = match (&answer, &found.corrected) {
-        (PooledAnswer::Found { .. }, Some(corrected)) => {
-            Some(scale * size::inflation(corrected, &features, &lags.all, found.reach(longest)))
-        }
-        _ => None,
-    };
-    let answer = match answer {
-        PooledAnswer::Found { t_star, upper } => {
-            PooledAnswer::Found { t_star: scale * t_star, upper: scale * upper }
-        }
-        other => other,
-    };
+    let mut answer = found.answer(threshold, range, longest as f64, samples.trials);
+    let mut inflation = None;
+    if let PooledAnswer::Found { t_star, upper } = &mut answer {
+        (*t_star, *upper) = (scale * *t_star, scale * *upper);
+        let of = |c| scale * size::inflation(c, &features, &lags.all, found.reach(longest));
+        inflation = corrected.as_ref().map(of);
+    }
     Some(PooledEstimate {
         answer,
         step,
@@ -116,14 +111,13 @@ fn pooled(
     })
 }
 
-/// The curves of all ordered pairs of channels, and the latest of their crossings.
+/// Curves of dependence for all ordered pairs of channels, with the longest T* and its upper bound.
 struct PairCurves {
     curves: Vec<Curve>,
-    /// Index of the curve that crosses last.
+    /// Index of the curve that falls below the threshold last.
     worst: usize,
     estimate: Option<f64>,
     upper: Option<f64>,
-    corrected: Option<Covariances>,
 }
 
 impl PairCurves {
@@ -132,8 +126,8 @@ impl PairCurves {
         let mut curves = Vec::new();
         for earlier in &features.channels {
             for later in &features.channels {
-                let sizes = size::sizes(covariances, &lags.bins, earlier, later);
-                curves.push(Curve::new(centres.clone(), sizes));
+                let size = |bin| size::size(covariances, bin, earlier, later);
+                curves.push(Curve::new(centres.clone(), lags.bins.iter().map(size).collect()));
             }
         }
         let crossings: Vec<_> = curves.iter().map(|curve| curve.crossing(threshold)).collect();
@@ -146,10 +140,10 @@ impl PairCurves {
         let upper = latest(&|i| crossings[i].upper);
         let key = |i: &usize| or_never(crossings[*i].estimate);
         let worst = (0..curves.len()).max_by(|a, b| key(a).total_cmp(&key(b))).unwrap_or(0);
-        Self { curves, worst, estimate, upper, corrected: None }
+        Self { curves, worst, estimate, upper }
     }
 
-    /// The lag up to which correlation is summed: twice T*, or the longest lag.
+    /// The lag up to which correlation is summed: twice T*, but at most the longest lag.
     fn reach(&self, longest: usize) -> f64 {
         self.estimate.map_or(longest as f64, |t| (2.0 * t).min(longest as f64))
     }
@@ -164,8 +158,8 @@ impl PairCurves {
         }
     }
 
-    /// How many more trials would make the error so small that independent samples have an upper
-    /// bound of half the threshold.
+    /// How many more trials would make the error so small that the upper bound for independent samples
+    /// is half the threshold.
     fn more_trials(&self, threshold: f64, trials: usize) -> usize {
         let needed = self.curves.iter().map(|curve| curve.lacking(threshold)).fold(1.0, f64::max);
         ((trials as f64 * needed).ceil() as usize).saturating_sub(trials).max(1)
@@ -191,8 +185,8 @@ impl PairCurves {
     }
 }
 
-/// Share of the variance that lies between the trials' means and that slow changes within trials do
-/// not explain, for the channel with the largest share.
+/// Share of the variance that lies between trial means and is not explained by slow changes within
+/// trials, for the channel with the largest share.
 fn lasting(features: &Features, mean_variance: &[f64]) -> Option<f64> {
     if features.trials < 2 {
         return None;

@@ -1,5 +1,5 @@
-//! The size of the dependence at a lag: the squared Hilbert–Schmidt norm of the cross-covariance
-//! (HSIC of a kernel of finite rank), without the bias from squaring noise.
+//! Size of the dependence at a lag: the squared Hilbert–Schmidt norm of the cross-covariance (HSIC of
+//! a kernel of finite rank), without the bias that comes from squaring noise.
 
 use std::ops::Range;
 
@@ -10,22 +10,22 @@ use super::lags::{Bin, Lag};
 /// Size of the dependence over the lags of one bin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Size {
-    /// Unbiased estimate of ‖C‖²; noise can make it negative.
+    /// Unbiased estimate of ‖C‖², for the covariance C of the features; noise can make it negative.
     pub value: f64,
-    /// Standard error of `value`, by the block jackknife (B. Efron, "The jackknife, the bootstrap
-    /// and other resampling plans", SIAM 1982, chapter 3).
+    /// Standard error of `value`, by the block jackknife (B. Efron, "The jackknife, the bootstrap and
+    /// other resampling plans", SIAM 1982, chapter 3).
     pub error: f64,
-    /// Largest standard error of an entry of C.
+    /// Largest standard error of an entry of the covariance C.
     pub entry_error: f64,
 }
 
-/// ‖C‖² of a Gaussian process with correlation ρ: the k-th Hermite feature has correlation ρᵏ.
+/// ‖C‖² for a Gaussian process with correlation ρ: the k-th Hermite feature has correlation ρᵏ.
 pub fn of_correlation(rho: f64) -> f64 {
     let square = rho * rho;
     square + square * square + square * square * square
 }
 
-/// The correlation of a Gaussian process whose ‖C‖² is `size`; 0 for a negative one.
+/// The correlation of a Gaussian process with ‖C‖² = `size`; 0 for a negative size.
 pub fn as_correlation(size: f64) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     while high - low > 1e-9 {
@@ -39,18 +39,9 @@ pub fn as_correlation(size: f64) -> f64 {
     high
 }
 
-/// Size of the dependence in each bin, of the channel with the features `later` on the one with the
-/// features `earlier`: U = (‖Σ_b C_b‖² − Σ_b ‖C_b‖²)/(B(B − 1)), averaged over the bin's lags.
-pub fn sizes(
-    covariances: &Covariances,
-    bins: &[Bin],
-    earlier: &Range<usize>,
-    later: &Range<usize>,
-) -> Vec<Size> {
-    bins.iter().map(|bin| size(covariances, bin, earlier, later)).collect()
-}
-
-fn size(
+/// Size of the dependence in a bin, of the channel with features `later` on the channel `earlier`:
+/// U = (‖Σ_b C_b‖² − Σ_b ‖C_b‖²)/(B(B − 1)) for covariances C_b of B blocks, averaged over lags.
+pub fn size(
     covariances: &Covariances,
     bin: &Bin,
     earlier: &Range<usize>,
@@ -61,10 +52,10 @@ fn size(
     let share = 1.0 / bin.lags.len() as f64;
     let entries = earlier.len() * later.len();
     let mut value = 0.0;
-    // For each block, U without it, and the mean of its entries over the lags.
+    // For each block: U without this block, and the means of its covariances over the bin's lags.
     let mut without = vec![0.0; blocks];
     let mut of_block = vec![0.0; blocks * entries];
-    // The entries of one lag, one block after another, and their sum over the blocks.
+    // The covariances at one lag, block after block, and their sums over the blocks.
     let mut of_lag = Vec::with_capacity(blocks * entries);
     let mut total = vec![0.0; entries];
     for lag in &covariances.lags[bin.lags.clone()] {
@@ -84,7 +75,7 @@ fn size(
         value += share * (whole - squares) / (n * (n - 1.0));
         for (without, block) in without.iter_mut().zip(of_lag.chunks_exact(entries)) {
             let product: f64 = total.iter().zip(block).map(|(total, c)| total * c).sum();
-            // ‖Σ − C_b‖² − (Σ‖C‖² − ‖C_b‖²)
+            // Numerator of U without block b: ‖Σ − C_b‖² − (Σ‖C‖² − ‖C_b‖²)
             let rest = whole - 2.0 * product - squares + 2.0 * square(block);
             *without += share * rest / ((n - 1.0) * (n - 2.0));
         }
@@ -106,11 +97,11 @@ fn deviation(values: impl ExactSizeIterator<Item = f64> + Clone) -> f64 {
     (values.map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
 }
 
-/// Largest variance inflation over all channels, at least 1: the ratio of the variance of a mean of
-/// many samples to that of independent samples. 2τ for an Ornstein–Uhlenbeck process.
+/// Largest variance inflation over all channels, at least 1: (variance of a mean of many samples)/(the
+/// same for independent samples). It is 2τ for an Ornstein–Uhlenbeck process.
 ///
-/// For a channel it is the largest eigenvalue of I + Σ_{t≤M} w·(Γ(t) + Γ(t)ᵀ), with Γ the corrected
-/// covariance of the channel's features and w the weight of a lag.
+/// For one channel it is the largest eigenvalue of I + Σ_{t≤M} w·(Γ(t) + Γ(t)ᵀ), where Γ is the
+/// corrected covariance of the channel's features, and w is the number of lags that t stands for.
 pub fn inflation(
     covariances: &Covariances,
     features: &Features,
@@ -118,16 +109,7 @@ pub fn inflation(
     longest: f64,
 ) -> f64 {
     let count = covariances.features;
-    let mut sum = vec![0.0; count * count];
-    for (lag, values) in lags.iter().zip(&covariances.lags) {
-        if lag.frames as f64 > longest {
-            break;
-        }
-        let scale = lag.weight / covariances.blocks as f64;
-        for block in values.chunks_exact(count * count) {
-            sum.iter_mut().zip(block).for_each(|(s, c)| *s += scale * c);
-        }
-    }
+    let sum = covariances.weighted_sum(lags, longest, |lag| lag.weight);
     (features.channels.iter())
         .map(|channel| {
             let size = channel.len();
@@ -142,8 +124,8 @@ pub fn inflation(
         .fold(1.0, f64::max)
 }
 
-/// Largest eigenvalue of a small symmetric matrix, by power iteration. Adding the norm to all
-/// eigenvalues makes the largest one also the largest in magnitude.
+/// Largest eigenvalue of a small symmetric matrix, by power iteration. The matrix norm is added to all
+/// eigenvalues, so that the largest is also the largest in magnitude.
 fn largest_eigenvalue(matrix: &[f64], size: usize) -> f64 {
     let shift = matrix.iter().map(|x| x * x).sum::<f64>().sqrt();
     let mut vector: Vec<f64> = (0..size).map(|i| 1.0 + 0.1 * i as f64).collect();
@@ -167,7 +149,6 @@ fn largest_eigenvalue(matrix: &[f64], size: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::lags::Lags;
     use super::*;
     use crate::duration::simulate::normal;
 
@@ -178,15 +159,15 @@ mod tests {
         Covariances { features: 2, blocks: count, lags: vec![lag] }
     }
 
-    fn bin() -> Vec<Bin> {
-        let Lags { bins, .. } = super::super::lags::lags(1, 4);
-        bins
+    fn size_of(covariances: &Covariances) -> Size {
+        let bin = &super::super::lags::lags(1, 4).bins[0];
+        size(covariances, bin, &(0..2), &(0..2))
     }
 
     #[test]
     fn the_size_is_the_mean_product_of_two_different_blocks() {
         let c = blocks([0.3, 0.1, 0.0, 0.2], 0.2, 20, 1);
-        let got = sizes(&c, &bin(), &(0..2), &(0..2))[0];
+        let got = size_of(&c);
         let (mut sum, mut pairs) = (0.0, 0.0);
         let block = |b: usize| &c.lags[0][4 * b..4 * b + 4];
         for a in 0..20 {
@@ -203,9 +184,8 @@ mod tests {
         let mut zero = 0.0;
         let mut covered = 0;
         for seed in 0..400 {
-            zero += sizes(&blocks([0.0; 4], 0.3, 20, seed), &bin(), &(0..2), &(0..2))[0].value;
-            let some = blocks([0.2, 0.0, 0.0, 0.1], 0.1, 20, seed);
-            let got = sizes(&some, &bin(), &(0..2), &(0..2))[0];
+            zero += size_of(&blocks([0.0; 4], 0.3, 20, seed)).value;
+            let got = size_of(&blocks([0.2, 0.0, 0.0, 0.1], 0.1, 20, seed));
             covered += usize::from((got.value - 0.05).abs() < 2.0 * got.error);
         }
         assert!((zero / 400.0).abs() < 0.003, "{zero}");

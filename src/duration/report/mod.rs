@@ -6,29 +6,29 @@ mod table;
 use std::collections::BTreeMap;
 
 use super::algorithm1::Search;
-use super::need::{SAMPLES, START_S, Second};
 use super::pooled::{CORRELATION, VALUES, at_needed_rate};
-use super::trials::{DurationError, Trials};
+use super::trials::{CONSTANT, DurationError, Trials};
 use crate::library::{Entry, Library, LibraryError};
 use crate::scene::{Domain, Phase, SceneError, SourceId, SourceSpec};
 use crate::trial::{Series, Signal};
+use rows::START_S;
 pub use rows::{ByRule, Estimator, PooledRow, PooledSettings, SceneDuration, SourceDuration};
+pub(crate) use rows::{SAMPLES, Second, scan_s};
 
-/// The surfaces and sources for which T* is computed, and how.
+/// The surfaces and sources to compute T* for, and the estimator.
 #[derive(Clone, Debug)]
 pub struct Question {
-    /// Sources. If empty, `pooled` uses all of the drag, Algorithm 1 those of domain `time`.
+    /// Sources to use; empty means all sources that suit the estimator.
     pub sources: Vec<SourceId>,
-    /// Surfaces; if empty, all.
+    /// Surfaces to use; empty means all.
     pub surfaces: Vec<String>,
-    /// The user whose trials are used; if `None`, for each surface the user with the most trials.
-    /// Trials of several users differ in level, which would look like dependence without end.
+    /// The user whose trials are used. `None` means the user with the most trials of a surface.
+    /// Trials of several users differ in loudness, which would look like endless dependence.
     pub user: Option<String>,
-    /// Makes Algorithm 1 treat the named sources as series in time, as `pooled` always does.
+    /// Whether Algorithm 1 also takes sources of domain `spectrum`, as `pooled` always does.
     pub as_time: bool,
     /// n, the number of samples that a scan must yield.
     pub samples: usize,
-    /// How T* is computed.
     pub estimator: Estimator,
 }
 
@@ -45,20 +45,15 @@ impl Default for Question {
     }
 }
 
-/// T* and scan durations of a library.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct DurationReport {
-    /// The library's name.
     pub library: String,
-    /// Whether the trials were generated, not recorded.
     pub synthetic: bool,
     /// n, the number of samples that a scan must yield.
     pub samples: usize,
-    /// Start t₀ of the sampling in a scan, in seconds.
+    /// Time t₀ in a scan at which sampling starts, in seconds.
     pub start_s: Second,
-    /// How T* was computed.
     pub settings: Estimator,
-    /// T* and scan duration of each surface and source.
     pub durations: Vec<SourceDuration>,
     /// For each source, the longest scan duration over the surfaces.
     pub scene: Vec<SceneDuration>,
@@ -66,40 +61,27 @@ pub struct DurationReport {
     pub scan_s: Option<Second>,
 }
 
-/// The reason why there is no report on a library.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// a trial that cannot be read
+    /// a trial cannot be read
     #[error(transparent)]
     Library(#[from] LibraryError),
-    /// settings that are not possible
+    /// the settings are not possible
     #[error(transparent)]
     Duration(#[from] DurationError),
-    /// a source that the scene does not have
+    /// the scene does not have a source
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// Algorithm 1 with a library that has no source of domain `time`
-    #[error(
-        "this library has no source of domain `time`, and Algorithm 1 means nothing for spectra and \
-         images"
-    )]
-    NoTimeSource,
-    /// Algorithm 1 with a source that is compared by its spectrum
-    #[error(
-        "`{0}` is not of domain `time`: it is compared by the bins of its spectrum, for which \
-         Algorithm 1 means nothing"
-    )]
-    NotOfTime(SourceId),
-    /// no such surface or source, or no trial with it
+    /// no such surface or source, no trial with the source, or a source that the rule cannot use
     #[error("{0}")]
     Nothing(String),
 }
 
-/// T* and scan durations of a library; `progress` gets the numbers of surfaces done and in total.
+/// T* and scan durations of a library. `progress` gets the number of surfaces done and the total.
 ///
 /// # Errors
 /// If a trial cannot be read, the settings are not possible, or the library has no such surface or
-/// no source for this rule. Why one source of one surface has no T* is said in its row instead.
+/// no source for this rule. A source without a T* is no error: its row says why.
 pub fn report(
     library: &Library,
     question: &Question,
@@ -118,7 +100,7 @@ pub fn report(
         )));
     }
     let mut durations = Vec::new();
-    // Other sources are not read.
+    // Sources that were not asked for are not read.
     let wanted = library.scene.clone().only(&sources)?;
     for (done, surface) in surfaces.iter().enumerate() {
         progress(done, surfaces.len());
@@ -164,7 +146,7 @@ fn sources(library: &Library, question: &Question) -> Result<Vec<SourceId>, Repo
         Domain::Image => false,
     };
     if question.sources.is_empty() {
-        // A tap is too short to have a T*: only a drag has one.
+        // `pooled` takes drags only, since a tap is too short. Algorithm 1 takes taps, too.
         let dragged = |spec: &SourceSpec| spec.phase == Phase::Drag || !is_pooled;
         let found: Vec<_> = (library.scene.sources())
             .filter(|spec| takes(spec) && dragged(spec))
@@ -176,7 +158,12 @@ fn sources(library: &Library, question: &Question) -> Result<Vec<SourceId>, Repo
             (true, true) => Err(ReportError::Nothing(
                 "this library has no source that is recorded while dragging".into(),
             )),
-            (true, false) => Err(ReportError::NoTimeSource),
+            (true, false) => Err(ReportError::Nothing(
+                "this library has no source of domain `time`, and Algorithm 1 does not apply to \
+                 spectra and images; name one with --source and --as-time to treat it as a series \
+                 in time"
+                    .into(),
+            )),
         };
     }
     for id in &question.sources {
@@ -185,17 +172,20 @@ fn sources(library: &Library, question: &Question) -> Result<Vec<SourceId>, Repo
         };
         if spec.domain == Domain::Image {
             return Err(ReportError::Nothing(format!(
-                "`{id}` is an image, and no series in time: it has no T*"
+                "`{id}` is an image, not a series in time, so it has no T*"
             )));
         }
         if !takes(spec) {
-            return Err(ReportError::NotOfTime(id.clone()));
+            return Err(ReportError::Nothing(format!(
+                "`{id}` is not of domain `time`: it is compared by the bins of its spectrum, to \
+                 which Algorithm 1 does not apply; add --as-time to treat it as a series in time"
+            )));
         }
     }
     Ok(question.sources.clone())
 }
 
-/// Trials of one surface by `user`, or by the user with the most trials of it.
+/// Trials of one surface by `user`; if `None`, by the user with the most trials of the surface.
 fn entries<'a>(library: &'a Library, surface: &str, user: Option<&str>) -> Vec<&'a Entry> {
     let mut of_user: BTreeMap<&str, Vec<&Entry>> = BTreeMap::new();
     for entry in library.entries.iter().filter(|e| e.key.surface == surface) {
@@ -203,7 +193,7 @@ fn entries<'a>(library: &'a Library, surface: &str, user: Option<&str>) -> Vec<&
     }
     match user {
         Some(user) => of_user.remove(user).unwrap_or_default(),
-        // Of several users with equally many, the first by name: `max_by_key` takes the last.
+        // A tie goes to the first user by name: `max_by_key` takes the last of the reversed list.
         None => of_user.into_values().rev().max_by_key(Vec::len).unwrap_or_default(),
     }
 }
@@ -224,14 +214,7 @@ fn one(
         reason: None,
         remarks: Vec::new(),
         rate_hz: None,
-        by_rule: match question.estimator {
-            Estimator::Pooled(PooledSettings { dependence: threshold }) => {
-                ByRule::Pooled(PooledRow { threshold, ..PooledRow::default() })
-            }
-            Estimator::Algorithm1(settings) => {
-                ByRule::Algorithm1 { rule: settings.rule, latest_start: None, curve: Vec::new() }
-            }
-        },
+        by_rule: ByRule::none(question.estimator),
     };
     let trials = match question.estimator {
         Estimator::Pooled(_) => Trials::pooled(series),
@@ -239,10 +222,7 @@ fn one(
     };
     let trials = match trials {
         Ok(trials) => trials,
-        Err(error) => {
-            row.reason = Some(error.to_string());
-            return Ok(row);
-        }
+        Err(error) => return Ok(SourceDuration { reason: Some(error.to_string()), ..row }),
     };
     match question.estimator {
         Estimator::Pooled(PooledSettings { dependence }) => {
@@ -251,9 +231,9 @@ fn one(
                     "a dependence of {dependence}; expected a correlation between 0 and 1"
                 )));
             }
-            match at_needed_rate(trials.series(), trials.frames(), dependence, VALUES) {
-                Some(found) => row.set_pooled(found, &trials, question.samples),
-                None => row.reason = Some(DurationError::Constant.to_string()),
+            match at_needed_rate(&trials.series, trials.frames, dependence, VALUES) {
+                Some(found) => row.set_pooled(found, &trials, question.samples, dependence),
+                None => row.reason = Some(CONSTANT.into()),
             }
         }
         Estimator::Algorithm1(settings) => {
@@ -278,11 +258,4 @@ fn longest(source: &SourceId, durations: &[SourceDuration]) -> Option<SceneDurat
         surface: longest.map(|d| d.surface.clone()),
         without: of_source().filter(|d| d.scan_s.is_none()).map(|d| d.surface.clone()).collect(),
     })
-}
-
-/// A row of one source, for the tests of modules that use rows.
-#[cfg(test)]
-pub(super) fn row_of(surface: &str, series: Vec<Series>, estimator: Estimator) -> SourceDuration {
-    let question = Question { estimator, ..Question::default() };
-    one(surface, &SourceId::new("ir").unwrap(), series, &question).unwrap()
 }

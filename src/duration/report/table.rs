@@ -2,43 +2,36 @@
 
 use std::fmt::Write;
 
-use super::{ByRule, DurationReport, Estimator, PooledRow, SourceDuration};
+use super::{ByRule, DurationReport, Estimator, PooledRow, Second, SourceDuration};
 use crate::duration::algorithm1::Algorithm1Settings;
-use crate::duration::need::Second;
 use crate::printable::table;
 use crate::scene::SourceId;
 
 impl DurationReport {
-    /// The report as a table.
     pub fn table(&self) -> String {
-        let columns: Vec<Column> = match self.settings {
-            Estimator::Pooled(_) => {
-                vec![T_STAR, UPPER, SAMPLES, SCAN, EFFECTIVE, LASTING]
+        match &self.settings {
+            Estimator::Pooled(_) => self.rows(&[T_STAR, UPPER, SAMPLES, SCAN, EFFECTIVE, LASTING]),
+            Estimator::Algorithm1(settings) => {
+                self.rows(&[T_STAR, SAMPLES, SCAN]) + &self.longest(settings)
             }
-            Estimator::Algorithm1(_) => vec![T_STAR, SAMPLES, SCAN],
-        };
-        let mut out = self.rows(&columns);
-        if let Estimator::Algorithm1(settings) = &self.settings {
-            out.push_str(&self.longest(settings));
         }
-        out
     }
 
     fn rows(&self, columns: &[Column]) -> String {
         let mut head = vec!["surface", "source", ">Q"];
-        head.extend(columns.iter().map(|column| column.head));
+        head.extend(columns.iter().map(|(head, _)| *head));
         head.push("");
         let row = |d: &SourceDuration| {
             let mut row = vec![d.surface.clone(), d.source.to_string(), d.trials.to_string()];
-            row.extend(columns.iter().map(|of| (of.cell)(d).unwrap_or_else(|| "–".into())));
+            row.extend(columns.iter().map(|(_, cell)| cell(d).unwrap_or_else(|| "–".into())));
             row.push(d.reason.clone().unwrap_or_default());
             row
         };
         table(&head, &self.durations.iter().map(row).collect::<Vec<_>>())
     }
 
-    /// The result of `pooled` in words, a line for each source: how far apart independent samples
-    /// are, and how many a scan of `scan_s` seconds and a whole trial hold. Empty for Algorithm 1.
+    /// The result of `pooled` in words, one line for each source: the distance of independent
+    /// samples, and their number in a scan of `scan_s` seconds and a trial. Empty for Algorithm 1.
     pub(crate) fn in_words(&self, scan_s: Option<Second>) -> String {
         let mut out = String::new();
         if matches!(self.settings, Estimator::Pooled(_)) {
@@ -52,10 +45,8 @@ impl DurationReport {
 
     fn source_in_words(&self, source: &SourceId, scan_s: Option<Second>) -> String {
         let rows = || {
-            self.durations.iter().filter(|d| d.source == *source).filter_map(|d| {
-                let ByRule::Pooled(row) = &d.by_rule else { return None };
-                Some((d, row))
-            })
+            let of_source = self.durations.iter().filter(|d| d.source == *source);
+            of_source.filter_map(|d| Some((d, pooled(d)?)))
         };
         let mut spacings: Vec<Second> = rows().filter_map(|(d, _)| d.spacing_s()).collect();
         spacings.sort_unstable_by(f64::total_cmp);
@@ -136,32 +127,18 @@ impl DurationReport {
     }
 }
 
-struct Column {
-    /// Head of the column, as [`table`] expects it.
-    head: &'static str,
-    cell: fn(&SourceDuration) -> Option<String>,
-}
+/// The head of a column, as [`table`] expects it, and a function that gives its cells.
+type Column = (&'static str, fn(&SourceDuration) -> Option<String>);
 
-const T_STAR: Column =
-    Column { head: ">T* [ms]", cell: |d| d.t_star_s.map(|t| format!("{:.2}", t * 1e3)) };
-const SAMPLES: Column =
-    Column { head: ">samples", cell: |d| d.t_star_samples.map(|t| t.to_string()) };
-const SCAN: Column = Column { head: ">scan [s]", cell: |d| d.scan_s.map(|t| format!("{t:.2}")) };
-const UPPER: Column = Column {
-    head: ">surely by",
-
-    cell: |d| pooled(d)?.t_star_upper_s.map(|t| format!("{:.2}", t * 1e3)),
-};
-const EFFECTIVE: Column = Column {
-    head: ">independent",
-
-    cell: |d| pooled(d)?.effective_samples.map(|n| format!("{n:.0}")),
-};
-const LASTING: Column = Column {
-    head: ">lasting",
-
-    cell: |d| pooled(d)?.lasting_share.map(|share| format!("{:.0} %", 100.0 * share)),
-};
+const T_STAR: Column = (">T* [ms]", |d| d.t_star_s.map(|t| format!("{:.2}", t * 1e3)));
+const SAMPLES: Column = (">samples", |d| d.t_star_samples.map(|t| t.to_string()));
+const SCAN: Column = (">scan [s]", |d| d.scan_s.map(|t| format!("{t:.2}")));
+const UPPER: Column =
+    (">surely by", |d| pooled(d)?.t_star_upper_s.map(|t| format!("{:.2}", t * 1e3)));
+const EFFECTIVE: Column =
+    (">independent", |d| pooled(d)?.effective_samples.map(|n| format!("{n:.0}")));
+const LASTING: Column =
+    (">lasting", |d| pooled(d)?.lasting_share.map(|share| format!("{:.0} %", 100.0 * share)));
 
 fn pooled(d: &SourceDuration) -> Option<&PooledRow> {
     match &d.by_rule {
@@ -170,7 +147,7 @@ fn pooled(d: &SourceDuration) -> Option<&PooledRow> {
     }
 }
 
-/// Formats seconds as milliseconds, rounded for people.
+/// Formats seconds as milliseconds, rounded for reading.
 fn ms(seconds: Second) -> String {
     let ms = 1e3 * seconds;
     match ms {
@@ -180,7 +157,6 @@ fn ms(seconds: Second) -> String {
     }
 }
 
-/// Name of the surface with this spacing.
 fn named<'a>(
     mut rows: impl Iterator<Item = (&'a SourceDuration, &'a PooledRow)>,
     spacing_s: Second,

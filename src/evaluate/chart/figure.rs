@@ -16,13 +16,10 @@ const PANEL: u32 = 520;
 const LINE: i32 = 20;
 const MARGIN: i32 = 24;
 
-/// An SVG with accuracy against median latency (log axis) on the left and against scan time on the
-/// right. Bars are 95 % intervals and ticks are users. The thick line is the Pareto front, whose
-/// points are numbered and listed below. Dashed lines with letters are negative controls. Hollow
-/// points use only some of the sources.
-///
-/// # Errors
-/// If there are no points.
+/// An SVG with accuracy against median latency (log axis) on the left, and against scan time on the
+/// right. Bars are 95 % intervals, and ticks are users. The thick line is the Pareto front; its points
+/// are numbered and listed below. Dashed lines with letters are negative controls. Hollow points use
+/// only some of the sources.
 pub fn figure(chart: &Chart) -> Result<String, FigureError> {
     let colours = colours(chart);
     let whole: Vec<&ChartPoint> =
@@ -67,7 +64,6 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
     })
 }
 
-/// Describes a point in a line of text.
 fn line(chart: &Chart, point: &ChartPoint) -> String {
     let name = if point.control { point.setting.clone() } else { point.name() };
     let some = !point.control && chart.is_subset(point);
@@ -110,7 +106,11 @@ fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
         "bars: {}{}; thick line: Pareto front, numbered and listed below; dashed: negative \
          controls, what a room or a session may give away",
         chart.bars(),
-        if chart.has_users() { "; ticks: each user's share" } else { "" }
+        if chart.points.iter().any(|point| !point.users.is_empty()) {
+            "; ticks: each user's share"
+        } else {
+            ""
+        }
     );
     put(root, key, (MARGIN, 58), 13)
 }
@@ -130,7 +130,7 @@ fn colours(chart: &Chart) -> Colours<'_> {
     methods.into_iter().zip(COLOURS.into_iter().cycle()).collect()
 }
 
-/// The controls, each with the letter that marks its line.
+/// The negative controls, each with the letter that its line has in the chart.
 fn lettered(chart: &Chart) -> impl Iterator<Item = (String, &ChartPoint)> {
     ('a'..='z').map(String::from).zip(chart.controls())
 }
@@ -141,7 +141,7 @@ fn mark(area: &Area<'_>, at: (i32, i32), colour: RGBColor, hollow: bool) -> Draw
     Ok(area.draw(&Circle::new(at, 5, style))?)
 }
 
-/// Draws a row that explains the marks, with its upper left corner at `(x, top)`.
+/// Draws a row with the colour and the name of each method; its upper left corner is `(x, top)`.
 fn legend(
     area: &Area<'_>,
     chart: &Chart,
@@ -155,7 +155,7 @@ fn legend(
         if !named.contains(&name) {
             mark(area, (x + 6, top + 7), colours[point.method.as_str()], hollow)?;
             put(area, name.as_str(), (x + 18, top), 13)?;
-            // About the width of the text.
+            // A letter is about 7 pixels wide.
             x += name.chars().count() as i32 * 7 + 40;
             named.push(name);
         }
@@ -165,7 +165,7 @@ fn legend(
 
 type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
 
-/// The range of accuracies of an axis, including the controls.
+/// The range of an accuracy axis: from below all intervals (also of controls) to above 100 %.
 fn axis(chart: &Chart, points: &[&ChartPoint]) -> std::ops::Range<f64> {
     let all = points.iter().copied().chain(chart.controls());
     let low = all.map(|p| p.accuracy_low).fold(1.0, f64::min);
@@ -230,7 +230,7 @@ fn percent(y: f64) -> String {
     if y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
 }
 
-/// The pixel of a value in an area.
+/// The pixel of the point `(x, y)` of a panel, relative to the corner of its area.
 fn place<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,
@@ -298,7 +298,7 @@ fn marks<X: Ranged<ValueType = f64>>(
     let mut before = (i32::MIN / 2, 0);
     for (number, point) in front.iter().enumerate() {
         let at = place(area, panel, x(point), point.accuracy_high);
-        // Numbers of points close together are put one above the other.
+        // Numbers of points that are close together go one above the other.
         let top = if at.0 - before.0 < 18 { (at.1 - 16).min(before.1 - 13) } else { at.1 - 16 };
         before = (at.0, top);
         put(area, (number + 1).to_string(), (at.0 - 4, top), 13)?;

@@ -12,7 +12,7 @@ pub use figure::figure;
 pub use point::Chart;
 #[cfg(test)]
 pub use settings::settings;
-pub use settings::{Comparer, brief, charted};
+pub use settings::{brief, charted};
 
 use point::ChartPoint;
 use settings::Charted;
@@ -24,7 +24,6 @@ use crate::library::Entry;
 use crate::recognise::{Method, RecogniseError};
 use crate::scene::{Scene, SourceId};
 
-/// The data of a chart.
 #[derive(Clone, Copy)]
 pub struct Charting<'a> {
     pub entries: &'a [Entry],
@@ -32,28 +31,22 @@ pub struct Charting<'a> {
     pub folds: &'a [Fold],
 }
 
-/// Measures one run: returns a point for each scan time, and the sources that were left out. `name`
-/// is the setting as the chart shows it. No points for loudness if no source has a spectrum.
-///
-/// # Errors
-/// If a trial cannot be read or compared.
+/// Measures one setting. Returns a point for each scan time, and the sources that were left out.
+/// `name` is the setting's name in the chart.
 pub fn measure(
     on: Charting<'_>,
     charted: &Charted,
     name: &str,
 ) -> Result<(Vec<ChartPoint>, LeftOutSources), EvaluateError> {
     let scene = &charted.scene;
-    let method: Box<dyn Method> = match &charted.what {
-        Comparer::Method(method) | Comparer::Control(method, _) => method.build(scene),
-        Comparer::Loudness(_) => match Loudness::new(scene) {
-            Some(loudness) => Box::new(loudness),
-            None => return Ok(Default::default()),
-        },
+    let method: Box<dyn Method> = match &charted.method {
+        Some(method) => method.build(scene),
+        None => Box::new(Loudness { scene: scene.clone() }),
     };
     let run = Evaluation::new(scene, on.entries, on.folds).prepare(&*method)?;
     let measured = run.measure_by(on.folds, &charted.seconds)?;
     let point = |(seconds, measured): (&Option<f64>, &Measured)| {
-        ChartPoint::new(&measured.outcome, on.protocol, name, *seconds, charted.is_control())
+        ChartPoint::new(&measured.outcome, on.protocol, name, *seconds, charted.control.is_some())
     };
     let points = charted.seconds.iter().zip(&measured).map(point).collect();
     let mut left_out = LeftOutSources::new();
@@ -63,10 +56,7 @@ pub fn measure(
     Ok((points, left_out))
 }
 
-/// Length in seconds of the longest drag source in the first trial that has one.
-///
-/// # Errors
-/// If that trial cannot be read.
+/// Length of a whole drag in seconds: that of the longest drag source in the first trial that has one.
 pub fn drag_s(entries: &[Entry], scene: &Scene) -> Result<Option<f64>, RecogniseError> {
     let is_drag = |id: &SourceId| scene.is_dragged(id);
     let Some(entry) = entries.iter().find(|entry| entry.sources.iter().any(is_drag)) else {

@@ -1,20 +1,19 @@
-//! The measured points of a chart, and which of them no other point beats.
+//! The measured points of a chart, and the Pareto front among them.
 
 use crate::evaluate::{FoldAccuracy, Outcome, Protocol, interval_over_users, is_over_users};
 use crate::scene::SourceId;
 
-/// One setting of one method, measured.
+/// The measured accuracy and latency of one setting of one method.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ChartPoint {
     pub method: String,
     /// The command-line options that reproduce this point, or the name of a control.
     pub setting: String,
     pub sources: Vec<String>,
-    /// The part of each query's drag that was used, in seconds; `None` for all of it.
+    /// The part of each query's drag that was used, in seconds; `None` for the whole drag.
     pub query_seconds: Option<f64>,
-    /// Share of queries named correctly.
     pub accuracy: f64,
-    /// Lower end of the 95 % interval, over users if there are five or more, else over queries.
+    /// Lower end of the 95 % interval, taken over users if there are at least 5, else over queries.
     pub accuracy_low: f64,
     pub accuracy_high: f64,
     /// Accuracy of each user, if queries and library are split by user.
@@ -24,10 +23,10 @@ pub struct ChartPoint {
     pub query_ms_p50: f64,
     pub query_ms_p99: f64,
     pub queries: usize,
-    /// Whether another program was measured. False here: `tools/peers` adds such points to the
-    /// JSON.
+    /// Whether the point is of another program. Always false here; `tools/peers` adds such points to
+    /// the JSON.
     pub peer: bool,
-    /// Whether this is no method but a negative control of what room and session reveal.
+    /// Whether the point is a negative control, which shows how much room and session alone reveal.
     pub control: bool,
 }
 
@@ -92,21 +91,18 @@ pub(super) fn front<'a>(
     front
 }
 
-/// A whole chart, as in the JSON file.
+/// A whole chart, as the JSON file beside the SVG holds it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Chart {
     pub data: String,
-    /// Whether the data were generated, not recorded.
     pub synthetic: bool,
-    /// The protocol that split queries and library.
     pub protocol: String,
     /// All sources; a point may have used fewer.
     pub sources: Vec<String>,
-    /// Surfaces that could be the answer.
+    /// Number of surfaces that could be the answer.
     pub surfaces: usize,
-    /// Trials in the library of a fold.
+    /// Number of trials in the library of a fold.
     pub library_trials: usize,
-    /// Number of threads for a query.
     pub threads: usize,
     /// Length of a whole drag in seconds, if there is one.
     pub drag_s: Option<f64>,
@@ -114,7 +110,6 @@ pub struct Chart {
 }
 
 impl Chart {
-    /// All points except the controls.
     pub fn methods(&self) -> impl Iterator<Item = &ChartPoint> {
         self.points.iter().filter(|point| !point.control)
     }
@@ -123,7 +118,7 @@ impl Chart {
         self.points.iter().filter(|point| point.control)
     }
 
-    /// Points of settings that were measured at several scan times.
+    /// The points of all settings that were measured at several scan times.
     pub fn timed(&self) -> Vec<&ChartPoint> {
         let same = |a: &ChartPoint, b: &ChartPoint| {
             (&a.method, &a.setting, &a.sources) == (&b.method, &b.setting, &b.sources)
@@ -132,11 +127,6 @@ impl Chart {
             self.methods().any(|b| same(a, b) && a.query_seconds != b.query_seconds)
         };
         self.methods().filter(has_others).collect()
-    }
-
-    /// Whether some point has the accuracy of each user.
-    pub(super) fn has_users(&self) -> bool {
-        self.points.iter().any(|point| !point.users.is_empty())
     }
 
     /// The kind of interval that the bars show, for the legend.
@@ -153,7 +143,7 @@ impl Chart {
         point.sources.len() < self.sources.len()
     }
 
-    /// Scan time of a point in seconds: the part of the drag that was used.
+    /// Scan time of a point in seconds, which is the length of the part of the drag that was used.
     pub fn scan_s(&self, point: &ChartPoint) -> f64 {
         point.query_seconds.or(self.drag_s).unwrap_or(0.0)
     }

@@ -1,24 +1,25 @@
-//! What a chart measures: settings of methods, subsets of the sources, and negative controls.
+//! The settings of methods, subsets of the sources, and negative controls that a chart measures.
 
 use crate::recognise::{MethodName, MethodSpec, ReferenceOptions, STAGES};
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
 
-/// Scan times in seconds, besides whole drags.
+/// The scan times, in seconds, that are measured besides whole drags.
 const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];
-/// Upper end of the band of a negative control, which holds hum and rumble of room and session.
+/// Upper end, in Hz, of a negative control's band, which holds hum and rumble of the room.
 const CONTROL_HZ: f64 = 80.0;
 
-/// Settings in a chart; those with `true` are also measured on the first seconds of drags.
-pub fn settings() -> [(MethodSpec, bool); 8] {
+/// The settings in a chart. The first flag says whether drags are also cut to their first seconds. The
+/// second says whether a brief chart has the setting, as the cheapest useful one of its method.
+pub fn settings() -> [(MethodSpec, bool, bool); 8] {
     [
-        (reference(100, 1, false), false),
-        (reference(400, 1, false), false),
-        (reference(100, 10, false), false),
-        (reference(400, 10, false), true),
-        (reference(400, 10, true), false),
-        (on_subsets(), true),
-        (MethodName::Svm.into(), false),
-        (MethodName::RandomForest.into(), false),
+        (reference(100, 1, false), false, false),
+        (reference(400, 1, false), false, true),
+        (reference(100, 10, false), false, false),
+        (reference(400, 10, false), true, false),
+        (reference(400, 10, true), false, false),
+        (on_subsets(), true, true),
+        (MethodName::Svm.into(), false, true),
+        (MethodName::RandomForest.into(), false, true),
     ]
 }
 
@@ -28,71 +29,48 @@ fn reference(samples: usize, repetitions: usize, halving: bool) -> MethodSpec {
     MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, ..usual })
 }
 
-/// Settings in a brief chart: the cheapest useful one of each method.
-fn few_settings() -> [MethodSpec; 4] {
-    let [svm, forest] = [MethodName::Svm, MethodName::RandomForest].map(MethodSpec::from);
-    [reference(400, 1, false), on_subsets(), svm, forest]
-}
-
-/// The method for subsets of the sources and for the control of low frequencies.
+/// The method that compares subsets of the sources, and the low frequencies of the negative control.
 fn on_subsets() -> MethodSpec {
     MethodName::Embedding.into()
 }
 
-/// One run of a chart.
 #[derive(Clone, Debug)]
 pub struct Charted {
-    pub what: Comparer,
+    /// The method; `None` compares loudness alone.
+    pub method: Option<MethodSpec>,
+    /// The name of a negative control, which uses data that should tell little; `None` for a method.
+    pub control: Option<String>,
     pub scene: Scene,
-    /// The first seconds of each query's drag to use, for each measurement; `None` for all of it.
+    /// For each measurement, the seconds of each query's drag to use; `None` for the whole drag.
     pub seconds: Vec<Option<f64>>,
 }
 
-/// A method or a control.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Comparer {
-    /// A method that users can choose.
-    Method(MethodSpec),
-    /// A negative control: a method on data that should tell little, and a name of these data.
-    Control(MethodSpec, String),
-    /// A negative control: loudness alone, and a name of the control, which lists the sources.
-    Loudness(String),
-}
-
-impl Charted {
-    pub fn is_control(&self) -> bool {
-        !matches!(self.what, Comparer::Method(_))
-    }
-}
-
-fn whole(what: Comparer, scene: &Scene) -> Charted {
-    Charted { what, scene: scene.clone(), seconds: vec![None] }
+fn whole(method: MethodSpec, scene: &Scene) -> Charted {
+    Charted { method: Some(method), control: None, scene: scene.clone(), seconds: vec![None] }
 }
 
 /// The runs of a brief chart: each method once, on whole drags with all sources, and the controls.
 pub fn brief(scene: &Scene) -> Vec<Charted> {
-    let settings = few_settings().into_iter().map(|method| whole(Comparer::Method(method), scene));
-    settings.chain(controls(scene)).collect()
+    let few = settings().into_iter().filter(|(_, _, is_brief)| *is_brief);
+    few.map(|(method, ..)| whole(method, scene)).chain(controls(scene)).collect()
 }
 
 /// The runs of a full chart of a scene whose drags last `drag_s` seconds.
 pub fn charted(scene: &Scene, drag_s: Option<f64>) -> Vec<Charted> {
     let shorter = SECONDS.into_iter().filter(|&s| drag_s.is_some_and(|whole| s < whole));
     let timed: Vec<Option<f64>> = std::iter::once(None).chain(shorter.map(Some)).collect();
-    let of_setting = |(method, is_timed): (MethodSpec, bool)| {
+    let of_setting = |(method, is_timed, _)| {
         let seconds = if is_timed { timed.clone() } else { vec![None] };
-        Charted { seconds, ..whole(Comparer::Method(method), scene) }
+        Charted { seconds, ..whole(method, scene) }
     };
     let mut all: Vec<Charted> = settings().into_iter().map(of_setting).collect();
-    for subset in subsets(scene) {
-        all.push(whole(Comparer::Method(on_subsets()), &subset));
-    }
+    all.extend(subsets(scene).iter().map(|subset| whole(on_subsets(), subset)));
     all.extend(controls(scene));
     all
 }
 
-/// Negative controls, which show how much room and session alone reveal: the lowest band of spectra
-/// that extend far above it, and loudness.
+/// The negative controls, which show how much room and session alone reveal. One compares only the band
+/// below [`CONTROL_HZ`], of sources with a far wider band; the other compares loudness.
 fn controls(scene: &Scene) -> Vec<Charted> {
     let named =
         |scene: &Scene| scene.sources().map(|spec| spec.id.as_str()).collect::<Vec<_>>().join(", ");
@@ -103,16 +81,18 @@ fn controls(scene: &Scene) -> Vec<Charted> {
             spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
             spec.align_mean = false;
         });
-        whole(Comparer::Control(on_subsets(), of_band), &below)
+        Charted { control: Some(of_band), ..whole(on_subsets(), &below) }
     });
     let spectra = of_domain(scene, |domain| matches!(domain, Domain::Spectrum { .. }));
-    let loudness = spectra.map(|sounds| {
-        whole(Comparer::Loudness(format!("loudness of {} alone", named(&sounds))), &sounds)
+    let loudness = spectra.map(|sounds| Charted {
+        method: None,
+        control: Some(format!("loudness of {} alone", named(&sounds))),
+        ..whole(on_subsets(), &sounds)
     });
     band.into_iter().chain(loudness).collect()
 }
 
-/// Each source alone, and all sources of each domain, except the whole scene.
+/// Parts of the scene: each source alone, and all sources of each domain. Never the whole scene.
 fn subsets(scene: &Scene) -> Vec<Scene> {
     let all = scene.sources().len();
     let single = |spec: &SourceSpec| scene.clone().only(std::slice::from_ref(&spec.id)).ok();
@@ -128,7 +108,7 @@ fn subsets(scene: &Scene) -> Vec<Scene> {
     subsets
 }
 
-/// The sources of a domain, if there are any.
+/// The scene with only the sources for whose domain `is` is true; `None` if there are none.
 fn of_domain(scene: &Scene, is: impl Fn(&Domain) -> bool) -> Option<Scene> {
     let of = scene.sources().filter(|spec| is(&spec.domain));
     let ids: Vec<SourceId> = of.map(|spec| spec.id.clone()).collect();
@@ -143,7 +123,8 @@ mod tests {
     #[test]
     fn every_chart_has_its_controls_and_subsets_where_there_are_several_sources() {
         let scene = Scene::lmt108();
-        let control_count = |all: &[Charted]| all.iter().filter(|one| one.is_control()).count();
+        let control_count =
+            |all: &[Charted]| all.iter().filter(|one| one.control.is_some()).count();
         let all = charted(&scene, Some(4.8));
         assert_eq!(control_count(&all), 2);
         // Eight single sources; together three spectra, three series, and two pictures.
@@ -153,16 +134,21 @@ mod tests {
         assert_eq!((control_count(&alone), alone.len()), (2, settings().len() + 2));
         assert_eq!(alone[3].seconds, [None, Some(0.5)]);
         let few = brief(&mi2);
-        assert_eq!((control_count(&few), few.len()), (2, few_settings().len() + 2));
+        assert_eq!((control_count(&few), few.len()), (2, 4 + 2));
         assert!(few.iter().all(|one| one.seconds == [None]));
     }
 
     #[test]
     fn a_spectrum_without_much_above_80_hz_is_no_negative_control() {
-        let scene = Scene::lmt108().only(&[SourceId::new("ac").unwrap()]).unwrap();
-        let narrow = scene.changed(|spec| spec.domain = Domain::Spectrum { band_hz: (0.5, 49.0) });
-        let controls: Vec<Comparer> =
-            controls(&narrow).into_iter().map(|control| control.what).collect();
-        assert_eq!(controls, [Comparer::Loudness("loudness of ac alone".into())]);
+        let loudness =
+            |scene: &Scene| controls(scene).pop().filter(|last| last.method.is_none())?.control;
+        let named = |name: &str| Some(name.to_string());
+        assert_eq!(loudness(&Scene::lmt108()), named("loudness of ac, mi1, mi2 alone"));
+        let only = |id| Scene::lmt108().only(&[SourceId::new(id).unwrap()]).unwrap();
+        let narrow = only("ac").changed(|spec| {
+            spec.domain = Domain::Spectrum { band_hz: (0.5, 49.0) };
+        });
+        assert_eq!(loudness(&narrow), named("loudness of ac alone"));
+        assert_eq!((controls(&narrow).len(), controls(&only("ca1")).len()), (1, 0));
     }
 }

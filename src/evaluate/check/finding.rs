@@ -1,22 +1,21 @@
-//! Faults of a library: a line for each source and kind of fault, with the command that fixes it.
+//! Finds the faults of a library: one finding for each source and kind of fault, with the command that
+//! fixes it.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 
+use super::Audited;
 use super::inspect::Inspected;
-use crate::library::audit::Unreadable;
-use crate::library::{Entry, LibraryError};
+use crate::library::{Entry, LibraryError, Unreadable};
 use crate::printable::quoted;
 use crate::scene::SourceId;
 use crate::trial::Flaw;
 
-/// A trial is loud or quiet if its level, as ln, is this far from its surface's median: 20 dB.
+/// A trial is too loud or quiet if ln of its loudness is this far from its surface's median: 20 dB.
 const LOUD: f64 = std::f64::consts::LN_10;
-/// A trial is silent if its level, as ln, is this far below its source's median: 40 dB.
+/// A trial is silent if ln of its loudness is this far below its source's median: 40 dB.
 const SILENT: f64 = 2.0 * std::f64::consts::LN_10;
-/// A trial is short below this share of the median length.
+/// A trial is too short if its length is below this share of the source's median length.
 const SHORT: f64 = 1.0 / 3.0;
-/// Fewest trials for a median.
 const FEWEST: usize = 3;
 /// Most trials that a finding names.
 const SHOWN: usize = 3;
@@ -25,7 +24,6 @@ const SHOWN: usize = 3;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FaultKind {
-    /// A recording cannot be read.
     Unreadable,
     /// A series has the same samples as in another trial.
     Copy,
@@ -33,11 +31,10 @@ pub enum FaultKind {
     Silent,
     /// A series is shorter than a third of the usual length.
     Short,
-    /// A channel is saturated.
     Clipped,
     /// A channel is stuck, or a picture is of one colour.
     Stuck,
-    /// A trial is clearly named another surface.
+    /// A trial was clearly named another surface when it was left out.
     Mislabelled,
     /// A series is 20 dB above or below the other trials of its surface.
     Level,
@@ -47,47 +44,27 @@ pub enum FaultKind {
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Finding {
     pub kind: FaultKind,
-    /// The source, if the fault concerns one.
     pub source: Option<SourceId>,
-    /// The trials, named as in `surfaced library`.
     pub trials: Vec<String>,
-    /// The fault in a line.
     pub text: String,
     /// The command that fixes the fault, if there is one.
     pub command: Option<String>,
 }
 
-/// A fault of one trial.
 struct Fault {
     kind: FaultKind,
     source: Option<SourceId>,
-    /// The fault in words, without the source and the trial.
+    /// The fault in words, without the source and the trial, such as `is silent`.
     what: &'static str,
     trial: String,
     /// Details of this trial to show, such as its length.
     detail: String,
 }
 
-/// Names trials of a library, in texts and in commands that edit it.
-pub(super) struct Names<'a> {
-    pub root: &'a Path,
-    /// Whether `surfaced library` can edit the library.
-    pub editable: bool,
-}
-
-impl Names<'_> {
-    pub fn of(&self, entry: &Entry) -> String {
+impl Audited<'_> {
+    /// The trial's name, as in messages and in `surfaced library` commands.
+    pub(super) fn name_of(&self, entry: &Entry) -> String {
         entry.name_in(self.root)
-    }
-
-    /// The command that removes trials.
-    fn remove(&self, trials: &[String]) -> Option<String> {
-        self.command("remove", trials)
-    }
-
-    /// The command that gives trials another label.
-    fn relabel(&self, trials: &[String], label: &str) -> Option<String> {
-        self.command(&format!("move --to={}", quoted(label)), trials)
     }
 
     fn command(&self, edit: &str, trials: &[String]) -> Option<String> {
@@ -99,7 +76,7 @@ impl Names<'_> {
         is_editable.then(|| format!("surfaced library {edit} {dashes}{library} {names}"))
     }
 
-    /// The trial to which the file of an error belongs, and why the file cannot be used.
+    /// The trial that the file of an error belongs to, if any, and why the file cannot be used.
     fn unreadable(&self, error: &LibraryError) -> (Option<String>, String) {
         let Some(path) = error.path() else { return (None, error.to_string()) };
         let within = path.strip_prefix(self.root).unwrap_or(path);
@@ -115,18 +92,18 @@ impl Names<'_> {
     }
 }
 
-/// Faults of the files that cannot be read.
+/// Findings on the files and sources that cannot be read.
 pub(super) fn unreadable(
     bad: &[LibraryError],
     unreadable: &[Unreadable],
-    names: &Names<'_>,
+    audited: &Audited<'_>,
 ) -> Vec<Finding> {
     let errors = bad.iter().map(|error| (None, error));
     let errors = errors.chain(unreadable.iter().map(|u| (Some(&u.source), &u.error)));
     let (mut faults, mut others) = (Vec::new(), Vec::new());
     for (source, error) in errors {
         let (kind, source) = (FaultKind::Unreadable, source.cloned());
-        match names.unreadable(error) {
+        match audited.unreadable(error) {
             (Some(trial), detail) => {
                 faults.push(Fault { kind, source, what: "cannot be read", trial, detail });
             }
@@ -139,17 +116,17 @@ pub(super) fn unreadable(
             }),
         }
     }
-    let mut found = grouped(faults, usize::MAX, names).0;
+    let mut found = grouped(faults, usize::MAX, audited).0;
     found.extend(others);
     found
 }
 
-/// The faults of the signals: findings, and advice on faults that half of the trials or more have.
+/// Findings on the signals, and advice on each fault that half of the trials or more have.
 pub(super) fn of_signals(
     inspected: &[Inspected],
-    names: &Names<'_>,
+    audited: &Audited<'_>,
 ) -> (Vec<Finding>, Vec<String>) {
-    let mut faults = copies(inspected, names);
+    let mut faults = copies(inspected, audited);
     let levels = |source: &SourceId, surface: Option<&str>| {
         let of = inspected
             .iter()
@@ -168,7 +145,7 @@ pub(super) fn of_signals(
     let resting = resting(inspected);
     for one in inspected {
         let surface = &*one.entry.key.surface;
-        let trial = names.of(&one.entry);
+        let trial = audited.name_of(&one.entry);
         let mut add = |kind, source: &SourceId, what, detail: String| {
             let (source, trial) = (Some(source.clone()), trial.clone());
             faults.push(Fault { kind, source, what, trial, detail });
@@ -207,11 +184,11 @@ pub(super) fn of_signals(
             add(FaultKind::Stuck, id, "is of one colour", String::new());
         }
     }
-    grouped(faults, inspected.len(), names)
+    grouped(faults, inspected.len(), audited)
 }
 
-/// Findings on trials that look mislabelled, given as (trial, surface that it was named).
-pub(super) fn mislabelled(found: &[(String, String)], names: &Names<'_>) -> Vec<Finding> {
+/// Findings on trials that look mislabelled, given as pairs: the trial, and the surface it was named.
+pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> Vec<Finding> {
     let mut by_label: BTreeMap<&str, Vec<String>> = BTreeMap::new();
     for (trial, named) in found {
         by_label.entry(named).or_default().push(trial.clone());
@@ -220,13 +197,13 @@ pub(super) fn mislabelled(found: &[(String, String)], names: &Names<'_>) -> Vec<
         kind: FaultKind::Mislabelled,
         source: None,
         text: format!("{} mislabelled: left out, clearly named {label}", listed(&trials, "looks")),
-        command: names.relabel(&trials, label),
+        command: audited.command(&format!("move --to={}", quoted(label)), &trials),
         trials,
     };
     by_label.into_iter().map(finding).collect()
 }
 
-/// `a looks`, `2 trials (a, b) look`, `4 trials (a, b, c and 1 more) look`.
+/// Text such as `a looks`, `2 trials (a, b) look` or `4 trials (a, b, c and 1 more) look`.
 fn listed(trials: &[String], verb: &str) -> String {
     let shown = trials.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
     match trials.len() {
@@ -236,9 +213,13 @@ fn listed(trials: &[String], verb: &str) -> String {
     }
 }
 
-/// Makes a finding for each source and kind, the worst first. Of each source of a trial only the
-/// worst fault counts. A fault that half of `all` trials have becomes advice on the sensor.
-fn grouped(mut faults: Vec<Fault>, all: usize, names: &Names<'_>) -> (Vec<Finding>, Vec<String>) {
+/// Makes a finding for each source and kind of fault, the worst first. If a source of a trial has
+/// several faults, only the worst counts. A fault of half of `all` trials becomes advice on the sensor.
+fn grouped(
+    mut faults: Vec<Fault>,
+    all: usize,
+    audited: &Audited<'_>,
+) -> (Vec<Finding>, Vec<String>) {
     faults.sort_by(|a, b| (a.kind, &a.source).cmp(&(b.kind, &b.source)));
     let mut seen = BTreeSet::new();
     faults.retain(|fault| seen.insert((fault.source.clone(), fault.trial.clone())));
@@ -267,13 +248,19 @@ fn grouped(mut faults: Vec<Fault>, all: usize, names: &Names<'_>) -> (Vec<Findin
         }
         let trials: BTreeSet<String> = faults.into_iter().map(|fault| fault.trial).collect();
         let trials: Vec<String> = trials.into_iter().collect();
-        findings.push(Finding { kind, source, command: names.remove(&trials), trials, text });
+        findings.push(Finding {
+            kind,
+            source,
+            command: audited.command("remove", &trials),
+            trials,
+            text,
+        });
     }
     (findings, advice)
 }
 
-/// Trials with a series that an earlier trial has too.
-fn copies(inspected: &[Inspected], names: &Names<'_>) -> Vec<Fault> {
+/// A fault for each series that has the same samples as in an earlier trial.
+fn copies(inspected: &[Inspected], audited: &Audited<'_>) -> Vec<Fault> {
     let mut first: BTreeMap<(&SourceId, u64), &Entry> = BTreeMap::new();
     let mut faults = Vec::new();
     for one in inspected {
@@ -285,8 +272,8 @@ fn copies(inspected: &[Inspected], names: &Names<'_>) -> Vec<Fault> {
                     kind: FaultKind::Copy,
                     source: None,
                     what: "is a copy of another",
-                    trial: names.of(&one.entry),
-                    detail: format!("that of {}", names.of(other)),
+                    trial: audited.name_of(&one.entry),
+                    detail: format!("that of {}", audited.name_of(other)),
                 }),
             }
         }
@@ -294,7 +281,7 @@ fn copies(inspected: &[Inspected], names: &Names<'_>) -> Vec<Fault> {
     faults
 }
 
-/// Channels that are constant in half of the trials or more, which is taken as normal for them.
+/// Channels that are constant in at least half of the trials, so that a constant value is no fault.
 pub(super) fn resting(inspected: &[Inspected]) -> BTreeSet<(&SourceId, usize)> {
     let mut counts: BTreeMap<(&SourceId, usize), usize> = BTreeMap::new();
     for (id, flaw) in inspected.iter().flat_map(|inspected| &inspected.flaws) {

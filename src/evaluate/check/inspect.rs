@@ -8,36 +8,33 @@ use rayon::prelude::*;
 
 use crate::evaluate::ProgressFn;
 use crate::evaluate::loudness::level_of;
-use crate::library::Entry;
-use crate::library::audit::Unreadable;
+use crate::library::{Entry, Unreadable};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, Trial, flaws, is_plain};
 
 /// Most bytes of samples that are kept in memory, to save reading them again.
 const MOST_KEPT: usize = 1 << 30;
 
-/// One trial, with the sources that can be read.
+/// One trial with its readable sources, and what was found in them.
 pub(super) struct Inspected {
-    /// The trial; kept in memory if there is room.
+    /// The trial; its signals are kept in memory if there is room.
     pub entry: Entry,
-    /// Flaws of the trial's channels.
     pub flaws: Vec<(SourceId, Flaw)>,
-    /// Sources whose picture is of one colour.
+    /// Sources with a picture of a single colour.
     pub plain: Vec<SourceId>,
-    /// Each series, except those of switches such as the metal detector.
+    /// The measurements of each series, except of switches such as the metal detector.
     pub series: BTreeMap<SourceId, Measured>,
 }
 
-/// What is measured of a series.
 pub(super) struct Measured {
     pub seconds: f64,
-    /// ln of the root mean square about the mean.
+    /// ln of the root mean square, after the mean of each channel was subtracted.
     pub level: f64,
     /// Hash of the samples, to find copies; `None` for a constant series.
     pub hash: Option<u64>,
 }
 
-/// Reads all trials. Returns those with a readable source, and the sources that cannot be read.
+/// Reads all trials. Returns the trials with a readable source, and the sources that cannot be read.
 pub(super) fn inspect(
     entries: Vec<Entry>,
     scene: &Scene,

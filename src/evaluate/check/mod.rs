@@ -1,4 +1,4 @@
-//! The audit of a library: which trials are named correctly when left out, which look mislabelled,
+//! Audits a library: tells which trials are named correctly when left out, which look mislabelled,
 //! what is damaged, and what to record next.
 
 mod finding;
@@ -9,78 +9,68 @@ use std::path::Path;
 
 use serde::ser::{SerializeMap, Serializer};
 
+use self::finding::resting;
 pub use self::finding::{FaultKind, Finding};
-use self::finding::{Names, resting};
 use self::inspect::{Inspected, inspect};
 use super::evaluation::{Evaluation, ProgressFn};
 use super::fold::Fold;
-use super::outcome::{Confusion, Outcome, Prediction};
+use super::outcome::{Confusion, Outcome, Prediction, Share};
 use super::plain::better_plain;
-use super::share::Share;
 use crate::library::{Entry, Opened};
 use crate::recognise::{Method, MethodName};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, TrialKey};
 
-/// Most folds; of surfaces with more trials, several are left out at a time.
+/// Largest number of folds. A fold leaves out several trials of a surface that has more than this.
 const MOST_FOLDS: usize = 10;
-/// Trials of a surface that one should have.
+/// Number of trials that each surface should have.
 const ENOUGH: usize = 5;
 /// Fewest left-out trials with which unknown surfaces can be rejected at 1 % false rejections.
 const FOR_UNKNOWN: usize = 99;
 
-/// The audit of a library.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct CheckReport {
     /// Number of trials that could be used.
     pub trials: usize,
-    /// Trials that were left out, if any could be, and how many of them were named correctly.
+    /// How many of the left-out trials were named correctly; `None` if no trial could be left out.
     #[serde(flatten, serialize_with = "left_out_share")]
     pub share: Option<Share>,
-    /// The audit of each surface, sorted by name.
     pub surfaces: Vec<SurfaceCheck>,
     /// Confusion matrix of the left-out trials: truth against answer.
     pub confusion: Option<Confusion>,
-    /// The audit of each trial.
     pub each: Vec<TrialCheck>,
-    /// Accuracy once all findings are fixed, a fraction; `None` if there are no findings.
+    /// Accuracy, a fraction, if all findings were fixed; `None` if there are no findings.
     pub accuracy_mended: Option<f64>,
     /// Things to fix, the worst first.
     pub findings: Vec<Finding>,
-    /// The findings as text, a line each.
+    /// The findings as text, one line for each.
     pub mend: Vec<String>,
-    /// Things to record next, and other advice, a line each.
+    /// Advice, such as what to record next; one line for each piece of advice.
     pub advice: Vec<String>,
 }
 
-/// The audit of a surface.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SurfaceCheck {
-    /// The surface's label.
     pub surface: String,
     pub trials: usize,
-    /// Number of people who made the trials.
     pub users: usize,
-    /// Trials that were left out, and how many of them were named correctly.
+    /// How many of the surface's left-out trials were named correctly.
     #[serde(flatten, serialize_with = "share_of_surface")]
     pub share: Share,
-    /// The surfaces with which its trials were confused, and how often, the most frequent first.
+    /// The wrong names of the surface's trials, and how often each occurred, the most frequent first.
     pub taken_for: Vec<(String, u32)>,
 }
 
-/// The answer to a left-out trial.
+/// Whether a left-out trial was named correctly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TrialVerdict {
-    /// The trial's surface.
     Right,
-    /// Another surface.
     Wrong,
-    /// None: the trial was not left out, for example as the only one of its surface.
+    /// The trial was not left out, for example because it is the only one of its surface.
     Untested,
 }
 
-/// The audit of a trial.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct TrialCheck {
     #[serde(flatten)]
@@ -89,21 +79,17 @@ pub struct TrialCheck {
     pub verdict: TrialVerdict,
     /// The surface that the trial was named when it was left out, if any.
     pub named: Option<String>,
-    /// ln of the ratio of the second surface's score to the answer's.
+    /// ln of the ratio of the second-best surface's score to the answer's score.
     pub margin: Option<f64>,
-    /// Whether the trial was named another surface, more clearly than most trials of that surface.
+    /// Whether the trial was named another surface, and more clearly than most trials of that surface.
     pub mislabelled: bool,
-    /// Flaws of the trial's signals, a line each.
     pub flaws: Vec<String>,
 }
 
-// serde prescribes the signatures.
-#[allow(clippy::ref_option)]
 fn left_out_share<S: Serializer>(share: &Option<Share>, to: S) -> Result<S::Ok, S::Error> {
     Share::write(*share, None, "accuracy", to)
 }
 
-#[allow(clippy::trivially_copy_pass_by_ref)]
 fn share_of_surface<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
     let (low, high) = share.interval();
     let mut map = to.serialize_map(None)?;
@@ -114,29 +100,24 @@ fn share_of_surface<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Err
     map.end()
 }
 
-/// A library to be audited.
 pub struct Audited<'a> {
-    /// The library's folder.
     pub root: &'a Path,
     /// Whether `surfaced library` can edit the library.
     pub editable: bool,
-    /// The sources to compare.
     pub scene: &'a Scene,
-    /// How trials are compared.
     pub method: &'a dyn Method,
-    /// The library's folder, whose cache of prepared trials is used; `None` for no cache.
+    /// Folder of the library, whose cache of prepared trials is used; `None` for no cache.
     pub cache: Option<&'a Path>,
 }
 
-/// Audits a library: trials are left out, if there are several people all trials of a person at
-/// once, and named by the others. Files that cannot be read are listed and skipped. Each recording
-/// is read once, as far as memory allows.
+/// Audits a library: leaves out trials, and names them by the remaining ones. If there are several
+/// people, all trials of a person are left out together. Files that cannot be read are listed and
+/// skipped. Each recording is read once, as far as memory allows.
 pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) -> CheckReport {
-    let names = Names { root: audited.root, editable: audited.editable };
     let entries = opened.library.entries.into_iter().map(|entry| entry.within(audited.scene));
     let (inspected, unreadable) = inspect(entries.collect(), audited.scene, progress);
-    let mut findings = finding::unreadable(&opened.bad, &unreadable, &names);
-    let (of_signals, of_sources) = finding::of_signals(&inspected, &names);
+    let mut findings = finding::unreadable(&opened.bad, &unreadable, audited);
+    let (of_signals, of_sources) = finding::of_signals(&inspected, audited);
     findings.extend(of_signals);
     let entries: Vec<Entry> = inspected.iter().map(|one| one.entry.clone()).collect();
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
@@ -153,13 +134,16 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
             (Vec::new(), None)
         }
     };
-    // Damaged trials would mislead the others, so labels are judged without them.
+    // A damaged trial in the library causes wrong names, so labels are judged without such trials.
     let damaged: BTreeSet<String> = (findings.iter())
         .filter(|finding| finding.kind < FaultKind::Mislabelled)
         .flat_map(|finding| finding.trials.clone())
         .collect();
-    let sound: Vec<Entry> =
-        entries.iter().filter(|entry| !damaged.contains(&names.of(entry))).cloned().collect();
+    let sound: Vec<Entry> = entries
+        .iter()
+        .filter(|entry| !damaged.contains(&audited.name_of(entry)))
+        .cloned()
+        .collect();
     let of_sound = match sound.len() == entries.len() {
         true => None,
         false => measure(&sound, audited, progress).ok().map(|measured| measured.0),
@@ -167,9 +151,11 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let judged = of_sound.as_ref().unwrap_or(&predictions);
     let suspects = suspects(judged);
     let wrong: Vec<(String, String)> = (sound.iter())
-        .filter_map(|entry| Some((names.of(entry), (*suspects.get(&entry.key)?).to_string())))
+        .filter_map(|entry| {
+            Some((audited.name_of(entry), (*suspects.get(&entry.key)?).to_string()))
+        })
         .collect();
-    findings.extend(finding::mislabelled(&wrong, &names));
+    findings.extend(finding::mislabelled(&wrong, audited));
     findings.sort_by_key(|finding| finding.kind);
     let accuracy_mended = match (findings.is_empty(), wrong.is_empty()) {
         (true, _) => None,
@@ -202,7 +188,7 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     }
 }
 
-/// The entry; if it looks mislabelled, with the surface that it was named and an unused number.
+/// Gives an entry that looks mislabelled the surface that it was named, and an unused number.
 fn relabelled(entry: &Entry, suspects: &BTreeMap<&TrialKey, &str>) -> Entry {
     let Some(label) = suspects.get(&entry.key) else { return entry.clone() };
     let key = TrialKey {
@@ -213,8 +199,8 @@ fn relabelled(entry: &Entry, suspects: &BTreeMap<&TrialKey, &str>) -> Entry {
     entry.clone().renamed(key)
 }
 
-/// The folds. If there are several people, each in turn. Then the trials not in these folds, such
-/// as those of surfaces that only one person recorded: fold k leaves out the k-th of each surface.
+/// Makes the folds. Each person is left out in one fold if there are several. Further folds leave
+/// out the remaining trials ([`by_parts`]), for example of a surface that only one person recorded.
 fn left_out(keys: &[TrialKey]) -> Vec<Fold> {
     let people: BTreeSet<&str> = keys.iter().map(|key| key.user.as_str()).collect();
     let mut folds = Vec::new();
@@ -238,7 +224,7 @@ fn left_out(keys: &[TrialKey]) -> Vec<Fold> {
     folds
 }
 
-/// Fold k leaves out the k-th trial of every surface that has several.
+/// Makes folds: fold k leaves out the k-th trial of every surface with several trials.
 fn by_parts(keys: &[TrialKey]) -> Vec<Fold> {
     let mut of_surface: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (i, key) in keys.iter().enumerate() {
@@ -249,7 +235,7 @@ fn by_parts(keys: &[TrialKey]) -> Vec<Fold> {
         let of = |trials: &Vec<usize>| match trials.len() {
             1 => Vec::new(),
             n => {
-                // Never all trials of a surface at once.
+                // A fold must not leave out all trials of a surface.
                 let folds = n.min(most);
                 let at = |(i, &trial): (usize, &usize)| (i % folds == k).then_some(trial);
                 trials.iter().enumerate().filter_map(at).collect::<Vec<_>>()
@@ -286,14 +272,14 @@ fn measure(
     Ok((measured.predictions, measured.outcome, better))
 }
 
-/// The trials that look mislabelled, each with the surface that it was named: another surface than
-/// its label, and more clearly than most trials of that surface are.
+/// The trials that look mislabelled, each with the surface that it was named. This surface is not
+/// the trial's label, and the margin is larger than that of most trials of this surface.
 fn suspects(predictions: &[Prediction]) -> BTreeMap<&TrialKey, &str> {
     let right = predictions.iter().filter(|p| p.is_correct());
     let mut margins: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     right.for_each(|p| margins.entry(&p.surface).or_default().push(p.margin));
     margins.values_mut().for_each(|margins| margins.sort_by(f64::total_cmp));
-    // If most answers are wrong, they prove nothing about labels.
+    // Wrong answers say nothing about labels if most answers are wrong.
     let mostly_right = margins.values().map(Vec::len).sum::<usize>() * 2 > predictions.len();
     let is_clear = |p: &&Prediction| {
         let usual = margins.get(&*p.surface).map(|margins| margins[margins.len() / 2]);

@@ -13,7 +13,7 @@ const WIDTH: u32 = 960;
 const LEFT: i32 = 390;
 const RIGHT: i32 = 60;
 
-/// Materials of LMT108 by the digit after G.
+/// The materials of the dataset LMT108, by the digit (from 1) after the G in a surface's name.
 const MATERIALS: [&str; 9] = [
     "meshes",
     "stones",
@@ -28,9 +28,6 @@ const MATERIALS: [&str; 9] = [
 
 /// An SVG with the accuracies of all settings that were run, ours (bars) and the paper's (marks),
 /// with standard deviations over folds.
-///
-/// # Errors
-/// If the drawing fails.
 pub fn bars(report: &PaperReport) -> Result<String, FigureError> {
     let shown: Vec<&ReportRow> =
         report.rows.iter().filter(|row| row.accuracy_mean.is_some()).collect();
@@ -81,7 +78,7 @@ fn bar(area: &Area<'_>, row: &ReportRow, top: i32, x: &dyn Fn(f64) -> i32) -> Dr
     put(area, format!("{ours:.1}"), (WIDTH as i32 - RIGHT + 10, top + 2), 12)
 }
 
-/// Index of a surface's material, from the digit after the G with which LMT108's names begin.
+/// Index of a surface's material in [`MATERIALS`], or `MATERIALS.len()` for a name not from LMT108.
 fn material(surface: &str) -> usize {
     let digit = surface.strip_prefix('G').and_then(|rest| rest.bytes().next());
     match digit {
@@ -90,10 +87,7 @@ fn material(surface: &str) -> usize {
     }
 }
 
-/// An SVG of truth against answer, surfaces grouped by material.
-///
-/// # Errors
-/// If the drawing fails.
+/// An SVG of a confusion matrix (truth against answer), with the surfaces grouped by material.
 pub fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
     let mut order: Vec<usize> = (0..confusion.labels.len()).collect();
     order.sort_by_key(|&at| (material(&confusion.labels[at]), &confusion.labels[at]));
@@ -127,7 +121,7 @@ pub fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
     })
 }
 
-/// Draws lines between materials, and their names.
+/// Draws the names of the materials, and lines between the materials.
 fn groups(
     area: &Area<'_>,
     order: &[usize],

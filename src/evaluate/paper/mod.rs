@@ -1,7 +1,7 @@
-//! Repeats the paper's evaluation, Tables I and II and the numbers in its text, and compares.
+//! Repeats the paper's evaluation (Tables I and II, and numbers in its text), and compares results.
 //!
 //! A *stream* is a source sampled in one of several ways, such as in time or in the spectrum. A
-//! *shard* is a part of the queries, for runs on several machines.
+//! *shard* is a part of the queries, so that several machines can share a run.
 //!
 //! ```text
 //! rows (settings, published figures) ─► work (scores of each stream, once) ─► part
@@ -20,6 +20,6 @@ mod work;
 pub use rows::{ALL, rows};
 
 pub(crate) use figure::{bars, confusion};
-pub(crate) use part::{MergeError, PaperPart, Shard, merge};
+pub(crate) use part::{PaperPart, Shard, merge};
 pub(crate) use report::{PaperReport, ReportRow};
 pub(crate) use work::{work, work_head};

@@ -1,11 +1,11 @@
-//! The result of a shard of the paper's evaluation, and how shards are joined.
+//! The results of shards (parts of the queries) of the paper's evaluation, and how to join shards.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// A part of the queries: every `of`-th query from the `number`-th on, counted from 1.
+/// A part of the queries: every `of`-th query, beginning with the `number`-th (counted from 1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Shard {
     pub number: usize,
@@ -15,7 +15,7 @@ pub struct Shard {
 impl Shard {
     pub const WHOLE: Self = Self { number: 1, of: 1 };
 
-    /// Whether the query of this index belongs to the shard.
+    /// Whether the query with this index belongs to the shard.
     pub fn has(self, query: usize) -> bool {
         query % self.of == self.number - 1
     }
@@ -49,14 +49,11 @@ impl FromStr for Shard {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RowPart {
-    /// Place, protocol and name of the setting.
+    /// The setting as text: its place in the paper, its protocol and its name.
     pub setting: String,
-    /// Sources that the data lack.
     pub missing: Vec<String>,
-    /// The reason why the setting could not be run.
     pub not_run: Option<String>,
     pub folds: Vec<String>,
-    /// Trials in the library of the largest fold.
     pub library_trials: usize,
     pub labels: Vec<String>,
     /// Fold, query and nearest library trial of each answer, sorted.
@@ -71,7 +68,7 @@ pub struct PaperPart {
     pub format: u32,
     pub data: String,
     pub synthetic: bool,
-    /// The settings, to show and to compare.
+    /// The settings of the method as text; they are the same in all shards of a run.
     pub settings: String,
     pub shard: Shard,
     /// Surface, user and number of every trial.
@@ -81,7 +78,6 @@ pub struct PaperPart {
 }
 
 impl PaperPart {
-    /// Whether the two are shards of the same run.
     pub fn is_of_run(&self, other: &Self) -> bool {
         let head = |part: &Self| {
             let settings: Vec<_> = part.rows.iter().map(|row| row.setting.clone()).collect();
@@ -91,26 +87,8 @@ impl PaperPart {
     }
 }
 
-/// The reason why shards cannot be joined.
-#[derive(Debug, PartialEq, thiserror::Error)]
-pub enum MergeError {
-    #[error("no shards to join")]
-    Nothing,
-    #[error("shard {0} is of another run than shard {1}: other data or settings")]
-    Different(Shard, Shard),
-    #[error("shard {0} was given twice")]
-    Twice(Shard),
-    #[error("of {of} shards these are not there yet: {missing}")]
-    Missing { of: usize, missing: String },
-    #[error("shard {0} is damaged; remove its file, and run shard {0} again")]
-    Damaged(Shard),
-}
-
-/// Joins the shards of a run, given in any order.
-///
-/// # Errors
-/// If a shard is missing, given twice, damaged, or of another run.
-pub fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, MergeError> {
+/// Joins the shards of a run, given in any order; an error says what is missing or wrong.
+pub fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, String> {
     parts.sort_by_key(|part| part.shard);
     for part in &parts {
         let trials = part.trials.len();
@@ -118,19 +96,28 @@ pub fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, MergeError> {
             row.answers.iter().all(|&(f, q, a)| f < row.folds.len() && q < trials && a < trials)
         };
         if !part.rows.iter().all(fits) || part.shard.number == 0 {
-            return Err(MergeError::Damaged(part.shard));
+            let shard = part.shard;
+            return Err(format!(
+                "shard {shard} is damaged; remove its file, and run shard {shard} again"
+            ));
         }
     }
     let mut parts = parts.into_iter();
-    let mut whole = parts.next().ok_or(MergeError::Nothing)?;
+    let mut whole = parts.next().ok_or(
+        "no shards to join; name the files that `surfaced eval --paper --shard` wrote, or their \
+         folder",
+    )?;
     let of = whole.shard.of;
     let mut numbers = vec![whole.shard.number];
     for part in parts {
         if !part.is_of_run(&whole) {
-            return Err(MergeError::Different(part.shard, whole.shard));
+            return Err(format!(
+                "shard {} is of another run than shard {}: other data or settings",
+                part.shard, whole.shard
+            ));
         }
         if numbers.contains(&part.shard.number) {
-            return Err(MergeError::Twice(part.shard));
+            return Err(format!("shard {} was given twice", part.shard));
         }
         numbers.push(part.shard.number);
         for (row, more) in whole.rows.iter_mut().zip(part.rows) {
@@ -140,7 +127,7 @@ pub fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, MergeError> {
     let missing: Vec<String> =
         (1..=of).filter(|n| !numbers.contains(n)).map(|n| n.to_string()).collect();
     if !missing.is_empty() {
-        return Err(MergeError::Missing { of, missing: missing.join(", ") });
+        return Err(format!("of {of} shards, these are missing: {}", missing.join(", ")));
     }
     whole.rows.iter_mut().for_each(|row| row.answers.sort_unstable());
     whole.shard = Shard::WHOLE;
@@ -179,14 +166,18 @@ mod tests {
     #[test]
     fn what_does_not_join_is_said() {
         let one = part(1, vec![]);
-        assert_eq!(merge(vec![]), Err(MergeError::Nothing));
-        let missing = MergeError::Missing { of: 2, missing: "2".into() };
-        assert_eq!(merge(vec![one.clone()]), Err(missing));
-        assert_eq!(merge(vec![one.clone(), one.clone()]), Err(MergeError::Twice(one.shard)));
         let other = PaperPart { settings: "t".into(), ..part(2, vec![]) };
-        assert!(matches!(merge(vec![one.clone(), other]), Err(MergeError::Different(..))));
         let damaged = part(2, vec![(0, 9, 0)]);
-        assert_eq!(merge(vec![one, damaged.clone()]), Err(MergeError::Damaged(damaged.shard)));
+        for (parts, problem) in [
+            (vec![], "no shards to join"),
+            (vec![one.clone()], "of 2 shards, these are missing: 2"),
+            (vec![one.clone(), one.clone()], "shard 1/2 was given twice"),
+            (vec![one.clone(), other], "shard 2/2 is of another run than shard 1/2"),
+            (vec![one, damaged], "shard 2/2 is damaged"),
+        ] {
+            let said = merge(parts).unwrap_err();
+            assert!(said.starts_with(problem), "{said}");
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! The results of a whole run, compared with the paper's.
+//! The results of a run in all settings of the paper, compared with the published results.
 
 use super::part::{PaperPart, RowPart};
 use super::rows::{ALL, Published, Row, rows};
@@ -9,7 +9,7 @@ use crate::trial::TrialKey;
 /// Results in one setting. Our accuracies are fractions from 0 to 1, the paper's are percentages.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct ReportRow {
-    /// Where the paper has the setting: a table, `text` or the figure of `pairs`; else `beside`.
+    /// Where the paper has the setting: a table, `text` or the figure of `pairs`; `beside` if nowhere.
     pub place: &'static str,
     pub name: String,
     pub protocol: &'static str,
@@ -26,14 +26,13 @@ pub struct ReportRow {
     pub precision_mean: Option<f64>,
     pub classes: usize,
     pub queries: usize,
-    /// Trials in the library of the largest fold.
+    /// Number of trials in the largest library of a fold.
     pub library_trials: usize,
     pub published: Option<Published>,
-    /// Ours minus the paper's, in points.
+    /// Our accuracy minus the paper's, in percentage points.
     pub difference_points: Option<f64>,
 }
 
-/// A whole run.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct PaperReport {
     pub data: String,
@@ -84,7 +83,7 @@ fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow 
     sources.dedup();
     sources.retain(|source| !part.missing.iter().any(|missing| missing == source));
     let difference = |outcome: &Outcome| {
-        // If a source is missing, the setting is not the paper's.
+        // A setting without all its sources is not comparable with the paper's.
         let published = row.published.filter(|_| part.missing.is_empty())?;
         Some(outcome.accuracy_mean * 100.0 - published.accuracy)
     };
@@ -108,10 +107,10 @@ fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow 
     }
 }
 
-// The score of one source between two trials does not depend on the other sources used. So it is
-// computed once, and each row of the paper's tables only adds logarithms of scores.
+// The score of one source between two trials does not depend on the other sources used. So the
+// score is computed once, and each row of the paper's tables only adds logarithms of scores.
 
-/// ln of the scores of one query in one stream.
+/// ln of the scores between one query and library trials, in one stream (a sampled source).
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogScores {
     /// Indices of the library trials, ascending.
@@ -129,9 +128,9 @@ impl LogScores {
 
 /// Index of the library trial that is nearest to a query (Eq. 9, 1-NN).
 ///
-/// `terms` are weights and scores of streams. As in the method `reference`, a missing score of a
-/// library trial is replaced by the stream's median over the others, trials without any score are
-/// left out, and a tie goes to the smaller key; `keys` must ascend. `None` if no trial has a score.
+/// `terms` are the weights and scores of streams; `keys` must be sorted. As in the method `reference`,
+/// the stream's median over the other trials replaces a missing score, and a tie goes to the smaller
+/// key. Trials without any score are left out. `None` if no trial has a score.
 pub fn nearest(library: &[usize], terms: &[(f64, &LogScores)], keys: &[TrialKey]) -> Option<usize> {
     debug_assert!(keys.is_sorted());
     let scores_of = |&trial: &usize| terms.iter().map(|(_, scores)| scores.of(trial)).collect();

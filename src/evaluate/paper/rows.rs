@@ -14,15 +14,13 @@ pub struct Published {
     pub precision: Option<f64>,
 }
 
-/// One setting, a row of the report.
+/// One setting of the paper's evaluation, which is a row of the report.
 #[derive(Clone, Debug)]
 pub struct Row {
-    /// Where the paper reports the setting.
     pub place: &'static str,
-    /// Unique together with the protocol and the place.
+    /// The name; no other row has the same name, protocol and place.
     pub name: String,
     pub protocol: Protocol,
-    /// The streams and the weight of each.
     pub terms: Vec<(f64, SampledSource)>,
     pub published: Option<Published>,
 }
@@ -167,8 +165,8 @@ fn text(rows: &mut Rows) {
     rows.add(OURS, trials, "all, without the shift", unshifted, None);
 }
 
-/// Cells of Table II for one source and protocol, each a mean and a standard deviation: (no shift,
-/// shift) × (time, spectrum), for images × (RGB, HSV).
+/// Cells of Table II for one source and protocol, each a mean and a standard deviation. The first index
+/// is 0 without the shift and 1 with it; the second is 0 for time or RGB and 1 for spectrum or HSV.
 type Cells = [[(f64, f64); 2]; 2];
 
 #[rustfmt::skip]
@@ -214,7 +212,7 @@ fn table_2(rows: &mut Rows) {
     }
 }
 
-/// All pairs of sources. The paper prints the number of one pair; it only draws the others.
+/// Adds a row for each pair of sources. The paper prints one pair's accuracy and draws the rest.
 fn pairs(rows: &mut Rows) {
     for (at, a) in AS_USED.iter().enumerate() {
         for b in &AS_USED[at + 1..] {
@@ -231,25 +229,24 @@ fn pairs(rows: &mut Rows) {
 pub enum SampleView {
     /// Equidistant in time.
     Time,
-    /// At the sample numbers of the 10 kHz series, whatever the source's own rate, so that of a
-    /// drag sound only the first 1.1 s is used (a quirk of the paper's DFT ablation, method.md §2).
+    /// Equidistant in time in the first 48,000 frames: whole 10 kHz series, but 1.1 s of a drag
+    /// sound (a quirk of the paper's test without DFT, method.md §2).
     TimeOfSerial,
-    /// Bins of the amplitude spectrum, in the source's band or from 0 to 1000 Hz.
+    /// Bins of the amplitude spectrum: in the source's band or, if it has none, from 0 to 1000 Hz.
     Spectrum,
     Pixels(Colour),
 }
 
-/// Frames of the 10 kHz series in LMT108.
+/// Number of frames in each 10 kHz series of LMT108.
 const SERIAL_FRAMES: usize = 48_000;
-/// The band for spectra of sources that are normally sampled in time: that of the acceleration.
+/// The band, in Hz, for spectra of sources that are normally sampled in time: that of acceleration.
 const BAND_HZ: (f64, f64) = (0.0, 1000.0);
 
-/// A stream: a source, how it is sampled, and whether the query's mean is shifted (Eq. 8).
+/// A stream: a source, how it is sampled, and whether the query is shifted to equal means (Eq. 8).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SampledSource {
     pub source: &'static str,
     pub view: SampleView,
-    /// Whether the query's mean is shifted.
     pub align: bool,
 }
 
@@ -270,7 +267,7 @@ impl SampledSource {
         Self { source, view, align }
     }
 
-    /// The stream by which the paper uses a source.
+    /// The stream in which the paper's main result uses a source.
     ///
     /// # Panics
     /// If the paper has no such source.
@@ -297,7 +294,7 @@ impl SampledSource {
         }))
     }
 
-    /// The entry with this stream alone, cropped if the stream uses only a part of it.
+    /// The entry with this stream's source alone, cut if the stream uses only its beginning.
     pub fn entry(&self, entry: &Entry, scene: &Scene) -> Entry {
         let entry = entry.clone().within(scene);
         if self.view != SampleView::TimeOfSerial {

@@ -1,4 +1,4 @@
-//! Processes a shard: computes the scores of each stream once, then the answers in every setting.
+//! Processes a part of the queries: scores each stream (sampled source), then answers by setting.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -6,19 +6,18 @@ use std::sync::Arc;
 use super::part::{PaperPart, RowPart, Shard};
 use super::report::{LogScores, nearest};
 use super::rows::{Row, SampledSource, rows};
-use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, Protocol, folds};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, folds};
 use crate::library::{Entry, Library};
 use crate::recognise::{Model, Reference, ReferenceOptions};
 use crate::trial::TrialKey;
 
 /// Names the queries of a shard in all settings of the paper.
 ///
-/// Streams are prepared and compared one after the other. Only the scores stay in memory: 8 bytes
-/// for each query of the shard, library trial and stream, about 0.8 GB if all of LMT108 is one
-/// shard.
+/// Streams are prepared and compared one after the other. Only the scores stay in memory: 8 bytes for
+/// each combination of query, library trial and stream, or 0.8 GB if all of LMT108 is one shard.
 ///
 /// # Errors
-/// If a trial cannot be read or compared. Missing data are no error: a setting's result says so.
+/// If a trial cannot be read or compared. Missing data are no error: the setting's result names them.
 pub fn work(
     library: &Library,
     options: &ReferenceOptions,
@@ -35,22 +34,21 @@ pub fn work(
     let options = ReferenceOptions { neighbours: 1, halving: Vec::new(), ..options.clone() };
     for (done, stream) in streams.iter().enumerate() {
         progress("comparing source by source", done, streams.len());
-        let wanted = WantedScores::new(&plans, *stream, shard);
-        scores.insert(*stream, score(*stream, library, &entries, &wanted, &options)?);
+        scores.insert(*stream, score(*stream, library, &entries, (&plans, shard), &options)?);
     }
     progress("comparing source by source", streams.len(), streams.len());
 
     Ok(part(library, &options, shard, keys, &plans, &scores))
 }
 
-/// The result of [`work`] without the answers, to recognise shards of the same run.
+/// The result of [`work`] without the answers. It tells whether shards belong to the same run.
 pub fn work_head(library: &Library, options: &ReferenceOptions, shard: Shard) -> PaperPart {
     let entries = in_order(library);
     let keys = entries.iter().map(|entry| entry.key.clone()).collect();
     part(library, options, shard, keys, &plans(library, &entries), &BTreeMap::new())
 }
 
-/// Entries sorted by key, which decides ties.
+/// The entries sorted by key, since a tie goes to the smaller key.
 fn in_order(library: &Library) -> Vec<Entry> {
     let mut entries = library.entries.clone();
     entries.sort_by(|a, b| a.key.cmp(&b.key));
@@ -86,7 +84,7 @@ fn part(
     }
 }
 
-/// A setting, with the streams and folds that these data allow.
+/// A setting of the paper, with the streams and folds that the library has data for.
 struct PaperPlan {
     row: Row,
     terms: Vec<(f64, SampledSource)>,
@@ -163,49 +161,35 @@ impl PaperPlan {
     }
 }
 
-/// The scores of a stream that the settings need: for each query, the protocols in which it is a
-/// query; for each protocol, the trials of its libraries.
-#[derive(Default)]
-struct WantedScores {
-    queries: BTreeMap<usize, BTreeSet<&'static str>>,
-    libraries: BTreeMap<&'static str, BTreeSet<usize>>,
-}
-
-impl WantedScores {
-    fn new(plans: &[PaperPlan], stream: SampledSource, shard: Shard) -> Self {
-        let mut wanted = Self::default();
-        for plan in plans.iter().filter(|plan| plan.terms.iter().any(|(_, s)| *s == stream)) {
-            let protocol: Protocol = plan.row.protocol;
-            for fold in &plan.folds {
-                let library = wanted.libraries.entry(protocol.name()).or_default();
-                library.extend(&fold.library);
-                for &query in fold.queries.iter().filter(|&&query| shard.has(query)) {
-                    wanted.queries.entry(query).or_default().insert(protocol.name());
-                }
-            }
+/// The pairs of trials that the settings compare in a stream, as folds of queries and library
+/// trials. Includes only trials for which `has` is true.
+fn wanted(
+    plans: &[PaperPlan],
+    stream: SampledSource,
+    shard: Shard,
+    has: impl Fn(&&usize) -> bool,
+) -> Vec<Fold> {
+    let with_stream = plans.iter().filter(|plan| plan.terms.iter().any(|(_, s)| *s == stream));
+    // A set, since most settings have the same folds.
+    let folds: BTreeSet<(&[usize], &[usize])> = (with_stream.flat_map(|plan| &plan.folds))
+        .map(|fold| (&*fold.library, &*fold.queries))
+        .collect();
+    let mut libraries: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+    for (library, queries) in folds {
+        for &query in queries.iter().filter(|query| shard.has(**query) && has(query)) {
+            libraries.entry(query).or_default().extend(library.iter().filter(&has));
         }
-        wanted
     }
-
-    /// Groups of queries that are compared with the same library, with that library; only trials
-    /// for which `has` is true.
-    fn folds(&self, has: impl Fn(&usize) -> bool) -> Vec<Fold> {
-        let mut groups: BTreeMap<&BTreeSet<&'static str>, Vec<usize>> = BTreeMap::new();
-        for (query, protocols) in &self.queries {
-            groups.entry(protocols).or_default().push(*query);
-        }
-        let library = |protocols: &BTreeSet<&'static str>| {
-            let of = |name: &&'static str| self.libraries.get(name).into_iter().flatten().copied();
-            protocols.iter().flat_map(of).collect()
-        };
-        let fold = |(protocols, mut queries): (&BTreeSet<&'static str>, Vec<usize>)| {
-            let library: BTreeSet<usize> = library(protocols);
-            queries.retain(&has);
-            let library = library.into_iter().filter(&has).collect();
-            Fold { name: String::new(), library, queries }
-        };
-        groups.into_iter().map(fold).filter(|fold| fold.library.len() >= 2).collect()
+    let mut groups: BTreeMap<BTreeSet<usize>, Vec<usize>> = BTreeMap::new();
+    for (query, library) in libraries.into_iter().filter(|(_, library)| library.len() >= 2) {
+        groups.entry(library).or_default().push(query);
     }
+    let fold = |(library, queries): (BTreeSet<usize>, _)| Fold {
+        name: String::new(),
+        library: library.into_iter().collect(),
+        queries,
+    };
+    groups.into_iter().map(fold).collect()
 }
 
 /// ln of the scores of one stream, for each query.
@@ -213,13 +197,13 @@ fn score(
     stream: SampledSource,
     library: &Library,
     entries: &[Entry],
-    wanted: &WantedScores,
+    (plans, shard): (&[PaperPlan], Shard),
     options: &ReferenceOptions,
 ) -> Result<BTreeMap<usize, LogScores>, EvaluateError> {
     let mut scores = BTreeMap::new();
     let Some(scene) = stream.scene(&library.scene) else { return Ok(scores) };
     let own: Vec<Entry> = entries.iter().map(|entry| stream.entry(entry, &scene)).collect();
-    let folds = wanted.folds(|&at| !own[at].sources.is_empty());
+    let folds = wanted(plans, stream, shard, |at| !own[**at].sources.is_empty());
     let method = Reference::new(scene.clone(), options.clone());
     let run = Evaluation::new(&scene, &own, &folds).prepare(&method)?;
     for fold in &folds {
@@ -227,7 +211,7 @@ fn score(
         let any: Arc<dyn Model> = model.clone();
         let library: Arc<[usize]> = fold.library.clone().into();
         for &query in &fold.queries {
-            // The scene has one source, which is compared even if dead: nothing else would be left.
+            // The scene has one source, which is compared even if its sensor is dead.
             let values = model.log_scores(&run.query(&any, query, None)?.prepared)?;
             let values = values.into_iter().map(|score| score.unwrap_or(f64::NAN)).collect();
             scores.insert(query, LogScores { library: Arc::clone(&library), values });

@@ -5,56 +5,28 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::library::LibraryError;
 use crate::recognise::{MOST_COUNT, MethodName, MethodSpec, ReferenceOptions};
-use crate::scene::{Scene, SceneError, SourceId};
+use crate::scene::SourceId;
 
-/// The reason why a plan cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum PlanError {
-    /// the file cannot be read
-    #[error("{path}: {error}")]
-    Io {
-        /// the file
-        path: String,
-        /// the error of the file system
-        error: std::io::Error,
-    },
-    /// not TOML, an unknown or a missing key, a wrong type, or an impossible value
-    #[error("{path}: {problem}; `surfaced plan` writes such a file")]
-    File {
-        /// the file
-        path: String,
-        /// what is wrong, and where
-        problem: String,
-    },
-    /// sources that the data do not have
-    #[error("the plan needs sources that the data do not have: {0}")]
-    Sources(#[from] SceneError),
-}
-
-/// What to expect of a plan. Shares are fractions from 0 to 1.
+/// The results to expect from a plan. Shares are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expected {
-    /// The accuracy to reach.
     pub target: f64,
     /// Whether whole scans reach the target in cross-validation.
     pub reached: bool,
-    /// Whether the lower end of the accuracy's interval reaches the target too.
+    /// Whether even the lower end of the accuracy's interval reaches the target.
     pub shown: bool,
     /// Cross-validated accuracy: share of all queries.
     pub accuracy: f64,
     /// Lower end of the accuracy's 95 % Wilson interval.
     pub accuracy_low: f64,
-    /// Upper end of the accuracy's 95 % Wilson interval.
     pub accuracy_high: f64,
-    /// Number of queries.
     pub queries: usize,
-    /// Number of surfaces.
     pub surfaces: usize,
-    /// The protocol that split queries and library.
     pub protocol: String,
-    /// Median time from raw samples to the answer, in milliseconds, on the machine that planned.
+    /// Median time from raw samples to the answer, in milliseconds, on the machine that made the plan.
     pub latency_ms: f64,
     /// How long a scan lasts, in seconds; 0 if only pictures are compared.
     pub scan_s: f64,
@@ -63,22 +35,18 @@ pub struct Expected {
 /// A plan: the setting to use for a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
-    /// Name of the library for which the plan was made.
     pub library: String,
-    /// Whether that library was generated, not recorded.
+    /// Whether the library was generated, not recorded.
     pub synthetic: bool,
-    /// The sources to compare; no others are needed.
+    /// The sources to compare; other sources are not needed.
     pub sources: Vec<SourceId>,
-    /// How trials are compared.
     #[serde(flatten)]
     pub method: MethodSpec,
-    /// Seconds of the drag that are used; `None` for all of it.
+    /// Seconds of the drag that are used; `None` for the whole drag.
     pub scan_s: Option<f64>,
-    /// Accuracy and cost found in cross-validation.
     pub expected: Expected,
 }
 
-/// The keys of a plan file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PlanFile {
@@ -95,12 +63,12 @@ struct PlanFile {
 }
 
 impl Expected {
-    /// A warning if the target is reached, but too few queries show it.
+    /// A warning if the target is reached, but with too few queries to be sure.
     pub(crate) fn doubt(&self) -> Option<String> {
         let percent = |x: f64| format!("{:.1} %", 100.0 * x);
         (self.reached && !self.shown).then(|| {
             format!(
-                "{} is not shown: {} queries leave room for {}; record more trials",
+                "{} is not certain: after {} queries, the accuracy may be as low as {}; record more trials",
                 percent(self.target),
                 self.queries,
                 percent(self.accuracy_low)
@@ -110,15 +78,12 @@ impl Expected {
 }
 
 impl Plan {
-    /// Reads a plan.
-    ///
-    /// # Errors
-    /// With the place in the file, if it cannot be read, is not TOML, or has wrong keys or values.
-    pub fn read(path: &Path) -> Result<Self, PlanError> {
-        let shown = || path.display().to_string();
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| PlanError::Io { path: shown(), error })?;
-        Self::from_toml(&text).map_err(|problem| PlanError::File { path: shown(), problem })
+    /// Reads a plan from a file; an error names the file.
+    pub fn read(path: &Path) -> Result<Self, LibraryError> {
+        let text = std::fs::read_to_string(path).map_err(|error| LibraryError::io(path, error))?;
+        Self::from_toml(&text).map_err(|problem| {
+            LibraryError::file(path, format!("{problem}; `surfaced plan` writes such a file"))
+        })
     }
 
     fn from_toml(text: &str) -> Result<Self, String> {
@@ -146,7 +111,7 @@ impl Plan {
                 ));
             }
             (_, Some(_), _) | (_, _, Some(_)) => {
-                return Err("n and repetitions go with method = \"reference\" alone".into());
+                return Err("n and repetitions are for method = \"reference\"; remove them".into());
             }
             (MethodName::Embedding, None, None) => MethodName::Embedding.into(),
             (other, None, None) => {
@@ -178,7 +143,10 @@ impl Plan {
             if self.synthetic { " of a synthetic scene" } else { "" }
         ));
         if !e.reached {
-            line(format!("# It does NOT reach the target of {}; no other did.", percent(e.target)));
+            line(format!(
+                "# It does NOT reach the target of {}; nothing that was tried does.",
+                percent(e.target)
+            ));
         }
         e.doubt().iter().for_each(|doubt| line(format!("# {doubt}.")));
         line("format = 1".into());
@@ -203,18 +171,10 @@ impl Plan {
             percent(e.accuracy_low),
             percent(e.accuracy_high)
         ));
-        // Plain numbers, text and booleans, all of which TOML can express.
+        // `Expected` holds only numbers, text and booleans, which TOML can express.
         let expected = toml::to_string(e).expect("plain values");
         line(format!("[expected]\n{}", expected.trim_end()));
         out
-    }
-
-    /// The scene with only the sources of the plan.
-    ///
-    /// # Errors
-    /// If the scene lacks one of them.
-    pub fn narrow(&self, scene: Scene) -> Result<Scene, PlanError> {
-        Ok(scene.only(&self.sources)?)
     }
 }
 

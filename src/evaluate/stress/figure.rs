@@ -12,7 +12,7 @@ const TITLE: u32 = 44;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measure {
     Accuracy,
-    /// Share of queries of unknown surfaces that would be rejected.
+    /// Share of queries of unknown surfaces that would be called unknown.
     UnknownRejected,
     CalibrationError,
 }
@@ -35,10 +35,7 @@ impl Measure {
     }
 }
 
-/// An SVG with a panel for each disturbance: a measure against severity, undisturbed at the left.
-///
-/// # Errors
-/// If nothing was run, or no method has the measure.
+/// An SVG with a panel for each disturbance: `measure` against severity, from undisturbed.
 pub fn figure(report: &StressReport, measure: Measure) -> Result<String, FigureError> {
     let shown: Vec<(usize, &MethodReport)> =
         report.methods.iter().enumerate().filter(|(_, m)| measure.of(&m.clean).is_some()).collect();

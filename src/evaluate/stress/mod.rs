@@ -4,29 +4,15 @@
 //! disturb (Trial ─► Trial, seeded) ─► run (method × disturbance × level) ─► report ─► figure
 //! ```
 //!
-//! Queries are disturbed and the library stays clean, except in the disturbances of the library.
-//! At each level are measured
+//! Most disturbances change the queries and leave the library clean; a few change the library. A run
+//! measures at each level:
 //! - the accuracy,
-//! - the share of queries of unknown surfaces that would be rejected by a threshold on the margin
-//!   that rejects 5 % of the undisturbed answers; for this, every fourth surface is left out of the
-//!   library,
+//! - the share of queries of unknown surfaces that would be rejected. For this, a library lacks
+//!   every fourth surface, and a threshold on the margin rejects 5 % of the undisturbed answers,
 //! - the expected calibration error, for methods that state a probability.
 //!
-//! Unknown surfaces are no disturbance of their own, since they have no severity. Whether the
-//! stated rate of false rejections holds is measured by [`crate::evaluate::UnknownOutcome`].
-//!
-//! # What was found and fixed in `embedding`
-//! In the first runs, offsets, gaps with held values, hum and room noise cost most accuracy; charts
-//! before and after the fixes are in `tools/charts`.
-//!
-//! - The mean of each frame is subtracted, so that a sensor's offset stays out of the lowest bands.
-//! - Frames far quieter than the rest are left out: they shifted the level of all others.
-//! - Among several sources, one that is far from every surface no longer overrules the others.
-//!   Before, a change of light alone cost more than all other sources could make up for.
-//! - Guesses while dragging leave out dead and stuck sensors, as the final answer does.
-//!
-//! Still costly are single lost samples and a wrong clock, which both shift the pitch; noise of a
-//! tenth of the sound's power; and scans of half a second or less.
+//! Unknown surfaces are no disturbance of their own, since they have no severity.
+//! [`crate::evaluate::UnknownOutcome`] measures whether the stated rate of false rejections holds.
 
 pub(crate) mod disturb;
 mod figure;

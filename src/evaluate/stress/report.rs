@@ -4,16 +4,16 @@ use std::fmt::Write as _;
 
 use serde::{Deserialize, Serialize};
 
-/// The loss of accuracy, as a fraction, from which on a method counts as failing.
+/// A method counts as failing if it loses at least this much accuracy, as a fraction.
 const LOSS: f64 = 0.05;
 
-/// Results of one method under one disturbance at one level. Shares are from 0 to 1.
+/// Results of one method under one disturbance at one level of severity. Shares are from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StressCell {
     pub accuracy: f64,
-    /// Share of queries of known surfaces that would be rejected.
+    /// Share of queries of known surfaces that would be called unknown.
     pub known_rejected: f64,
-    /// Share of queries of unknown surfaces that would be rejected; `None` if there are none.
+    /// Share of queries of unknown surfaces that would be called unknown, if there are any.
     pub unknown_rejected: Option<f64>,
     /// Expected calibration error of the stated probability, for methods that state one.
     pub calibration_error: Option<f64>,
@@ -31,22 +31,22 @@ pub struct DisturbanceLevel {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DisturbanceSeries {
     pub name: String,
-    /// The quantity and unit of the levels.
+    /// The quantity and unit of the severity, such as `SNR, dB`.
     pub axis: String,
     pub levels: Vec<DisturbanceLevel>,
-    /// The first level that costs 5 points of accuracy or more, if any.
+    /// The first level that costs 5 percentage points of accuracy or more; `None` if no level does.
     pub loses_5_points_at: Option<f64>,
 }
 
 impl DisturbanceSeries {
-    /// A series of levels, compared with the undisturbed accuracy `clean`.
+    /// Results at all levels of a disturbance, compared with the undisturbed accuracy `clean`.
     pub fn new(name: &str, axis: &str, levels: Vec<DisturbanceLevel>, clean: f64) -> Self {
         let lost = |level: &&DisturbanceLevel| level.cell.accuracy <= clean - LOSS + 1e-9;
         let loses_5_points_at = levels.iter().find(lost).map(|level| level.level);
         Self { name: name.into(), axis: axis.into(), levels, loses_5_points_at }
     }
 
-    /// Index of the first level that costs 5 points of accuracy.
+    /// Index of the first level that costs 5 percentage points of accuracy.
     fn breaks_at(&self) -> Option<usize> {
         self.levels.iter().position(|level| Some(level.level) == self.loses_5_points_at)
     }
@@ -60,7 +60,7 @@ pub struct MethodReport {
 }
 
 impl MethodReport {
-    /// The disturbances that cost 5 points earliest, counted in levels from the mildest.
+    /// The disturbances that cost 5 points of accuracy earliest, counting from the mildest level.
     pub fn fails_first(&self) -> Vec<&str> {
         let Some(first) = self.disturbances.iter().filter_map(DisturbanceSeries::breaks_at).min()
         else {
@@ -81,16 +81,14 @@ pub struct StressReport {
     pub queries: usize,
     /// Number of queries that were also compared with a library without their surface.
     pub unknown_queries: usize,
-    /// Whether sources with a dead or stuck sensor were compared nevertheless.
-    pub keep_flawed: bool,
     pub methods: Vec<MethodReport>,
 }
 
 impl StressReport {
-    /// Adds the methods of another run of the same queries, named `NAME (whose)`.
+    /// Adds the methods of another run of the same queries, and renames each to `NAME (whose)`.
     ///
     /// # Errors
-    /// If that run had other recordings, sources, queries or disturbances; the message says which.
+    /// If the other run had other recordings, sources, queries or disturbances; the message says which.
     pub fn join(&mut self, other: Self, whose: &str) -> Result<(), String> {
         let what_ran = |r: &Self| {
             [
@@ -102,7 +100,7 @@ impl StressReport {
         };
         for ((what, mine), (_, others)) in what_ran(self).into_iter().zip(what_ran(&other)) {
             if mine != others {
-                return Err(format!("its {what} are {others}, and not {mine}"));
+                return Err(format!("its {what} are {others}, not {mine}"));
             }
         }
         let renamed =
@@ -111,7 +109,7 @@ impl StressReport {
         Ok(())
     }
 
-    /// The disturbances and their levels in words.
+    /// The disturbances and their levels as text.
     fn axes(&self) -> String {
         let axis = |series: &DisturbanceSeries| {
             let levels: Vec<_> = series.levels.iter().map(|l| l.level.to_string()).collect();
@@ -198,7 +196,6 @@ mod tests {
             sources: vec![],
             queries: 10,
             unknown_queries: 2,
-            keep_flawed: false,
             methods: vec![method],
         };
         let table = report.markdown();

@@ -14,11 +14,11 @@ use crate::scene::Scene;
 use crate::seed;
 use crate::trial::Trial;
 
-/// One in this number of surfaces is left out of the library, so that its queries are unknown.
+/// One surface in this many is left out of a library, so that its queries are unknown.
 const UNKNOWN_SHARE: usize = 4;
-/// Share of undisturbed answers that the threshold on the margin rejects.
+/// Share of undisturbed answers that the threshold on the margin (lead of the answer) rejects.
 const REJECTED: f64 = 0.05;
-/// Number of bins of stated probability for the calibration error.
+/// Number of bins into which the calibration error sorts stated probabilities.
 const BINS: usize = 10;
 
 pub struct StressPlan<'a> {
@@ -28,17 +28,14 @@ pub struct StressPlan<'a> {
     pub folds: &'a [Fold],
     pub disturbances: &'a [Disturbance],
     pub seed: u64,
-    /// Compare sources with a dead or stuck sensor, instead of leaving them out.
-    pub keep_flawed: bool,
 }
 
 impl StressPlan<'_> {
     fn evaluation<'a>(&'a self, entries: &'a [Entry], folds: &'a [Fold]) -> Evaluation<'a> {
-        let keep_dead_sources = self.keep_flawed;
-        Evaluation { keep_dead_sources, ..Evaluation::new(self.scene, entries, folds) }
+        Evaluation::new(self.scene, entries, folds)
     }
 
-    /// The first folds that hold this number of queries; the last one is thinned to fit.
+    /// The first folds that together hold this number of queries; the last fold is thinned to fit.
     pub fn limited(folds: Vec<Fold>, queries: usize) -> Vec<Fold> {
         let mut left = queries;
         let mut kept = Vec::new();
@@ -64,7 +61,7 @@ impl StressPlan<'_> {
     }
 }
 
-/// A query's answer from the whole library, and from a library without its surface, if asked for.
+/// A query's answer from the whole library and, if asked for, from a library without its surface.
 #[derive(Clone, Copy, Debug, Default)]
 struct StressAnswer {
     /// `None` if the query could not be compared.
@@ -101,7 +98,7 @@ pub fn run(
         let queries = fold.queries.par_iter().map(load);
         let queries: Vec<(usize, Trial)> = queries.collect::<Result<_, RecogniseError>>()?;
         clean.extend(answers(&run, plan, &models, &queries, Trial::clone));
-        // All queries of a level together: a library cut to their length is cut once for all.
+        // Queries of one level come together, so that the library is cut to their length only once.
         for (d, of_disturbance) in plan.disturbances.iter().zip(&mut cells) {
             for (at, (&level, of_level)) in d.levels.iter().zip(of_disturbance).enumerate() {
                 of_level.extend(match d.kind {
@@ -139,7 +136,7 @@ pub fn run(
     Ok(sum_up(method.name(), plan, &clean, &cells))
 }
 
-/// The answers to some queries, given with their indices, after a change of each.
+/// The answers to queries, given as (index, trial), after `change` was applied to each trial.
 fn answers(
     run: &Run<'_, '_>,
     plan: &StressPlan<'_>,
@@ -151,7 +148,7 @@ fn answers(
     queries.par_iter().map(answer).collect()
 }
 
-/// A model of the whole library, and one without the surfaces whose queries are to be unknown.
+/// A model of the whole library, and one without the surfaces that should be unknown.
 struct Models {
     all: Arc<dyn Model>,
     without: Option<Arc<dyn Model>>,
@@ -159,7 +156,7 @@ struct Models {
 
 impl Models {
     /// Fits both models; `places` are indices of the fold's library trials in the prepared library.
-    /// If a disturbance changed the library's size, there is only the model of all.
+    /// If a disturbance changed the library's size, there is only the model of the whole library.
     fn fit(
         run: &Run<'_, '_>,
         plan: &StressPlan<'_>,
@@ -183,7 +180,7 @@ impl Models {
         trial: Trial,
     ) -> StressAnswer {
         let truth = &plan.entries[query].key.surface;
-        // Both models share one shape, so the query is prepared once.
+        // Both models expect the same rates and channels, so the query is prepared once.
         let Ok(disturbed) = run.query_of(&self.all, trial, None) else {
             return StressAnswer::default();
         };

@@ -1,4 +1,4 @@
-// The page of a fleet: the state of all stations, asked for every two seconds.
+// The page of a fleet: the state of all stations, requested every two seconds.
 
 import { $, clock, fill, hide, make, many, percent, printable, say } from "./dom.js";
 
@@ -6,10 +6,10 @@ const EVERY_MS = 2000;
 const DOWN = ["absent", "stalled", "lost"];
 let stations = [];
 
-// The name of an answer, as a person says it.
+// The name of an answer, in plain words.
 const nameOf = ({ state, surface }) => (state === "unknown" ? "unknown" : surface ?? "not named");
 
-// What somebody should look after, a line each.
+// The problems of a station that a person should fix, a line each.
 function troubles(station) {
   const lines = [];
   const down = (station.devices ?? []).filter(({ state }) => DOWN.includes(state));
@@ -22,7 +22,7 @@ function troubles(station) {
 
 function title(station) {
   const heading = make("h3");
-  // Whoever publishes the address decides where it leads: nothing but a web page.
+  // A station chooses its own address, so only web addresses become links.
   if (/^https?:\/\//.test(station.page ?? "")) {
     const link = make("a", station.station);
     link.href = station.page;
@@ -80,7 +80,7 @@ function show() {
   hide("no-stations", stations.length > 0);
 }
 
-// What is wrong as a whole; nothing if nothing is.
+// A problem of the whole fleet; empty if there is none.
 function problemOf(state) {
   if (!state) return "This page's program does not answer; is it still running?";
   return state.broker.problem ? `The broker is not connected: ${state.broker.problem}. It is tried again.` : "";

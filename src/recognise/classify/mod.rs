@@ -2,30 +2,26 @@
 //! AdaBoost and a random forest, on hand-made [features](super::features).
 //!
 //! ```text
-//! trial ─► FeatureVector ─► standardised on the library alone ─► Classifier ─► scores ─► rank
+//! trial ─► FeatureVector ─► standardised on the library alone ─► Scorer ─► scores ─► rank
 //! ```
 //!
-//! The trees and the class statistics of naive Bayes come from the crate smartcore. Its support
-//! vector machine borrows its training data and so cannot be kept in a model; hence [`Svm`] has a
-//! solver of its own. Smartcore has neither Mahalanobis neighbours nor AdaBoost.
+//! The trees and the class statistics of naive Bayes come from the crate smartcore. Its support vector
+//! machine borrows its training data, so a model could not hold it; `svm` therefore has its own
+//! solver. Smartcore has neither Mahalanobis neighbours nor AdaBoost.
 
-mod naive_bayes;
 mod neighbours;
+mod smartcore_models;
 mod svm;
-mod trees;
 
-pub use naive_bayes::NaiveBayes;
-pub use neighbours::{Distance, Neighbours};
-pub use svm::Svm;
-pub use trees::{AdaBoost, RandomForest};
+pub use neighbours::Distance;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1};
 
-use super::checks::{check_surfaces, nothing_in_common};
-use super::error::RecogniseError;
+use super::embedding::labels::places;
+use super::error::{RecogniseError, check_surfaces, nothing_in_common};
 use super::features::FeatureVector;
 use super::method::{Method, Model};
 use super::prepared::Prepared;
@@ -36,109 +32,112 @@ use crate::scene::{Scene, SourceId};
 use crate::seed;
 use crate::trial::{Trial, TrialKey};
 
-/// Standardised features are clipped at this distance from 0: a larger value comes from a broken
-/// sensor and must not outweigh all others.
+/// Standardised features are clipped at this distance from 0. A larger value comes from a broken
+/// sensor, and must not outweigh all other features.
 const FARTHEST: f64 = 10.0;
-/// A feature whose deviation is below this share of 1 + |mean| counts as constant.
+/// A feature counts as constant if its standard deviation is at most this times 1 + |mean|.
 const CONSTANT: f64 = 1e-9;
 
-/// How unlike a query is, as logarithms; smaller means more alike.
+/// How unlike a query the library is, as logarithms; smaller means more alike.
 pub enum Scores {
     /// One score for each surface, in the order of [`TrainingSet::surfaces`].
     Surfaces(Vec<f64>),
-    /// One score for each trial of the library; the `k` nearest trials vote.
-    Trials {
-        /// in the order of [`TrainingSet::keys`]
-        log_scores: Vec<f64>,
-        /// number of nearest trials that vote
-        k: usize,
+    /// One score for each trial of the library, in the order of [`TrainingSet::keys`]. The `k` nearest
+    /// trials vote.
+    Trials { log_scores: Vec<f64>, k: usize },
+}
+
+/// A fitted classifier: scores a query, which must have as many features as the library's trials.
+type Scorer = Box<dyn Fn(ArrayView1<'_, f64>) -> Scores + Send + Sync>;
+
+/// A way to tell surfaces apart by standardised features.
+#[derive(Clone, Copy, Debug)]
+pub enum Classifier {
+    NaiveBayes,
+    /// Support vector machines with RBF kernel, one for each pair of surfaces.
+    Svm,
+    /// k nearest neighbours; k is chosen by naming each library trial by the others.
+    Neighbours(Distance),
+    /// AdaBoost for many classes (SAMME, Zhu et al. 2009, "Multi-class AdaBoost"): 50 trees, each
+    /// trained on trials drawn by weight, and at most two levels deeper than one leaf per surface
+    /// needs.
+    AdaBoost {
+        seed: u64,
+    },
+    /// A random forest (Breiman 2001): 200 trees on bootstrapped trials. Each split tries √(number of
+    /// features) features. The seed determines the bootstraps and the features tried.
+    RandomForest {
+        seed: u64,
     },
 }
 
-/// A way of telling surfaces apart by standardised features.
-pub trait Classifier: Clone + Send + Sync + 'static {
-    /// The outcome of learning from a library.
-    type Model: Send + Sync;
+impl Classifier {
+    fn learn(self, training: &Arc<TrainingSet>) -> Scorer {
+        match self {
+            Self::NaiveBayes => smartcore_models::naive_bayes(training),
+            Self::Svm => svm::learn(training),
+            Self::Neighbours(distance) => neighbours::learn(training, distance),
+            Self::AdaBoost { seed } => smartcore_models::boosted(training, seed),
+            Self::RandomForest { seed } => smartcore_models::forest(training, seed),
+        }
+    }
 
-    /// Learns from a library.
-    fn train(&self, training: &TrainingSet) -> Self::Model;
-
-    /// Scores a query, which has as many features as the library's trials.
-    fn scores(
-        &self,
-        model: &Self::Model,
-        training: &TrainingSet,
-        query: ArrayView1<'_, f64>,
-    ) -> Scores;
-
-    /// Whether the inverse of a surface's score is a probability.
-    fn states_probabilities(&self) -> bool {
-        false
+    /// Whether 1/(score of a surface) is a probability.
+    fn states_probabilities(self) -> bool {
+        matches!(self, Self::NaiveBayes | Self::RandomForest { .. })
     }
 }
 
-/// A library in the form that classifiers learn from.
+/// A library in the form that classifiers are trained on.
 #[derive(Clone, Debug)]
 pub struct TrainingSet {
     /// Standardised features, shape (trials, features).
-    pub features: Array2<f64>,
-    /// Index of each trial's surface.
-    pub class: Vec<usize>,
+    features: Array2<f64>,
+    class: Vec<usize>,
     /// The surfaces, sorted.
-    pub surfaces: Vec<String>,
+    surfaces: Vec<String>,
     /// The trials, sorted.
-    pub keys: Vec<TrialKey>,
+    keys: Vec<TrialKey>,
 }
 
-impl TrainingSet {
-    /// Deals the trials of every surface into `parts` folds, for cross-validation within a library.
-    /// For each fold: whether each trial belongs to it.
-    pub fn parts(&self, parts: usize) -> Vec<Vec<bool>> {
-        let mut seen = vec![0; self.surfaces.len()];
-        let part_of: Vec<usize> = (self.class.iter())
-            .map(|&class| {
-                seen[class] += 1;
-                (seen[class] - 1) % parts
-            })
-            .collect();
-        (0..parts).map(|part| part_of.iter().map(|&p| p == part).collect()).collect()
-    }
-}
-
-/// A comparison classifier, made a [`Method`].
+/// A comparison classifier as a [`Method`].
 #[derive(Clone, Debug)]
-pub struct OnFeatures<C> {
+pub struct OnFeatures {
     name: &'static str,
     scene: Scene,
-    classifier: C,
+    classifier: Classifier,
 }
 
-impl<C: Classifier> OnFeatures<C> {
-    /// The method called `name`, for the sources of a scene.
-    pub fn new(name: &'static str, scene: Scene, classifier: C) -> Self {
+impl OnFeatures {
+    pub fn new(name: &'static str, scene: Scene, classifier: Classifier) -> Self {
         Self { name, scene, classifier }
+    }
+
+    fn features(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+        let features = FeatureVector::new(&entry.key, trial, &self.scene)?;
+        Ok(Prepared::Features(Arc::new(features)))
     }
 }
 
-/// Where a source's features stand among all features, and how they are standardised.
+/// Where the features of one source stand among all features, and how they are standardised.
 #[derive(Clone, Debug)]
 struct Columns {
     first: usize,
-    /// Number of the source's features, used or not.
+    /// Number of features of the source, with or without those that are constant.
     width: usize,
-    /// Index, mean and standard deviation of the features that differ between trials.
+    /// Index, mean and standard deviation of each feature that differs between trials.
     used: Vec<(usize, f64, f64)>,
     rate_hz: f64,
-    /// A library trial that has the source, for messages.
+    /// A library trial that has the source, for error messages.
     like: TrialKey,
 }
 
-/// A standardised library, and what was learnt from it.
-pub struct FeatureModel<C: Classifier> {
-    method: OnFeatures<C>,
+/// A standardised library, and the classifier that was trained on it.
+struct FeatureModel {
+    method: OnFeatures,
     columns: BTreeMap<SourceId, Columns>,
-    training: TrainingSet,
-    learnt: C::Model,
+    training: Arc<TrainingSet>,
+    scorer: Scorer,
 }
 
 /// Position and standardisation of all features of a library.
@@ -149,7 +148,7 @@ fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>
     for id in ids {
         let having: Vec<_> =
             library.iter().filter_map(|v| Some((v.sources.get(id)?, &v.key))).collect();
-        // The id comes from these trials, so at least one has the source.
+        // The id comes from the library, so at least one trial has the source.
         let (like, key) = having[0];
         let (width, rate_hz) = (like.values.len(), like.rate_hz);
         let mut of_source =
@@ -173,7 +172,7 @@ fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>
 }
 
 impl Columns {
-    /// Checks that there are as many features as in the library: a lower rate gives fewer bands.
+    /// Checks that there are as many features as in the library; a lower rate gives fewer bands.
     fn check(&self, id: &SourceId, values: &[f64], rate_hz: f64) -> Result<(), RecogniseError> {
         if values.len() == self.width {
             return Ok(());
@@ -187,12 +186,12 @@ impl Columns {
     }
 }
 
-/// Number of features used. At least 1: a column of zeros where no feature varies.
+/// Number of features used, at least 1: if no feature varies, there is one column of zeros.
 fn width(columns: &BTreeMap<SourceId, Columns>) -> usize {
     columns.values().map(|c| c.used.len()).sum::<usize>().max(1)
 }
 
-/// The standardised features of a trial; 0, the library's mean, for a source that it lacks.
+/// The standardised features of a trial. A source that the trial lacks gets 0, the library's mean.
 fn standardised(
     columns: &BTreeMap<SourceId, Columns>,
     vector: &FeatureVector,
@@ -209,14 +208,7 @@ fn standardised(
     Ok(row)
 }
 
-impl<C: Classifier> OnFeatures<C> {
-    fn features(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
-        let features = FeatureVector::new(&entry.key, trial, &self.scene)?;
-        Ok(Prepared::Features(Arc::new(features)))
-    }
-}
-
-impl<C: Classifier> Method for OnFeatures<C> {
+impl Method for OnFeatures {
     fn name(&self) -> &'static str {
         self.name
     }
@@ -244,30 +236,27 @@ impl<C: Classifier> Method for OnFeatures<C> {
         let mut library: Vec<Arc<FeatureVector>> = library.collect::<Result<_, _>>()?;
         library.sort_by(|a, b| a.key.cmp(&b.key));
         let keys: Vec<TrialKey> = library.iter().map(|v| v.key.clone()).collect();
-        let mut surfaces: Vec<String> = keys.iter().map(|key| key.surface.clone()).collect();
-        surfaces.dedup();
         check_surfaces(keys.iter())?;
         let columns = columns(&library)?;
         let mut features = Array2::zeros((keys.len(), width(&columns)));
         for (mut row, vector) in features.rows_mut().into_iter().zip(&library) {
             row.assign(&standardised(&columns, vector)?);
         }
-        let class = (keys.iter())
-            .map(|key| surfaces.partition_point(|surface| *surface < key.surface))
-            .collect();
-        let training = TrainingSet { features, class, surfaces, keys };
-        let learnt = self.classifier.train(&training);
-        Ok(Arc::new(FeatureModel { method: self.clone(), columns, training, learnt }))
+        let (surfaces, class) = places(keys.iter().map(|key| key.surface.as_str()));
+        let surfaces = surfaces.into_iter().map(String::from).collect();
+        let training = Arc::new(TrainingSet { features, class, surfaces, keys });
+        let scorer = self.classifier.learn(&training);
+        Ok(Arc::new(FeatureModel { method: self.clone(), columns, training, scorer }))
     }
 }
 
-impl<C: Classifier> Model for FeatureModel<C> {
+impl Model for FeatureModel {
     fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
         self.method.features(entry, trial)
     }
 
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
-        let Self { method: OnFeatures { name, classifier, .. }, columns, training, learnt } = self;
+        let Self { method: OnFeatures { name, classifier, .. }, columns, training, scorer } = self;
         let query = query.features(name)?;
         let sources: Vec<SourceId> =
             query.sources.keys().filter(|id| columns.contains_key(*id)).cloned().collect();
@@ -275,14 +264,14 @@ impl<C: Classifier> Model for FeatureModel<C> {
             return Err(nothing_in_common(query.sources.keys(), columns.keys()));
         }
         let row = standardised(columns, query)?;
-        let (candidates, k) = match classifier.scores(learnt, training, row.view()) {
+        let (candidates, k) = match scorer(row.view()) {
             Scores::Trials { log_scores, k } => {
                 let pairs = training.keys.iter().zip(log_scores);
                 (pairs.map(|(key, log_ds)| Candidate { key: key.clone(), log_ds }).collect(), k)
             }
             Scores::Surfaces(log_scores) => (by_surface(training, &log_scores, row.view()), 1),
         };
-        // A library has trials, and each of them, or each of its surfaces, is a candidate.
+        // There is at least one candidate, since the library has at least one trial.
         let mut ranking = rank(candidates, k, sources).expect("at least one candidate");
         ranking.confidence =
             classifier.states_probabilities().then(|| ranking.ranked[0].score.recip());
@@ -290,7 +279,7 @@ impl<C: Classifier> Model for FeatureModel<C> {
     }
 }
 
-/// One candidate for each surface: the surface's trial nearest to the query.
+/// One candidate for each surface: the trial of the surface that is nearest to the query.
 fn by_surface(
     training: &TrainingSet,
     log_scores: &[f64],

@@ -1,82 +1,47 @@
 //! Nearest neighbours by Euclidean or Mahalanobis distance, weighted by 1/d².
 
-use ndarray::{Array1, Array2, ArrayView1, Axis};
+use ndarray::{Array2, ArrayView1, Axis};
 
 use super::super::embedding::linear::{cholesky, solve_lower};
-use super::{Classifier, Scores, TrainingSet, squared_distance};
+use super::{Scorer, Scores, TrainingSet, squared_distance};
 
-/// Values of k that are tried, by naming each library trial by the others.
+/// Values of k to try.
 const NEIGHBOURS: [usize; 4] = [1, 3, 5, 7];
-/// Weight of the identity in the covariance: often there are more features than trials.
+/// Weight of the identity in the covariance; needed since there may be more features than trials.
 const SHRINKAGE: f64 = 0.1;
-/// Keeps the logarithm of a distance finite.
+/// Least squared distance; keeps its logarithm and inverse finite.
 const FLOOR: f64 = 1e-12;
 
-/// How the distance between two trials is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Distance {
-    /// Between standardised features.
+    /// Distance between standardised features.
     Euclidean,
-    /// Between features decorrelated by the library's covariance, which is shrunk towards the
-    /// identity by a tenth.
+    /// Distance between features decorrelated by the library's covariance. The covariance is shrunk
+    /// towards the identity by a tenth.
     Mahalanobis,
 }
 
-/// k nearest neighbours; k is chosen by leaving trials of the library out.
-#[derive(Clone, Copy, Debug)]
-pub struct Neighbours {
-    pub distance: Distance,
+pub(super) fn learn(training: &TrainingSet, distance: Distance) -> Scorer {
+    // Lower Cholesky factor of the covariance; `None` if features are not decorrelated.
+    let factor = match distance {
+        Distance::Euclidean => None,
+        Distance::Mahalanobis => cholesky(covariance(&training.features)),
+    };
+    // Decorrelates columns, one for each trial, so that their distances are Euclidean.
+    let decorrelated = move |mut columns: Array2<f64>| {
+        factor.iter().for_each(|factor| solve_lower(factor, &mut columns));
+        columns
+    };
+    let features = decorrelated(training.features.t().to_owned()).reversed_axes();
+    let k = best_k(&features, &training.class);
+    Box::new(move |query: ArrayView1<'_, f64>| {
+        let query = decorrelated(query.to_owned().insert_axis(Axis(1)));
+        let log_score = |row| squared_distance(row, query.column(0)).max(FLOOR).ln();
+        Scores::Trials { log_scores: features.rows().into_iter().map(log_score).collect(), k }
+    })
 }
 
-/// The features of a library in the space where distances are Euclidean.
-pub struct NeighboursModel {
-    features: Array2<f64>,
-    /// Lower Cholesky factor of the covariance, if features are decorrelated.
-    factor: Option<Array2<f64>>,
-    k: usize,
-}
-
-impl Classifier for Neighbours {
-    type Model = NeighboursModel;
-
-    fn train(&self, training: &TrainingSet) -> NeighboursModel {
-        let factor = match self.distance {
-            Distance::Euclidean => None,
-            Distance::Mahalanobis => cholesky(covariance(&training.features)),
-        };
-        let features = match &factor {
-            Some(factor) => {
-                let mut columns = training.features.t().to_owned();
-                solve_lower(factor, &mut columns);
-                columns.reversed_axes()
-            }
-            None => training.features.clone(),
-        };
-        let k = best_k(&features, &training.class);
-        NeighboursModel { features, factor, k }
-    }
-
-    fn scores(
-        &self,
-        model: &NeighboursModel,
-        _: &TrainingSet,
-        query: ArrayView1<'_, f64>,
-    ) -> Scores {
-        let query: Array1<f64> = match &model.factor {
-            Some(factor) => {
-                let mut column = query.to_owned().insert_axis(Axis(1));
-                solve_lower(factor, &mut column);
-                column.column(0).to_owned()
-            }
-            None => query.to_owned(),
-        };
-        let log_score = |row| squared_distance(row, query.view()).max(FLOOR).ln();
-        let log_scores = model.features.rows().into_iter().map(log_score).collect();
-        Scores::Trials { log_scores, k: model.k }
-    }
-}
-
-/// Shrunk covariance of standardised features.
+/// Covariance of standardised features, shrunk towards the identity.
 fn covariance(features: &Array2<f64>) -> Array2<f64> {
     let mut covariance = features.t().dot(features) / features.nrows() as f64;
     covariance *= 1.0 - SHRINKAGE;
@@ -84,7 +49,7 @@ fn covariance(features: &Array2<f64>) -> Array2<f64> {
     covariance
 }
 
-/// The k with which most library trials are named right by the others; the smallest in a tie.
+/// The k that names most library trials right by the other trials; the smallest k in a tie.
 fn best_k(features: &Array2<f64>, class: &[usize]) -> usize {
     let classes = class.iter().max().map_or(0, |most| most + 1);
     let mut right = [0usize; NEIGHBOURS.len()];
@@ -114,7 +79,7 @@ mod tests {
     fn noisy_labels_ask_for_more_neighbours() {
         let clean = array![[0.0], [0.1], [0.2], [0.3], [5.0], [5.1], [5.2], [5.3]];
         assert_eq!(best_k(&clean, &[0, 0, 0, 0, 1, 1, 1, 1]), 1);
-        // One trial of each surface carries the other's label.
+        // In each surface, one trial carries the label of the other surface.
         let many = Array2::from_shape_fn(
             (20, 1),
             |(i, _)| if i < 10 { 0.0 } else { 5.0 } + 0.1 * i as f64,

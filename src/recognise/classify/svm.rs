@@ -1,78 +1,62 @@
 //! Support vector machines with RBF kernel, one for each pair of surfaces.
 //!
 //! Each machine (C-SVC) is solved by sequential minimal optimisation with second-order working sets
-//! (Fan, Chen & Lin 2005, "Working set selection using second order information"). C and the
-//! kernel's width γ are chosen by cross-validation within the library.
+//! (Fan, Chen & Lin 2005, "Working set selection using second order information"). C and the kernel
+//! parameter γ are chosen by cross-validation within the library.
+
+use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView1};
 use rayon::prelude::*;
 
-use super::{Classifier, Scores, TrainingSet, squared_distance};
+use super::{Scorer, Scores, TrainingSet, squared_distance};
 
-/// Values of C that are tried.
+/// Values of C to try.
 const COSTS: [f64; 3] = [1.0, 10.0, 100.0];
-/// Values of γ that are tried, before division by the number of features.
+/// Values of γ to try, before they are divided by the number of features.
 const WIDTHS: [f64; 3] = [0.25, 1.0, 4.0];
-/// Folds of the cross-validation.
+/// Number of folds of the cross-validation.
 const PARTS: usize = 3;
 /// Tolerated violation of the optimality conditions, as in libsvm.
 const TOLERANCE: f64 = 1e-3;
-
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Svm;
-
-/// Machines of all pairs of surfaces.
-pub struct SvmModel {
-    gamma: f64,
-    pairs: Vec<Pair>,
-}
 
 /// The machine that separates surface `a` (positive) from surface `b`.
 struct Pair {
     a: usize,
     b: usize,
-    /// Trial and signed multiplier of each support vector.
+    /// For each support vector, the index of its trial and its signed multiplier.
     support: Vec<(usize, f64)>,
     bias: f64,
 }
 
 impl Pair {
-    /// Value of the decision function; `kernel` holds the kernel of the query and each trial.
+    /// Value of the decision function; `kernel` holds the kernel between the query and each trial.
     fn decide(&self, kernel: &[f64]) -> f64 {
         self.bias + self.support.iter().map(|&(i, weight)| weight * kernel[i]).sum::<f64>()
     }
 }
 
-impl Classifier for Svm {
-    type Model = SvmModel;
-
-    fn train(&self, training: &TrainingSet) -> SvmModel {
-        let distances = distances(training);
-        let (cost, gamma) = choose(training, &distances);
-        let everyone: Vec<usize> = (0..training.class.len()).collect();
-        SvmModel { gamma, pairs: machines(training, &everyone, &distances, cost, gamma) }
-    }
-
-    fn scores(
-        &self,
-        model: &SvmModel,
-        training: &TrainingSet,
-        query: ArrayView1<'_, f64>,
-    ) -> Scores {
+pub(super) fn learn(training: &Arc<TrainingSet>) -> Scorer {
+    let distances = distances(training);
+    let (cost, gamma) = choose(training, &distances);
+    let everyone: Vec<usize> = (0..training.class.len()).collect();
+    let pairs = machines(training, &everyone, &distances, cost, gamma);
+    let training = training.clone();
+    Box::new(move |query: ArrayView1<'_, f64>| {
         let kernel: Vec<f64> = (training.features.rows().into_iter())
-            .map(|row| (-model.gamma * squared_distance(row, query)).exp())
+            .map(|row| (-gamma * squared_distance(row, query)).exp())
             .collect();
         let surfaces = training.surfaces.len();
         let most = (surfaces - 1) as f64;
         let score = |votes: f64| -((votes + 0.5) / (most + 1.0)).max(f64::MIN_POSITIVE).ln();
-        Scores::Surfaces(votes(model, surfaces, &kernel).into_iter().map(score).collect())
-    }
+        Scores::Surfaces(votes(&pairs, surfaces, &kernel).into_iter().map(score).collect())
+    })
 }
 
-/// Pairs that each surface wins. Decision values, scaled to below a third of a vote, settle ties.
-fn votes(model: &SvmModel, surfaces: usize, kernel: &[f64]) -> Vec<f64> {
+/// Number of pairs that each surface wins. Decision values, scaled to below ⅓, settle ties.
+fn votes(pairs: &[Pair], surfaces: usize, kernel: &[f64]) -> Vec<f64> {
     let (mut won, mut sure) = (vec![0.0; surfaces], vec![0.0; surfaces]);
-    for pair in &model.pairs {
+    for pair in pairs {
         let decision = pair.decide(kernel);
         won[if decision > 0.0 { pair.a } else { pair.b }] += 1.0;
         sure[pair.a] += decision;
@@ -91,34 +75,40 @@ fn distances(training: &TrainingSet) -> Array2<f64> {
     d2
 }
 
-/// The C and γ that name most left-out trials right; the smallest in a tie.
+/// The C and γ that name most left-out trials right; the smallest values in a tie.
 fn choose(training: &TrainingSet, distances: &Array2<f64>) -> (f64, f64) {
     let features = training.features.ncols().max(1) as f64;
-    let parts = training.parts(PARTS);
+    // The trials of every surface are dealt to the folds in turn.
+    let mut seen = vec![0; training.surfaces.len()];
+    let deal = |&class: &usize| {
+        seen[class] += 1;
+        (seen[class] - 1) % PARTS
+    };
+    let part_of: Vec<usize> = training.class.iter().map(deal).collect();
     let settings: Vec<(f64, f64)> =
         COSTS.iter().flat_map(|&c| WIDTHS.map(|width| (c, width / features))).collect();
     let right = |&(cost, gamma): &(f64, f64)| -> usize {
-        let of_part = |part: &Vec<bool>| {
-            let (held, rest): (Vec<usize>, Vec<usize>) = (0..part.len()).partition(|&i| part[i]);
-            let model =
-                SvmModel { gamma, pairs: machines(training, &rest, distances, cost, gamma) };
+        let of_part = |part: usize| {
+            let (held, rest): (Vec<usize>, Vec<usize>) =
+                (0..part_of.len()).partition(|&i| part_of[i] == part);
+            let pairs = machines(training, &rest, distances, cost, gamma);
             let named = |&i: &usize| {
                 let kernel: Vec<f64> =
                     distances.row(i).iter().map(|d2| (-gamma * d2).exp()).collect();
-                let votes = votes(&model, training.surfaces.len(), &kernel);
+                let votes = votes(&pairs, training.surfaces.len(), &kernel);
                 let best = (0..votes.len()).max_by(|&a, &b| votes[a].total_cmp(&votes[b]));
                 best == Some(training.class[i])
             };
             held.iter().filter(|i| named(i)).count()
         };
-        parts.iter().map(of_part).sum()
+        (0..PARTS).map(of_part).sum()
     };
     let counts: Vec<usize> = settings.par_iter().map(right).collect();
     let best = (0..counts.len()).rev().max_by_key(|&i| counts[i]).unwrap_or(0);
     settings[best]
 }
 
-/// Trains one machine for each pair of surfaces with trials among `rows`.
+/// Trains one machine for each pair of the surfaces that have trials among `rows`.
 fn machines(
     training: &TrainingSet,
     rows: &[usize],
@@ -148,14 +138,14 @@ fn machines(
     pairs.par_iter().map(machine).collect()
 }
 
-/// Multipliers and bias of one machine: the maximum of Σαᵢ − ½ Σ αᵢαⱼyᵢyⱼKᵢⱼ with 0 ≤ α ≤ C and
-/// Σαᵢyᵢ = 0.
+/// Multipliers α and bias of one machine: α maximises Σαᵢ − ½ Σ αᵢαⱼyᵢyⱼKᵢⱼ under 0 ≤ α ≤ C and Σαᵢyᵢ
+/// = 0.
 fn solve(kernel: &Array2<f64>, signs: &[f64], cost: f64) -> (Vec<f64>, f64) {
     let n = signs.len();
     let mut alpha = vec![0.0; n];
     // Gradient of the negated objective.
     let mut gradient = vec![-1.0; n];
-    // Every step improves the objective; the limit is for kernels spoilt by rounding.
+    // Every step improves the objective. The limit ends the loop if rounding spoils the kernel.
     for _ in 0..1000 * n {
         let up = |t: usize| if signs[t] > 0.0 { alpha[t] < cost } else { alpha[t] > 0.0 };
         let down = |t: usize| if signs[t] > 0.0 { alpha[t] > 0.0 } else { alpha[t] < cost };
@@ -184,7 +174,7 @@ fn solve(kernel: &Array2<f64>, signs: &[f64], cost: f64) -> (Vec<f64>, f64) {
     (alpha.clone(), bias(&alpha, &gradient, signs, cost))
 }
 
-/// The mean over free support vectors (0 < α < C), else the middle of the range the others allow.
+/// Mean over free support vectors (0 < α < C); if there are none, the middle of the allowed range.
 fn bias(alpha: &[f64], gradient: &[f64], signs: &[f64], cost: f64) -> f64 {
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
     let (mut sum, mut free) = (0.0, 0.0);

@@ -1,9 +1,9 @@
-//! What every comparison classifier must do.
+//! Tests that every comparison classifier must pass.
 
 use super::*;
 use crate::recognise::features::SourceFeatures;
 
-/// Four surfaces with six trials each and three features, the last of which is constant.
+/// Four surfaces with six trials each. Each trial has three features; the last feature is constant.
 fn library() -> Vec<Prepared> {
     let vector = |surface: usize, number: u32| {
         let wobble = |k: u32| (f64::from(number * 7 + k) * 1.7 + surface as f64).sin() * 0.3;
@@ -24,7 +24,7 @@ fn of(source: &str, surface: &str, number: u32, values: Vec<f64>) -> Prepared {
     Prepared::Features(Arc::new(FeatureVector { key, sources }))
 }
 
-fn check<C: Classifier>(classifier: C) {
+fn check(classifier: Classifier) {
     let method = OnFeatures::new("classifier", Scene::lmt108(), classifier);
     let (held, rest): (Vec<_>, Vec<_>) = library().into_iter().partition(|v| v.key().number == 3);
     let shape = Arc::default();
@@ -49,7 +49,7 @@ fn check<C: Classifier>(classifier: C) {
     turned.reverse();
     let again = method.fit(turned, &shape).unwrap();
     assert_eq!(model.rank(&held[1]).unwrap(), again.rank(&held[1]).unwrap());
-    // A trial far beyond anything in the library still has an answer, with finite scores.
+    // A trial far from everything in the library still gets an answer, with finite scores.
     let far = of("x", "a", 3, vec![1e30, -1e30, 0.0]);
     let ranking = model.rank(&far).unwrap();
     assert!(ranking.ranked.iter().all(|r| r.score.is_finite()), "{}", method.name());
@@ -61,33 +61,22 @@ fn check<C: Classifier>(classifier: C) {
 }
 
 #[test]
-fn naive_bayes_keeps_the_promises() {
-    check(NaiveBayes);
-}
-
-#[test]
-fn neighbours_keep_the_promises() {
-    check(Neighbours { distance: Distance::Euclidean });
-    check(Neighbours { distance: Distance::Mahalanobis });
-}
-
-#[test]
-fn the_svm_keeps_the_promises() {
-    check(Svm);
-}
-
-#[test]
-fn trees_keep_the_promises() {
-    check(RandomForest { seed: 1 });
-    check(AdaBoost { seed: 1 });
+fn every_classifier_keeps_the_promises() {
+    check(Classifier::NaiveBayes);
+    check(Classifier::Neighbours(Distance::Euclidean));
+    check(Classifier::Neighbours(Distance::Mahalanobis));
+    check(Classifier::Svm);
+    check(Classifier::RandomForest { seed: 1 });
+    check(Classifier::AdaBoost { seed: 1 });
 }
 
 #[test]
 fn another_seed_is_another_forest() {
     let forest = |seed| {
-        let method = OnFeatures::new("random-forest", Scene::lmt108(), RandomForest { seed });
+        let forest = Classifier::RandomForest { seed };
+        let method = OnFeatures::new("random-forest", Scene::lmt108(), forest);
         let model = method.fit(library(), &Arc::default()).unwrap();
-        // A query between surfaces, where the trees disagree.
+        // A query between surfaces, so that the trees disagree.
         let query = of("x", "a", 9, vec![1.5, 150.0, 4.0]);
         model.rank(&query).unwrap().ranked.iter().map(|r| r.score).collect::<Vec<_>>()
     };
@@ -97,7 +86,7 @@ fn another_seed_is_another_forest() {
 
 #[test]
 fn a_source_that_a_query_lacks_counts_as_the_mean() {
-    let method = OnFeatures::new("naive-bayes", Scene::lmt108(), NaiveBayes);
+    let method = OnFeatures::new("naive-bayes", Scene::lmt108(), Classifier::NaiveBayes);
     let mut both = Vec::new();
     for vector in library() {
         let mut vector = FeatureVector::clone(vector.features(method.name()).unwrap());

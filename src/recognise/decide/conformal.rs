@@ -1,35 +1,30 @@
-//! Tests whether a query is of any surface of the library at all (conformal prediction).
+//! Tests whether the surface of a query is in the library at all (conformal prediction).
 //!
-//! Nonconformity is the distance to the nearest surface in discriminant space. Groups of library
-//! trials are left out in turn, and each trial is measured by the model trained without its group.
-//! A query is measured by each of these models, and compared with the trials that the same model
-//! left out. The p-value (`fit` in JSON) is the share of left-out trials that are at least as
-//! strange as the query, which is counted among them (cross-conformal prediction, Vovk 2015,
-//! "Cross-conformal predictors", Annals of Mathematics and Artificial Intelligence 74). For
-//! surfaces of the library, and people like the library's, it is α or less in a share of about α of
-//! the scans. A finished scan is compared with whole trials; a shorter one, or one in progress,
-//! with beginnings of trials no longer than itself. The trials of one person differ less from each
-//! other than from another person's; so in a library of one person, excerpts of 40 % stand for
-//! whole trials, three of them counted as one trial.
+//! The nonconformity of a trial is its distance to the nearest surface in discriminant space. Library
+//! trials are left out one group at a time, and a model trained without the group measures the trials
+//! of the group. A query is measured by each of these models, and compared with the trials that the
+//! model left out. The p-value (`fit` in JSON) is the share of trials that are at least as strange as
+//! the query; the query is counted among them (cross-conformal prediction, Vovk 2015, "Cross-conformal
+//! predictors", Annals of Mathematics and Artificial Intelligence 74). For surfaces of the library,
+//! and people like the library's, about a share α of the scans has a p-value of α or less. A finished
+//! scan is compared with whole trials, and a shorter scan with beginnings of trials that are no longer
+//! than the scan. Trials of one person differ less from each other than from another person's. In a
+//! library of one person, excerpts of 40 % therefore stand for whole trials, and three excerpts count
+//! as one trial.
 //!
-//! Only a method that can leave out library trials cheaply has this measure: `embedding`.
-//! `reference` would have to compare all trials of the library with each other whenever it is read.
+//! Only `embedding` gives a p-value, because it can leave out library trials cheaply. `reference`
+//! would have to compare all trials of the library with each other each time the library is read.
 //!
-//! # On real sounds
-//! 20 surfaces × 10 trials of LMT108's dragging sounds, one person; four surfaces at a time are left
-//! out of the library, at a stated 1 % of false rejections. `surfaced eval
-//! LMT_108_SurfaceMaterials_Database --protocol leave-one-trial-out --sources mi2 --method embedding
-//! --leave-surfaces-out 5` prints: 40.5 % of 200 unknown ones caught (95 % interval 33.9 to 47.4),
-//! 0.1 % of 800 known ones rejected (0.0 to 0.7). Fewer are rejected than stated, since whole scans
-//! by the same person are compared with excerpts. Many unknown surfaces have a near twin in the
-//! library here: another version of the same stone tile or foam.
+//! `src/evaluate/README.md` shows which unknown surfaces are detected in real sounds. Fewer scans are
+//! rejected there than α states, since whole scans are compared with excerpts of the same person. Many
+//! of its unknown surfaces have a near twin in the library: another version of the same tile or foam.
 
 use super::interval::beta_quantile;
 
-/// A scan at least this share of the median trial's length counts as whole.
+/// A scan is compared with whole trials if it has at least this share of their median length.
 const WHOLE: f64 = 0.95;
 
-/// Nonconformity: the distance to the nearest surface; infinite without one.
+/// Nonconformity of a trial, from its distances to all surfaces: the smallest; infinite if empty.
 pub fn nonconformity(distances: &[f64]) -> f64 {
     distances.iter().copied().fold(f64::INFINITY, f64::min)
 }
@@ -37,16 +32,15 @@ pub fn nonconformity(distances: &[f64]) -> f64 {
 /// Nonconformity of left-out library trials of one length.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Calibration {
-    /// Length in seconds.
     pub scan_s: f64,
-    /// Number of scans taken from each trial, which together count as one.
+    /// Number of scans cut from each trial; together they count as one trial.
     pub of_each: usize,
     /// Nonconformity of each group's scans, ascending.
     by_group: Vec<Vec<f64>>,
 }
 
 impl Calibration {
-    /// `scans` gives each scan's group, and its nonconformity by the model without that group.
+    /// `scans` gives the group of each scan, and its nonconformity by the model without that group.
     pub fn new(scan_s: f64, of_each: usize, scans: impl Iterator<Item = (usize, f64)>) -> Self {
         let mut by_group: Vec<Vec<f64>> = Vec::new();
         for (group, value) in scans {
@@ -57,13 +51,12 @@ impl Calibration {
         Self { scan_s, of_each, by_group }
     }
 
-    /// Number of trials.
     fn trials(&self) -> f64 {
         self.by_group.iter().map(Vec::len).sum::<usize>() as f64 / self.of_each as f64
     }
 
-    /// The share of trials, the query counted among them, that are at least as strange as the
-    /// query. `of_query` gives the query's nonconformity by the model without a given group.
+    /// The share of trials that are at least as strange as the query; the query counts as one of them.
+    /// `of_query` gives the query's nonconformity by the model without a given group.
     fn p_value(&self, of_query: impl Fn(usize) -> f64) -> f64 {
         let at_least = |(group, values): (usize, &Vec<f64>)| {
             let own = of_query(group);
@@ -77,25 +70,25 @@ impl Calibration {
 /// Nonconformity of left-out library trials, whole and cut to their beginnings.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Conformity {
-    /// Calibrations in order of length; the one for whole scans comes last.
+    /// Calibrations in ascending order of length; the last is for whole scans.
     by_length: Vec<Calibration>,
 }
 
 impl Conformity {
-    /// Takes calibrations in order of length; the one for whole scans comes last.
+    /// Takes calibrations in ascending order of length; the last must be for whole scans.
     pub(crate) fn new(mut by_length: Vec<Calibration>) -> Self {
         by_length.retain(|calibration| calibration.trials() > 0.0);
         Self { by_length }
     }
 
-    /// Number of trials that a p-value of a whole scan rests on.
+    /// Number of trials that the p-value of a whole scan is based on.
     pub fn trials(&self) -> usize {
         self.by_length.last().map_or(0, |calibration| calibration.trials().round() as usize)
     }
 
-    /// The p-value of a scan of `scan_s` seconds (infinite for one without a drag), from 1/(n + 1)
-    /// to 1. `of_query` gives its nonconformity by the model without a given group. `None` if the
-    /// scan is shorter than every length that was calibrated.
+    /// The p-value of a scan of `scan_s` seconds, from 1/(n + 1) to 1; pass infinity for a scan
+    /// without a drag. `of_query` gives the scan's nonconformity by the model without a given group.
+    /// `None` if the scan is shorter than every calibrated length.
     pub fn p_value(&self, scan_s: f64, of_query: impl Fn(usize) -> f64) -> Option<f64> {
         let (whole, beginnings) = self.by_length.split_last()?;
         let calibration = if scan_s >= WHOLE * whole.scan_s {
@@ -109,24 +102,15 @@ impl Conformity {
 
 /// Why no scan can be called unknown.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)] // The messages say it.
 pub enum RejectionError {
-    /// not a valid rate
     #[error("a rate of false rejections of {0} is not possible; expected above 0, below 1")]
     Rate(f64),
-    /// too few trials
     #[error(
         "calling surfaces unknown at {} % false rejections takes {needed} trials that can be left \
          out, but the library has {trials}: enrol more, or allow more false rejections", 100.0 * rate
     )]
-    TooFew {
-        /// the rate that was asked for
-        rate: f64,
-        /// trials needed
-        needed: usize,
-        /// trials that the library has
-        trials: usize,
-    },
-    /// a method without a p-value
+    TooFew { rate: f64, needed: usize, trials: usize },
     #[error(
         "this method cannot say whether a surface is unknown: that would take comparing every \
          trial of the library with all others; the method `embedding` can"
@@ -134,10 +118,10 @@ pub enum RejectionError {
     NoPValue,
 }
 
-/// Usual rate of false rejections, where the library has enough trials for it.
+/// False rejection rate used by default, if the library has enough trials for it.
 const USUAL_RATE: f64 = 0.01;
 
-/// Fewest left-out trials with which scans are called unknown by default.
+/// Scans are called unknown by default only with at least this many left-out trials.
 pub const FEWEST: usize = 9;
 
 /// The p-value at or below which a query is called unknown.
@@ -145,9 +129,9 @@ pub const FEWEST: usize = 9;
 pub struct Rejection {
     /// Stated rate of false rejections, α.
     pub rate: f64,
-    /// Number of left-out library trials that the threshold rests on.
+    /// Number of left-out library trials that the threshold is based on.
     pub trials: usize,
-    /// Whether whole people were left out; otherwise the rate holds only for the library's people.
+    /// True if whole people were left out; if false, the rate holds only for people in the library.
     pub across_people: bool,
     /// Lower end of the 95 % interval of the rate, given these trials.
     pub rate_low: f64,
@@ -156,10 +140,11 @@ pub struct Rejection {
 }
 
 impl Rejection {
-    /// The threshold for 1 %, the usual rate, or the lowest rate that `trials` trials can show.
+    /// The threshold for a rate of 1 %, or for the lowest rate that a p-value from `trials` trials can
+    /// reach.
     ///
     /// # Errors
-    /// With fewer than `FEWEST` trials, which would wrongly reject more than one scan in ten.
+    /// If there are fewer than `FEWEST` trials, since more than one scan in ten would be wrongly rejected.
     pub(crate) fn usual(trials: usize, across_people: bool) -> Result<Self, RejectionError> {
         if trials < FEWEST {
             let rate = 1.0 / (FEWEST + 1) as f64;
@@ -168,13 +153,13 @@ impl Rejection {
         Self::new(trials, across_people, USUAL_RATE.max(1.0 / (trials + 1) as f64))
     }
 
-    /// The threshold for a rate of `rate`, by `trials` left-out trials. Given the trials, the rate
-    /// is distributed as Beta(k, n + 1 − k), k = ⌊α(n + 1)⌋ (Vovk 2012, "Conditional validity of
-    /// inductive conformal predictors"). For k = 1 its density is highest at 0, where the interval
-    /// of highest density begins.
+    /// The threshold for a rate of `rate`, based on `trials` left-out trials. Given these trials, the
+    /// true rate follows Beta(k, n + 1 − k), k = ⌊α(n + 1)⌋ (Vovk 2012, "Conditional validity of
+    /// inductive conformal predictors"). For k = 1 its density is highest at 0, so the interval of
+    /// highest density begins at 0.
     ///
     /// # Errors
-    /// If no p-value can be as low as `rate`: with fewer than 1/α − 1 trials.
+    /// If there are fewer than 1/α − 1 trials: no p-value can then be as low as `rate`.
     pub(crate) fn new(
         trials: usize,
         across_people: bool,
@@ -237,7 +222,7 @@ mod tests {
 
     #[test]
     fn of_exchangeable_queries_no_more_than_the_stated_share_is_rejected() {
-        // A permutation of 0 … 999; each value in turn is the query, 199 others the library.
+        // A permutation of 0 … 999; each value in turn is the query, and 199 others are the library.
         let value = |i: usize| ((i * 617) % 1000) as f64;
         let test = Rejection::new(199, true, 0.05).unwrap();
         let rejected = (0..1000).filter(|&q| {
@@ -265,7 +250,7 @@ mod tests {
         let scans = [(0, 1.0), (0, 2.0), (0, 3.0), (1, 10.0), (1, 20.0), (1, 30.0)];
         let excerpts = Conformity::new(vec![Calibration::new(1.0, 3, scans.into_iter())]);
         assert_eq!(excerpts.trials(), 2);
-        // Two of three excerpts of one trial and one of the other: (2/3 + 1/3 + 1)/3.
+        // Two of three excerpts of one trial, and one of the other, are stranger: (2/3 + 1/3 + 1)/3.
         let p_value = excerpts.p_value(2.0, |group| [1.5, 25.0][group]).unwrap();
         assert!((p_value - 2.0 / 3.0).abs() < 1e-12, "{p_value}");
         assert_eq!(nonconformity(&[8.0, 2.0, f64::INFINITY]), 2.0);

@@ -1,18 +1,18 @@
-//! Confidence intervals of a share: what k successes in n trials say about the rate behind them.
+//! Confidence intervals of a success rate, given k successes in n trials.
 
 use statrs::distribution::{Beta, ContinuousCDF, StudentsT};
 
 /// The 97.5 % quantile of the normal distribution.
 const Z: f64 = 1.959_963_984_540_054;
 
-/// Quantile of the Beta distribution; the parameters are positive.
+/// Quantile of the Beta distribution. Both parameters must be positive.
 pub fn beta_quantile(a: f64, b: f64, level: f64) -> f64 {
     // Fails only if a parameter is not positive.
     Beta::new(a, b).map_or(f64::NAN, |beta| beta.inverse_cdf(level))
 }
 
-/// Quantile of the rate behind `successes` of `trials` under Jeffreys' prior, Beta(k + ½, n − k + ½)
-/// (Brown, Cai & DasGupta 2001, "Interval estimation for a binomial proportion").
+/// Quantile of the success rate under Jeffreys' prior, Beta(k + ½, n − k + ½), given k `successes` in
+/// n `trials` (Brown, Cai & DasGupta 2001, "Interval estimation for a binomial proportion").
 ///
 /// # Panics
 /// If there are more successes than trials.
@@ -21,9 +21,9 @@ pub fn jeffreys_quantile(successes: usize, trials: usize, level: f64) -> f64 {
     beta_quantile(successes as f64 + 0.5, (trials - successes) as f64 + 0.5, level)
 }
 
-/// 95 % confidence interval of a share found in `trials` trials, which need not be a whole number
-/// (Wilson 1927, "Probable inference, the law of succession, and statistical inference"). (0, 1)
-/// without trials.
+/// 95 % confidence interval of a share found in `trials` trials, (0, 1) if there are none. `trials`
+/// may be fractional (Wilson 1927, "Probable inference, the law of succession, and statistical
+/// inference").
 pub fn wilson(share: f64, trials: f64) -> (f64, f64) {
     if trials <= 0.0 {
         return (0.0, 1.0);
@@ -34,14 +34,14 @@ pub fn wilson(share: f64, trials: f64) -> (f64, f64) {
     (((centre - spread) / scale).max(0.0), ((centre + spread) / scale).min(1.0))
 }
 
-/// 95 % confidence interval of a share of successes (Wilson 1927). (0, 1) without trials.
+/// 95 % confidence interval of a success rate (Wilson 1927); (0, 1) if there are no trials.
 pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
     wilson(successes as f64 / trials.max(1) as f64, trials as f64)
 }
 
-/// 95 % confidence interval of a share, from the successes and trials of several groups, such as
-/// people. Wilson's interval for an effective number of trials, which is smaller the more the
-/// groups differ and the fewer they are (Korn & Graubard 1998, "Confidence intervals for
+/// 95 % confidence interval of a success rate, from (successes, trials) of several groups, such as
+/// people. It is Wilson's interval for an effective number of trials. That number is smaller the more
+/// the groups differ and the fewer groups there are (Korn & Graubard 1998, "Confidence intervals for
 /// proportions with small expected number of positive counts estimated from survey data").
 pub fn wilson_of_groups(groups: &[(usize, usize)]) -> (f64, f64) {
     let count = groups.len() as f64;
@@ -54,23 +54,23 @@ pub fn wilson_of_groups(groups: &[(usize, usize)]) -> (f64, f64) {
     let residual = |&(right, all): &(usize, usize)| (right as f64 - share * all as f64).powi(2);
     let variance = groups.iter().map(residual).sum::<f64>() * count / (count - 1.0) / (n * n);
     let binomial = share * (1.0 - share) / n;
-    // Groups that happen to be more alike than chance makes them are no better evidence.
+    // Groups that are more alike than chance predicts do not count as more than their trials.
     let effect = if binomial > 0.0 { (variance / binomial).max(1.0) } else { 1.0 };
-    // There are two groups at least, so the degrees of freedom are positive.
+    // There are at least two groups here, so the degrees of freedom are positive.
     let t = StudentsT::new(0.0, 1.0, count - 1.0).map_or(f64::NAN, |t| t.inverse_cdf(0.975));
     wilson(share, n / effect * (Z / t).powi(2))
 }
 
-/// Whether `right` of `trials` show a share, judged by the median of the posterior under Jeffreys'
-/// prior, which is a little stricter than the plain quotient. Where so few trials could not show
-/// the share even without a mistake, all of them must be right.
+/// Whether `right` of `trials` show a success rate of `share`: the median of the posterior under
+/// Jeffreys' prior must reach it, which is slightly stricter than `right / trials`. If there are too
+/// few trials to show the share even without a mistake, all of them must be right.
 pub fn reaches(right: usize, trials: usize, share: f64) -> bool {
     trials > 0
         && (right == trials && !can_show(trials, share)
             || jeffreys_quantile(right, trials, 0.5) >= share)
 }
 
-/// Whether `trials` trials, all of them right, show a share as [`reaches`] judges it.
+/// Whether `trials` trials show a success rate of `share` if all of them are right.
 pub fn can_show(trials: usize, share: f64) -> bool {
     jeffreys_quantile(trials, trials, 0.5) >= share
 }
@@ -90,7 +90,7 @@ mod tests {
         let differ = [(80, 100), (100, 100), (82, 100), (98, 100)];
         assert!(width(&alike) > high - low && width(&differ) > 1.5 * width(&alike));
         assert!(width(&[(180, 200); 2]) > width(&alike));
-        // With very many groups that are alike, it is Wilson's interval.
+        // With very many similar groups, the result is Wilson's interval.
         let (many_low, many_high) = wilson_of_groups(&[(9, 10); 4000]);
         let (low, high) = wilson(0.9, 40_000.0);
         assert!((many_low - low).abs() < 1e-5 && (many_high - high).abs() < 1e-5);

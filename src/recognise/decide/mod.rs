@@ -1,5 +1,5 @@
-//! Decisions about a scan: when its answer is settled, how long it must last, whether its surface
-//! is unknown, and which sources are left out because their sensor is dead.
+//! Decisions about a scan: when its answer is settled, how long the scan must last, whether its
+//! surface is unknown, and which sources are left out because their sensor is dead.
 
 pub mod conformal;
 pub mod dead_sensor;

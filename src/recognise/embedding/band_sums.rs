@@ -1,46 +1,43 @@
 //! Histograms of ln power in each band, from which all log-band features are computed.
 //!
-//! Features of log-band frames are means over frames of functions of ln power. These functions
-//! depend on the mean power of the whole series or copy, which changes with every frame. So frames
-//! are counted: bins of ln power are an eighth apart, and each value is shared between the two bins
-//! next to it, the nearer one getting more. The mean of a function over a histogram is that of its
-//! linear interpolation between bins: a smooth function of the samples, whose cost does not grow
-//! with the scan.
+//! Features of log-band frames are means over frames of functions of ln power. These functions depend
+//! on the mean power of the whole series, which changes with every new frame. So the frames are
+//! counted in histograms: bins of ln power are an eighth apart, and each value is shared between the
+//! two bins next to it; the nearer bin gets more. The mean of a function over a histogram is the mean
+//! of its linear interpolation between bins. It is smooth in the samples, and does not cost more the
+//! longer the scan lasts.
 //!
-//! When the stylus leaves the surface, or a serial line repeats its last value, frames are far
-//! quieter than the rest and say nothing about the surface. The median that decides is known only
-//! at the end, so each class of loudness has histograms of its own.
-
-use std::collections::BTreeMap;
+//! When the stylus leaves the surface, or a serial line repeats its last value, frames are far quieter
+//! than the rest and say nothing about the surface. Which frames are left out depends on the median
+//! loudness, which is known only at the end. So each class of loudness has its own histograms.
 
 use multiversion::multiversion;
 use serde::{Deserialize, Serialize};
 
 use super::fourier::{BAND_FEATURES, BandScale, LANES, add_up};
+use super::lanes::extremes;
+use crate::recognise::features::windowed_frames::sum;
 
-/// Bins in one unit of ln power.
+/// Number of bins in one unit of ln power.
 const BINS: f32 = 8.0;
 
 /// Width of a class of loudness, in units of ln power (6.5 dB).
 const LOUDNESS: f32 = 1.5;
 
 /// Frames more than this many classes (26 dB) below the median frame count as off the surface. A
-/// smaller distance would lose quiet parts of the texture itself.
+/// smaller distance would also drop quiet parts of the texture.
 const QUIETER: i32 = 4;
 
-/// Added to power over mean power before the logarithm, to hide noise far below the signal.
+/// Added to P/P̄ (power over mean power) before the logarithm, to hide noise far below the signal.
 const FLOOR: f64 = 1e-4;
 
-/// Histograms of ln power, one for each band.
 #[derive(Clone, Debug)]
 pub(super) struct Counts {
-    /// Number of channels.
     channels: usize,
-    /// Bands of all channels.
+    /// Number of bands of all channels together.
     width: usize,
-    /// Number of frames.
     frames: usize,
-    /// The ln power of the first bin is `first`/[`BINS`].
+    /// The first bin has ln power `first`/[`BINS`].
     first: i32,
     bins: usize,
     /// Shape (width, bins).
@@ -72,9 +69,8 @@ impl Counts {
     }
 
     fn add(&mut self, row: &[f32]) {
-        let (least, most) =
-            row.iter().fold((f32::MAX, f32::MIN), |(a, b), &x| (a.min(x), b.max(x)));
-        self.reach((least * BINS).floor() as i32, (most * BINS).floor() as i32 + 1);
+        let (least, most) = extremes(row);
+        self.reach(floor(least * BINS), floor(most * BINS) + 1);
         count(row, self.first, self.bins, &mut self.counts);
         self.frames += 1;
     }
@@ -120,8 +116,7 @@ impl Counts {
         all
     }
 
-    /// ln(P/P̄ + 1e-4) of each bin, channel by channel, with ln P̄ from `ln_mean`: shape
-    /// (channels, bins).
+    /// ln(P/P̄ + 1e-4) of each bin; `ln_mean` gives ln P̄ of each channel. Shape (channels, bins).
     fn relative(&self, ln_mean: &[f64]) -> Vec<f32> {
         let relative = |mean: &f64| {
             let mean = *mean;
@@ -143,48 +138,57 @@ impl Counts {
     }
 }
 
-/// Adds one value to the histogram of each band; all of them have `bins` bins.
+/// Adds one value to the histogram of each band; every histogram has `bins` bins.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn count(row: &[f32], first: i32, bins: usize, counts: &mut [f32]) {
-    for (&x, counts) in row.iter().zip(counts.chunks_exact_mut(bins)) {
+    for (i, x) in row.iter().enumerate() {
         let at = x * BINS;
         let bin = at.floor();
-        let (part, bin) = (at - bin, (bin as i32 - first) as usize);
+        let (part, bin) = (at - bin, i * bins + (bin as i32 - first) as usize);
         counts[bin] += 1.0 - part;
         counts[bin + 1] += part;
     }
 }
 
-/// Histograms of the frames of one view of a series, for each class of loudness.
+/// Without SSE 4.1, `f32::floor` is a function call.
+fn floor(x: f32) -> i32 {
+    let towards_zero = x as i32;
+    towards_zero - i32::from(towards_zero as f32 > x)
+}
+
+/// Histograms of the frames of one view of a series, one set for each class of loudness.
 #[derive(Clone, Debug)]
 pub(super) struct BandSums {
     channels: usize,
     width: usize,
-    by_loudness: BTreeMap<i32, Counts>,
+    /// Classes of loudness in ascending order, with their histograms.
+    by_loudness: Vec<(i32, Counts)>,
 }
 
 impl BandSums {
-    /// Starts without frames; `width` counts the bands of all channels.
+    /// Starts without frames; `width` is the number of bands of all channels together.
     pub fn new(channels: usize, width: usize) -> Self {
-        Self { channels, width, by_loudness: BTreeMap::new() }
+        Self { channels, width, by_loudness: Vec::new() }
     }
 
-    /// Adds frames, shape (frames, width), as ln power.
+    /// Adds frames of ln power, shape (frames, width).
     pub fn add(&mut self, values: &[f32]) {
         for row in values.chunks_exact(self.width) {
-            let mean = row.iter().sum::<f32>() / row.len() as f32;
-            let class = (mean / LOUDNESS).floor() as i32;
-            let none = || Counts::new(self.channels, self.width);
-            self.by_loudness.entry(class).or_insert_with(none).add(row);
+            let mean = sum(row) as f32 / row.len() as f32;
+            let class = floor(mean / LOUDNESS);
+            let at = self.by_loudness.partition_point(|(other, _)| *other < class);
+            if self.by_loudness.get(at).is_none_or(|(other, _)| *other != class) {
+                self.by_loudness.insert(at, (class, Counts::new(self.channels, self.width)));
+            }
+            self.by_loudness[at].1.add(row);
         }
     }
 
     /// Number of frames, on the surface or not.
     pub fn frames(&self) -> usize {
-        self.by_loudness.values().map(|counts| counts.frames).sum()
+        self.by_loudness.iter().map(|(_, counts)| counts.frames).sum()
     }
 
-    /// The histograms of the frames on the surface.
     pub fn on_surface(&self) -> Counts {
         let (half, mut below) = (self.frames() / 2, 0);
         let median = self.by_loudness.iter().find(|(_, counts)| {
@@ -193,13 +197,14 @@ impl BandSums {
         });
         let mut total = Counts::new(self.channels, self.width);
         let least = median.map_or(0, |(class, _)| class - QUIETER);
-        self.by_loudness.range(least..).for_each(|(_, counts)| total.join(counts));
+        let loud = self.by_loudness.iter().filter(|(class, _)| *class >= least);
+        loud.for_each(|(_, counts)| total.join(counts));
         total
     }
 }
 
-/// How the frames of one view become features, each band twice: in shape, relative to the series'
-/// own mean power, and in level, relative to the library's.
+/// Turns the frames of one view into features. Each band gives features in shape (relative to the
+/// series' own mean power) and in level (relative to the library's).
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct ViewEmbedder {
     shape: BandScale,
@@ -209,7 +214,7 @@ pub(super) struct ViewEmbedder {
 }
 
 impl ViewEmbedder {
-    /// Takes means and deviations from series of a library, at least one.
+    /// Takes means and deviations from the counted frames of library series, at least one.
     pub fn new(pieces: &[Counts]) -> Self {
         let own: Vec<Vec<f64>> = pieces.iter().map(Counts::ln_mean_power).collect();
         let median = |c: usize| median(own.iter().map(|powers| powers[c]).collect());
@@ -218,13 +223,12 @@ impl ViewEmbedder {
         Self { level: scale(pieces, |_| &ln_power), shape, ln_power }
     }
 
-    /// Number of features.
     pub fn dims(&self) -> usize {
         2 * BAND_FEATURES * self.shape.width()
     }
 
-    /// Appends the features of the counted frames, their samples multiplied by e^`ln_gain`: means
-    /// of cos ωz and sin ωz.
+    /// Appends the means of cos ωz and sin ωz over the counted frames, as if their samples were
+    /// multiplied by e^`ln_gain`.
     pub fn push(&self, counts: &Counts, ln_gain: f64, vector: &mut Vec<f32>) {
         let own = counts.ln_mean_power();
         let library: Vec<f64> = self.ln_power.iter().map(|power| power - 2.0 * ln_gain).collect();
@@ -238,7 +242,7 @@ impl ViewEmbedder {
     }
 }
 
-/// Mean and deviation of each band over the frames of `pieces`, relative to the given mean powers.
+/// Mean and deviation of each band over the frames of `pieces`, relative to mean powers `ln_mean`.
 fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64>) -> BandScale {
     let width = pieces[0].width;
     let (mut total, mut frames) = (vec![(0.0, 0.0); width], 0);
@@ -257,14 +261,14 @@ fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64>) -> Band
     BandScale::new(total.iter().map(mean).collect(), &deviations)
 }
 
-/// The median of `values`: the upper middle one if their number is even, 0 without any.
+/// The median of `values`: the upper middle value if their number is even, 0 if there are none.
 pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Adds the features of all bands to `sums`, shape ([`BAND_FEATURES`], width). `counts` has the
-/// shape (width, bins); `table` holds the value of each bin, shape (channels, bins).
+/// Adds the features of all bands to `sums`, shape ([`BAND_FEATURES`], width). `counts` has shape
+/// (width, bins). `table` holds the value of each bin, shape (channels, bins).
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn add_bands(
     counts: &[f32],
@@ -275,15 +279,22 @@ fn add_bands(
 ) {
     let width = scale.width();
     for (band, counts) in counts.chunks_exact(bins.max(1)).enumerate() {
-        let values = &table[band / bands * bins..][..bins];
+        let values = table[band / bands * bins..][..bins].as_chunks().0;
+        let counts = counts.as_chunks().0;
         let mut acc = [[0f32; LANES]; BAND_FEATURES];
-        for (counts, values) in counts.chunks_exact(LANES).zip(values.chunks_exact(LANES)) {
-            if counts.iter().any(|&n| n != 0.0) {
-                add_up(scale, band, counts, values, &mut acc);
+        for i in 0..counts.len().min(values.len()) {
+            let mut counted = false;
+            for n in &counts[i] {
+                counted |= *n != 0.0;
+            }
+            if counted {
+                add_up(scale, band, &counts[i], &values[i], &mut acc);
             }
         }
-        for (feature, lanes) in acc.iter().enumerate() {
-            sums[feature * width + band] += lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
+        for feature in 0..BAND_FEATURES {
+            for lane in &acc[feature] {
+                sums[feature * width + band] += f64::from(*lane);
+            }
         }
     }
 }
@@ -335,7 +346,7 @@ mod tests {
         let mut vector = Vec::new();
         embedder.push(&counted(&values), 0.0, &mut vector);
         assert_eq!(vector.len(), embedder.dims());
-        // By the definition, for band 4, which belongs to the second channel, in shape.
+        // From the definition, in shape, for band 4, which belongs to the second channel.
         let power = |c: usize| {
             let of_channel = values.chunks_exact(6).flat_map(|row| &row[3 * c..3 * c + 3]);
             of_channel.map(|&x| f64::from(x).exp()).sum::<f64>() / 900.0

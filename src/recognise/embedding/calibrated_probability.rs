@@ -1,31 +1,29 @@
-//! From distances to probabilities: temperatures, fitted on left-out library trials.
+//! Turns distances into probabilities, with temperatures fitted on left-out library trials.
 //!
-//! A posterior is softmax(−d/(2τ)), d the distances to the classes. The frames of a scan are not
-//! independent, so with τ = 1 it would look too sure, the more so the shorter the scan. A τ that
-//! depends on the scan's length makes up for it (Guo et al. 2017, "On calibration of modern neural
-//! networks": the τ of highest likelihood on held-out data). It is never below 1, and no
-//! probability is stated beyond what the left-out trials can show.
+//! A posterior is softmax(−d/(2τ)), where d are the distances to the classes. With τ = 1 it would be
+//! too sure, the more the shorter the scan, since the frames of a scan are not independent. So τ
+//! depends on the length of the scan (Guo et al. 2017, "On calibration of modern neural networks": the
+//! τ of highest likelihood on held-out data). τ is at least 1, and probabilities are limited to what
+//! the left-out trials can show.
 
 use serde::{Deserialize, Serialize};
 
-/// Highest τ that is tried.
 const HIGHEST: f64 = 200.0;
 
-/// Number of τ that are tried.
 const STEPS: usize = 60;
 
-/// Distances of a left-out trial to all classes, and its own class.
+/// Distances of a left-out trial to all classes, and the index of its own class.
 pub type HeldOut = (Vec<f64>, usize);
 
 /// τ as a function of the length of a scan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Temperature {
-    /// (Length of a scan in seconds, τ), in order of length.
+    /// (Length of a scan in seconds, τ), in ascending order of length.
     points: Vec<(f64, f64)>,
 }
 
 impl Temperature {
-    /// Fits τ at each length, so that it never rises with the length; 1 without left-out trials.
+    /// Fits τ at each length, so that τ never rises with length. Without left-out trials, τ is 1.
     pub fn fit(held_out: &[(f64, Vec<HeldOut>)]) -> Self {
         let mut points: Vec<(f64, f64)> = held_out
             .iter()
@@ -41,7 +39,7 @@ impl Temperature {
         Self { points }
     }
 
-    /// τ for a scan of this length, interpolated.
+    /// τ for a scan of `seconds` seconds, interpolated linearly.
     pub fn at(&self, seconds: f64) -> f64 {
         let after = self.points.partition_point(|(t, _)| *t < seconds);
         match (after.checked_sub(1).map(|i| self.points[i]), self.points.get(after)) {
@@ -52,22 +50,17 @@ impl Temperature {
     }
 }
 
-/// The τ in [1, 200] of least log loss.
-pub fn best_temperature(held_out: &[HeldOut]) -> f64 {
-    best_fit(held_out).0
-}
-
-/// The τ of [`best_temperature`], and its log loss.
-pub(super) fn best_fit(held_out: &[HeldOut]) -> (f64, f64) {
+/// The τ in [1, 200] with the least log loss.
+fn best_temperature(held_out: &[HeldOut]) -> f64 {
     let loss = |tau: f64| -> f64 {
         held_out.iter().map(|(d, class)| -log_posterior(d, tau)[*class].max(-700.0)).sum()
     };
     let tau = |step: usize| HIGHEST.powf(step as f64 / (STEPS - 1) as f64);
     let fits = (0..STEPS).map(|step| (tau(step), loss(tau(step))));
-    fits.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((1.0, 0.0))
+    fits.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(1.0, |best| best.0)
 }
 
-/// ln of softmax(−d/(2τ)); −∞ for infinite distances, unless all are infinite: then all are equal.
+/// ln of softmax(−d/(2τ)); −∞ for infinite distances. If all are infinite, all classes are equal.
 pub fn log_posterior(distances: &[f64], tau: f64) -> Vec<f64> {
     let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
     if !least.is_finite() {
@@ -78,8 +71,8 @@ pub fn log_posterior(distances: &[f64], tau: f64) -> Vec<f64> {
     logits.iter().map(|x| x - total).collect()
 }
 
-/// Posterior probabilities, mixed with equal shares so that none is above (m + ½)/(m + 1): more
-/// cannot be shown by m = `trials` left-out trials, even if all are named right.
+/// Posterior probabilities, mixed with equal shares so that none is above (m + ½)/(m + 1). With m =
+/// `trials` left-out trials no more can be shown, even if all are named right.
 pub fn held_back(log_posterior: &[f64], trials: usize) -> Vec<f64> {
     let classes = log_posterior.len() as f64;
     let doubt = 0.5 / (trials as f64 + 1.0);
@@ -101,7 +94,7 @@ mod tests {
 
     #[test]
     fn an_overconfident_distance_gets_a_higher_temperature() {
-        // One in ten is wrong, by as much as the others are right.
+        // One trial in ten is wrong, by as much as the others are right.
         let trial = |i: usize| (vec![0.0, 40.0], usize::from(i.is_multiple_of(10)));
         let tau = best_temperature(&(0..100).map(trial).collect::<Vec<_>>());
         assert!((20.0 / tau - 9f64.ln()).abs() < 0.2, "{tau}");

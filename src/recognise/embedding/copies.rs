@@ -1,50 +1,46 @@
-//! Augmented copies of a library's trials for training: the same scan as another hand, at another
-//! place or with a worse sensor, might have made it.
+//! Augmented copies of a library's trials for training: what the same scan might be with another hand,
+//! at another place, or with a worse sensor.
 //!
-//! Each trial has three excerpts of 40 % and one *twin*: the whole trial, disturbed as sensors
-//! disturb (method §11). Their gain varies like the force of a hand, so that training learns what
-//! level is worth. Place and gain are drawn once for each copy, for all its sources; stretch, noise
-//! and loss once for each source. All draws depend only on the trial's name and the seed.
+//! Each trial has three excerpts of 40 % and one *twin*: the whole trial with the disturbances of a
+//! worse sensor (method §11). The gain of copies varies like the force of a hand, so that training
+//! learns how much to trust level. Place and gain are drawn once for each copy; stretch, noise and
+//! loss once for each source of a copy. All draws depend only on the trial's name and the seed.
 
 use rand_chacha::ChaCha8Rng;
 
 use crate::seed;
 use crate::trial::TrialKey;
 
-/// Excerpts of each trial.
 pub const EXCERPTS: usize = 3;
 
-/// Copies of each trial: the excerpts, then the twin.
+/// Number of copies of each trial: the excerpts, then the twin.
 pub const COPIES: usize = EXCERPTS + 1;
 
-/// Length of an excerpt as a share of its trial.
+/// Length of an excerpt, as a share of its trial.
 pub const SHARE: f64 = 0.4;
 
-/// Standard deviation of the ln of a copy's gain: 2 dB, as the force of a hand varies.
+/// Standard deviation of ln gain of a copy: 2 dB, like the force of a hand.
 const LN_GAIN: f64 = 0.25;
 
-/// Standard deviation of the ln of a copy's gain for pictures, where the light varies.
+/// Standard deviation of ln gain of a copied picture, since the light varies.
 const PICTURE_LN_GAIN: f64 = 0.2;
 
-/// Largest |ln| of a twin's stretch: a clock or a pace that is 6 % off.
+/// Largest |ln| of a twin's stretch: a clock or pace that is 6 % off.
 const LN_STRETCH: f64 = 0.06;
 
-/// White noise in a twin, in dB below the signal: least and most.
+/// White noise added to a twin, in dB below the signal: least and most.
 const NOISE_DB: (f64, f64) = (5.0, 40.0);
 
-/// Share of single samples that half of the twins lose, as a power of ten: least and most.
+/// Share of samples that is lost in half of the twins, as a power of ten: least and most.
 const LOST_LOG10: (f64, f64) = (-3.0, -1.0);
 
-/// One copy of a trial.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Copy {
     /// Start of an excerpt, as a share of the latest possible start; `None` for the twin.
     pub place: Option<f64>,
-    /// ln of the gain of its series.
     pub ln_gain: f64,
-    /// ln of the gain of its pictures.
     pub picture_ln_gain: f64,
-    /// The quarter of each picture that it holds.
+    /// The quarter of each picture that the copy holds, 0 to 3.
     pub quarter: usize,
 }
 
@@ -58,13 +54,12 @@ pub fn copies(key: &TrialKey, seed: u64) -> [Copy; COPIES] {
     })
 }
 
-/// The random generator of a trial for one `purpose`.
 fn rng(key: &TrialKey, seed: u64, purpose: &str) -> ChaCha8Rng {
     seed::rng(seed, &[purpose.as_bytes(), key.to_string().as_bytes()])
 }
 
-/// The samples of a copy of a series: an excerpt, or the twin. `samples` are interleaved; `source`
-/// is the name of the source.
+/// The samples of a copy of a series: an excerpt, or the twin. `samples` are interleaved; `source` is
+/// the name of the source.
 pub fn samples(
     copy: &Copy,
     (key, seed, source): (&TrialKey, u64, &str),
@@ -80,8 +75,8 @@ pub fn samples(
     samples[first * channels..(first + length).min(frames) * channels].to_vec()
 }
 
-/// A series as a worse sensor would have recorded it: stretched, with white noise, and in half of
-/// the cases with single samples lost, so that later ones move up.
+/// A series as a worse sensor would have recorded it: stretched, with white noise. In half of the
+/// cases, single samples are lost and later samples move up.
 fn twin(rng: &mut ChaCha8Rng, channels: usize, samples: &[f32]) -> Vec<f32> {
     let mut between = |(low, high): (f64, f64)| low + (high - low) * seed::uniform(rng);
     let pace = between((-LN_STRETCH, LN_STRETCH)).exp();
@@ -109,7 +104,6 @@ fn twin(rng: &mut ChaCha8Rng, channels: usize, samples: &[f32]) -> Vec<f32> {
     twin
 }
 
-/// The standard deviation of each channel.
 fn deviations(channels: usize, samples: &[f32]) -> Vec<f64> {
     let means = super::moments::means(samples, channels);
     let frames = (samples.len() / channels).max(1) as f64;

@@ -1,41 +1,38 @@
-//! The shrinkage discriminant: linear discriminant analysis of embeddings, trained on all trials
-//! and, for each group, on the trials outside it.
+//! The shrinkage discriminant: linear discriminant analysis of embeddings. One is trained on all
+//! trials, and one for each group on the trials outside the group.
 //!
-//! Each training vector has a label: below the number of classes it is the class of a whole trial;
-//! higher labels are of copies. The class means m_c are those of whole trials; the scatter W pools
-//! all vectors, each minus the mean of its label. The metric is S = (1 − γ)·W + γ·(tr W/D)·I. The
-//! distances d_c = ‖u − m_c‖² are taken in the space that the class means span after whitening by
-//! S: they order classes as the full Mahalanobis distance does, since directions outside that space
-//! do not separate classes.
+//! Each training vector has a label. A label below the number of classes is the class of a whole
+//! trial; higher labels are for copies. The class mean m_c is over whole trials only. The scatter W
+//! pools all vectors, each minus the mean of its label. The metric is S = (1 − γ)·W + γ·(tr W/D)·I.
+//! The distances d_c = ‖u − m_c‖² are computed in the space that the class means span after whitening
+//! by S. They order classes like the full Mahalanobis distance, since directions outside that space do
+//! not separate classes.
 //!
-//! S = L·Lᵀ is factored once. Leaving out the rows of a group takes R_gᵀ·Q·R_g from W: R_g are the
-//! group's rows minus the means of their labels; Q⁻¹ is I less 1/n between rows of the same label,
-//! which has n rows in all, since the means move, too. With V = L⁻¹·R_gᵀ, the inverse in white
-//! coordinates is I + V·(Q⁻¹ − VᵀV)⁻¹·Vᵀ (Woodbury), which is cheap for a small group.
+//! S = L·Lᵀ is factored once. Leaving out the rows of a group subtracts R_gᵀ·Q·R_g from W. R_g are the
+//! group's rows minus the means of their labels. Q⁻¹ is I minus 1/n between rows of the same label
+//! with n rows in all, since the means move, too. With V = L⁻¹·R_gᵀ, the inverse in white coordinates
+//! is I + V·(Q⁻¹ − VᵀV)⁻¹·Vᵀ (Woodbury), which is cheap for a small group.
 
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::linear::{cholesky, solve_lower, solve_lower_transposed};
+use super::linear::{Residuals, cholesky, solve_lower, solve_lower_transposed};
 use super::packed;
-use super::residuals::Residuals;
 
-/// Variance within classes is taken to be at least this share of all variance: a detector that has
-/// never erred in the library may err.
+/// Variance within classes counts as at least this share of all variance, since a detector that has
+/// never erred in the library may still err.
 const LEAST_WITHIN: f64 = 1e-3;
 
-/// A class mean lies in the space of the others if its squared distance to that space is below this
-/// share of the largest squared length of a mean.
+/// A class mean counts as lying in the space of the other means if its squared distance to that space
+/// is below this share of the largest squared length of a mean.
 const INSIDE: f64 = 1e-10;
 
-/// A trained discriminant.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Discriminant {
-    /// From features to the space of the class means, whitened; shape (r, D), r < C.
+    /// Matrix from features to the whitened space of the class means; shape (r, D), r < C.
     #[serde(with = "packed::matrix")]
     projection: Array2<f32>,
-    /// Projection of the centre of the class means.
     origin: Array1<f64>,
     /// Class means m_c in that space, shape (C, r).
     means: Array2<f64>,
@@ -43,17 +40,13 @@ pub struct Discriminant {
     present: Vec<bool>,
 }
 
-/// Training vectors with their labels and groups.
 pub struct Vectors<'a> {
-    /// Training vectors, shape (n, D).
     pub rows: &'a Array2<f32>,
-    /// Label of each row: the class of a whole trial; from `classes` on, of a copy.
+    /// Label of each row: the class of a whole trial, or `classes` and above for a copy.
     pub labels: &'a [usize],
-    /// Group of each row; groups are left out in turn.
+    /// Group of each row. Groups are left out one at a time.
     pub groups: &'a [usize],
-    /// Number of classes.
     pub classes: usize,
-    /// Number of groups.
     pub group_count: usize,
 }
 
@@ -61,7 +54,7 @@ pub struct Vectors<'a> {
 struct Metric<'a> {
     vectors: &'a Vectors<'a>,
     residuals: Residuals,
-    /// L of S = L·Lᵀ.
+    /// L in S = L·Lᵀ.
     factor: Array2<f64>,
     /// Weight of Σ r·rᵀ in S.
     weight: f64,
@@ -69,11 +62,10 @@ struct Metric<'a> {
 }
 
 impl Discriminant {
-    /// Trains on all vectors, and on those outside each group. `dims` is the number of features, D
-    /// of tr W/D: larger than the number of columns if these are coordinates in a subspace.
-    /// `shrinkage` is γ.
+    /// Trains on all vectors, and on those outside each group. `dims` is D in tr W/D, the number of
+    /// features; there are fewer columns if these are coordinates in a subspace. `shrinkage` is γ.
     ///
-    /// Gives `None` where all vectors are equal, no label has two, or fewer than two classes occur.
+    /// Gives `None` if all vectors are equal, no label has two, or fewer than two classes occur.
     pub fn train(
         vectors: &Vectors<'_>,
         dims: usize,
@@ -86,9 +78,9 @@ impl Discriminant {
         (metric.all(), without.map(|group| metric.without(group)).collect())
     }
 
-    /// Takes the class means in white coordinates, shape (D, C); their product with the inverse of
-    /// the metric; the factor L; the centre of the means; and a factor for all distances. Classes
-    /// without vectors are 0.
+    /// Takes the class means in white coordinates, shape (D, C); their product with the inverse of the
+    /// metric; the factor L; the centre of the means; and a factor for all distances. The means of
+    /// classes without vectors are 0.
     fn of_white(
         (white, inverse): (&Array2<f64>, &Array2<f64>),
         factor: &Array2<f64>,
@@ -96,7 +88,7 @@ impl Discriminant {
         present: Vec<bool>,
         scale: f64,
     ) -> Option<Self> {
-        // Cholesky factor of the means' inner products; a dependent mean adds no column.
+        // Cholesky factor of the means' inner products; a mean that depends on others adds no column.
         let inner = white.t().dot(inverse);
         let largest = inner.diag().iter().copied().fold(0.0, f64::max);
         let classes = present.len();
@@ -127,7 +119,7 @@ impl Discriminant {
         sound.then_some(Self { projection, origin, means, present })
     }
 
-    /// Plain distances to the class means of whole trials, without a metric.
+    /// A discriminant with plain Euclidean distances to the class means of whole trials.
     pub fn of_means(vectors: &Vectors<'_>) -> Self {
         let Residuals { counts, means, .. } = Residuals::new(vectors.rows, vectors.labels);
         let means = means.slice_move(s![..vectors.classes, ..]);
@@ -136,7 +128,6 @@ impl Discriminant {
         Self { projection: Array2::eye(dims), origin: Array1::zeros(dims), means, present }
     }
 
-    /// Whether it has this number of classes and of features.
     pub fn is_of(&self, classes: usize, dims: usize) -> bool {
         let space = self.origin.len();
         self.present.len() == classes
@@ -144,18 +135,17 @@ impl Discriminant {
             && self.projection.dim() == (space, dims)
     }
 
-    /// Whether a class had training vectors.
     pub fn knows(&self, class: usize) -> bool {
         self.present[class]
     }
 
-    /// The discriminant with its projection onto the space of the class means changed.
+    /// Replaces the projection onto the space of the class means by `change` of it.
     pub fn map_projection(self, change: impl FnOnce(Array2<f32>) -> Array2<f32>) -> Self {
         Self { projection: change(self.projection), ..self }
     }
 
-    /// The same discriminant for vectors of `dims` features: its own features are the `columns` of
-    /// these, and the others have no weight.
+    /// The same discriminant for vectors of `dims` features. Its own features are the given `columns`;
+    /// all other features have no weight.
     pub fn spread(self, columns: &[usize], dims: usize) -> Self {
         self.map_projection(|projection| {
             if columns.len() == dims {
@@ -169,13 +159,16 @@ impl Discriminant {
         })
     }
 
-    /// u: a vector projected into the space of the class means.
-    pub fn project(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
-        let projected = self.projection.dot(&vector);
+    /// u: the projection of a vector into the space of the class means.
+    fn project(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
+        self.less_origin(self.projection.dot(&vector).view())
+    }
+
+    fn less_origin(&self, projected: ArrayView1<'_, f32>) -> Vec<f64> {
         projected.iter().zip(&self.origin).map(|(&x, origin)| f64::from(x) - origin).collect()
     }
 
-    /// w_c, shape (C, D), and b_c with u·m_c = w_c·x − b_c for the vector x that projects to u.
+    /// w_c, shape (C, D), and b_c such that u·m_c = w_c·x − b_c, where the vector x projects to u.
     pub fn weights(&self) -> (Array2<f32>, Array1<f64>) {
         let of_class = self.means.mapv(|x| x as f32).dot(&self.projection);
         (of_class, self.means.dot(&self.origin))
@@ -186,20 +179,18 @@ impl Discriminant {
         self.distances_in_space(&self.project(vector))
     }
 
-    /// The distances d_c of several vectors of D features, with one product of matrices.
+    /// The distances d_c of several vectors of D features, by one matrix product.
     pub fn distances_of_each(&self, vectors: &[Vec<f32>]) -> Vec<Vec<f64>> {
         let mut rows = Array2::zeros((vectors.len(), self.projection.ncols()));
         for (mut row, vector) in rows.rows_mut().into_iter().zip(vectors) {
             row.assign(&ArrayView1::from(vector));
         }
-        let less_origin = |(&x, origin): (&f32, &f64)| f64::from(x) - origin;
         let projected = rows.dot(&self.projection.t());
-        let projected = projected.rows().into_iter();
-        let projected = projected.map(|u| u.iter().zip(&self.origin).map(less_origin).collect());
-        projected.map(|u: Vec<f64>| self.distances_in_space(&u)).collect()
+        let of_row = |u| self.distances_in_space(&self.less_origin(u));
+        projected.rows().into_iter().map(of_row).collect()
     }
 
-    /// The squared distances d_c of a vector in the space of the class means.
+    /// The squared distances d_c of u, a vector already projected.
     fn distances_in_space(&self, u: &[f64]) -> Vec<f64> {
         let distance = |(mean, &present): (ArrayView1<'_, f64>, &bool)| {
             if present {
@@ -223,9 +214,10 @@ impl<'a> Metric<'a> {
         }
         let n = vectors.rows.nrows() as f64;
         let square: f64 = vectors.rows.iter().map(|x| f64::from(*x).powi(2)).sum();
-        let overall = vectors.rows.mapv(f64::from).sum_axis(Axis(0)) / n;
-        let total = (square / n - overall.dot(&overall)) / dims as f64;
-        // The sums of squares are exact to about 1e-6, relatively: a smaller variance is noise.
+        let sum = |column: ArrayView1<'_, f32>| column.iter().map(|x| f64::from(*x)).sum::<f64>();
+        let overall: f64 = vectors.rows.columns().into_iter().map(|c| (sum(c) / n).powi(2)).sum();
+        let total = (square / n - overall) / dims as f64;
+        // The sums of squares have a relative error of about 1e-6; a smaller variance is only noise.
         if total.is_nan() || total <= 1e-5 * square / n / dims as f64 {
             return None;
         }
@@ -238,7 +230,7 @@ impl<'a> Metric<'a> {
         Some(Self { factor: cholesky(factor)?, vectors, residuals, weight, freedom })
     }
 
-    /// The class means of whole trials, less `centre`, as columns in white coordinates.
+    /// The class means of whole trials, minus `centre`, as columns in white coordinates.
     fn white(&self, centre: &Array1<f64>, present: &[bool]) -> Array2<f64> {
         let mut white = self.residuals.means.slice(s![..present.len(), ..]).to_owned();
         for (mut mean, &present) in white.rows_mut().into_iter().zip(present) {
@@ -258,7 +250,6 @@ impl<'a> Metric<'a> {
         Discriminant::of_white((&white, &white), &self.factor, &centre, present, 1.0)
     }
 
-    /// Mean of the means of the classes that are `present`.
     fn centre(&self, present: &[bool]) -> Array1<f64> {
         let known: Vec<usize> = (0..present.len()).filter(|&c| present[c]).collect();
         self.residuals.means.select(Axis(0), &known).sum_axis(Axis(0)) / known.len().max(1) as f64
@@ -271,13 +262,14 @@ impl<'a> Metric<'a> {
         rows.iter().for_each(|&row| left[labels[row]] -= 1.0);
         let freedom: f64 = left.iter().filter(|n| **n > 0.5).map(|n| n - 1.0).sum();
         let present: Vec<bool> = left[..classes].iter().map(|n| *n > 0.5).collect();
-        if present.iter().filter(|p| **p).count() < 2 || freedom < 0.5 {
+        let known = present.iter().filter(|p| **p).count();
+        if known < 2 || freedom < 0.5 {
             return None;
         }
         let selected = self.residuals.rows.select(Axis(0), &rows).mapv(f64::from);
         let mut moved = selected.reversed_axes().as_standard_layout().into_owned();
         solve_lower(&self.factor, &mut moved);
-        // Q⁻¹ divided by the weight, less VᵀV.
+        // Q⁻¹ divided by the weight, minus VᵀV.
         let mut rest = moved.t().dot(&moved);
         rest.map_inplace(|x| *x = -*x);
         for (i, &a) in rows.iter().enumerate() {
@@ -289,7 +281,7 @@ impl<'a> Metric<'a> {
             }
         }
         let rest = cholesky(rest)?;
-        // Without the group's whole trials, the class means move.
+        // The class means move when the group's whole trials are left out.
         let mut centre = self.centre(&present);
         let mut white = self.white(&centre, &present);
         let mut move_by = Array2::<f64>::zeros((rows.len(), classes));
@@ -298,11 +290,8 @@ impl<'a> Metric<'a> {
                 move_by[[i, labels[row]]] = -1.0 / left[labels[row]];
             }
         }
-        let known = present.iter().filter(|p| **p).count() as f64;
-        let of_centre = move_by.sum_axis(Axis(1)) / known;
-        for (mut column, _) in
-            move_by.columns_mut().into_iter().zip(&present).filter(|(_, present)| **present)
-        {
+        let of_centre = move_by.sum_axis(Axis(1)) / known as f64;
+        for (mut column, _) in move_by.columns_mut().into_iter().zip(&present).filter(|p| *p.1) {
             column -= &of_centre;
         }
         white += &moved.dot(&move_by);
@@ -334,7 +323,7 @@ mod tests {
         (vectors, labels)
     }
 
-    /// As `data`, but every third vector of a class is a copy's, with a mean of its own.
+    /// Like `data`, but every third vector of a class has the label of a copy.
     fn data_with_copies() -> (Array2<f32>, Vec<usize>) {
         let (rows, labels) = data();
         let label = |(i, class): (usize, &usize)| if i / 3 % 3 == 2 { class + 3 } else { *class };

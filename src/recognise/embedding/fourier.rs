@@ -1,71 +1,67 @@
 //! Fourier features: cos ωz and sin ωz for ω = 0.6 and 1.2.
 //!
-//! z is the value of a band minus the library's mean, divided by the library's standard deviation.
-//! The squared distance between two means of such features is the MMD² of a kernel of rank four,
-//! Σ_ω cos ω(z − z′): Bochner's theorem with two fixed frequencies instead of random ones. Each
-//! value costs one sine and cosine; double-angle formulas give those of the second frequency.
+//! z is the value of a band minus the library's mean, divided by the library's standard deviation. The
+//! squared distance between two means of such features is the MMD² of a kernel of rank four, Σ_ω cos
+//! ω(z − z′). This is Bochner's theorem with two fixed frequencies instead of random ones. Each value
+//! costs one sine and one cosine; double-angle formulas give the second frequency.
 
 use serde::{Deserialize, Serialize};
 
 /// The lower frequency, in radians per standard deviation.
 const OMEGA: f32 = 0.6;
 
-/// Features of one band: cosine and sine of both frequencies.
+/// Number of features of one band: cosine and sine at both frequencies.
 pub(super) const BAND_FEATURES: usize = 4;
 
-/// Number of values that are computed together.
-pub(super) const LANES: usize = 8;
+/// Number of values that are computed together. With 8, the compiler makes no vectors of some builds.
+pub(super) const LANES: usize = 16;
 
-/// How the values of the bands of one view become angles.
+/// Scales that turn the values of the bands of one view into angles.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct BandScale {
-    /// Mean of each band over a library.
     centre: Vec<f32>,
-    /// ω/(π·deviation) of each band: angles in half turns.
+    /// ω/(π·deviation) of each band, so that angles are in half turns.
     factor: Vec<f32>,
 }
 
 impl BandScale {
-    /// From means and deviations of bands; a thousandth is added to deviations, so that none is 0.
+    /// Takes means and deviations of bands. 0.001 is added to each deviation, so that none is 0.
     pub fn new(centre: Vec<f32>, deviation: &[f32]) -> Self {
         let factor = |d: &f32| OMEGA / (std::f32::consts::PI * (d + 1e-3));
         Self { factor: deviation.iter().map(factor).collect(), centre }
     }
 
-    /// Number of bands.
     pub fn width(&self) -> usize {
         self.centre.len()
     }
 }
 
-/// Adds the features of some values of a band, each times its weight, to `acc`.
+/// Adds the features of some values of a band to `acc`, each multiplied by its weight.
 #[inline(always)]
 pub(super) fn add_up(
     scale: &BandScale,
     band: usize,
-    weights: &[f32],
-    values: &[f32],
+    weights: &[f32; LANES],
+    values: &[f32; LANES],
     acc: &mut [[f32; LANES]; BAND_FEATURES],
 ) {
     let (centre, factor) = (scale.centre[band], scale.factor[band]);
-    let (mut u, mut w) = ([0f32; LANES], [0f32; LANES]);
-    u.copy_from_slice(values);
-    w.copy_from_slice(weights);
-    for x in &mut u {
-        let turns = (*x - centre) * factor;
-        *x = turns - 2.0 * (0.5 * turns).round_ties_even();
+    let mut u = [0f32; LANES];
+    for lane in 0..LANES {
+        let turns = (values[lane] - centre) * factor;
+        u[lane] = turns - 2.0 * (0.5 * turns).round_ties_even();
     }
     let (sin, cos) = sin_cos_pi(&u);
     for lane in 0..LANES {
-        acc[0][lane] += w[lane] * cos[lane];
-        acc[1][lane] += w[lane] * sin[lane];
-        acc[2][lane] += w[lane] * (1.0 - 2.0 * sin[lane] * sin[lane]);
-        acc[3][lane] += w[lane] * (2.0 * sin[lane] * cos[lane]);
+        acc[0][lane] += weights[lane] * cos[lane];
+        acc[1][lane] += weights[lane] * sin[lane];
+        acc[2][lane] += weights[lane] * (1.0 - 2.0 * sin[lane] * sin[lane]);
+        acc[3][lane] += weights[lane] * (2.0 * sin[lane] * cos[lane]);
     }
 }
 
-/// sin(πu) and cos(πu) for |u| ≤ 1, with errors below 1e-6: from the Taylor series for half the
-/// angle, which is at most π/2, by the double-angle formulas.
+/// sin(πu) and cos(πu) for |u| ≤ 1, with errors below 1e-6. Half the angle is at most π/2; its Taylor
+/// series and the double-angle formulas are used.
 #[inline(always)]
 fn sin_cos_pi(u: &[f32; LANES]) -> ([f32; LANES], [f32; LANES]) {
     const HALF_PI: f32 = std::f32::consts::FRAC_PI_2;
@@ -77,12 +73,14 @@ fn sin_cos_pi(u: &[f32; LANES]) -> ([f32; LANES], [f32; LANES]) {
             * (1.0
                 + x2 * (-1.0 / 6.0
                     + x2 * (1.0 / 120.0
-                        + x2 * (-1.0 / 5040.0 + x2 * (1.0 / 362_880.0 - x2 / 39_916_800.0)))));
+                        + x2 * (-1.0 / 5040.0
+                            + x2 * (1.0 / 362_880.0 - x2 * (1.0 / 39_916_800.0))))));
         let c = 1.0
             + x2 * (-0.5
                 + x2 * (1.0 / 24.0
                     + x2 * (-1.0 / 720.0
-                        + x2 * (1.0 / 40_320.0 + x2 * (-1.0 / 3_628_800.0 + x2 / 479_001_600.0)))));
+                        + x2 * (1.0 / 40_320.0
+                            + x2 * (-1.0 / 3_628_800.0 + x2 * (1.0 / 479_001_600.0))))));
         sin[lane] = 2.0 * s * c;
         cos[lane] = 1.0 - 2.0 * s * s;
     }

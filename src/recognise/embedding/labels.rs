@@ -1,54 +1,37 @@
-//! Labels of a library's trials for training: their classes, and the groups that are left out.
+//! Labels of a library's trials for training: their classes, and the groups to leave out.
 
 use crate::trial::TrialKey;
 
-/// At most this many groups of trials are left out in turn.
+/// At most this many groups of trials are left out, one at a time.
 const MOST_GROUPS: usize = 10;
 
 /// Classes and groups of the trials of a library, sorted by key.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Labels {
-    /// The surfaces, sorted.
     pub surfaces: Vec<String>,
     /// Class of each trial: the index of its surface.
     pub class: Vec<usize>,
-    /// Number of classes.
     pub classes: usize,
-    /// Group of each trial; the trials of a group are left out together.
+    /// Group of each trial. The trials of a group are left out together.
     pub group: Vec<usize>,
-    /// Number of groups.
     pub groups: usize,
-    /// Whether groups consist of users: then results of leaving out hold for other people, too.
+    /// Whether groups are users, so that results on left-out trials hold for other people, too.
     pub across_users: bool,
 }
 
 impl Labels {
-    /// A group is a user, if most trials can still be named by the other users' trials; else it is
-    /// the trials of one user and number. Where there would be too many groups, several are joined.
+    /// Groups are users if most trials can then be named by the other users' trials. If not, a group
+    /// is the trials of one user with one number. If there are too many groups, several are joined.
     pub fn new(keys: &[&TrialKey]) -> Self {
-        let place = |of: &[&str], name: &str| of.binary_search(&name).unwrap_or(0);
-        let distinct = |of: fn(&TrialKey) -> &str| {
-            let mut all: Vec<&str> = keys.iter().map(|key| of(key)).collect();
-            all.sort_unstable();
-            all.dedup();
-            all
+        let (surfaces, class) = places(keys.iter().map(|key| key.surface.as_str()));
+        let (users, user) = places(keys.iter().map(|key| key.user.as_str()));
+        let (_, session) = places(keys.iter().map(|key| (key.user.as_str(), key.number)));
+        let joined = |groups: Vec<usize>| -> Vec<usize> {
+            groups.into_iter().map(|group| group % MOST_GROUPS).collect()
         };
-        let (surfaces, users) = (distinct(|key| &key.surface), distinct(|key| &key.user));
-        let class: Vec<usize> = keys.iter().map(|key| place(&surfaces, &key.surface)).collect();
-        let mut sessions: Vec<(&str, u32)> =
-            keys.iter().map(|key| (key.user.as_str(), key.number)).collect();
-        sessions.sort_unstable();
-        sessions.dedup();
-        let by_user: Vec<usize> =
-            keys.iter().map(|key| place(&users, &key.user) % MOST_GROUPS).collect();
-        let by_trial = || -> Vec<usize> {
-            let session = |key: &&TrialKey| {
-                sessions.binary_search(&(key.user.as_str(), key.number)).unwrap_or(0) % MOST_GROUPS
-            };
-            keys.iter().map(session).collect()
-        };
+        let by_user = joined(user);
         let across_users = users.len() > 1 && known_elsewhere(&class, &by_user) * 2 > keys.len();
-        let group = if across_users { by_user } else { by_trial() };
+        let group = if across_users { by_user } else { joined(session) };
         Self {
             classes: surfaces.len(),
             surfaces: surfaces.into_iter().map(String::from).collect(),
@@ -60,8 +43,21 @@ impl Labels {
     }
 }
 
-/// How many trials could be named without their group: the rest of the library has their class and
-/// another one, and at least a third of all trials.
+/// The distinct values, sorted, and the index of each value among them.
+pub(in crate::recognise) fn places<T: Copy + Ord>(
+    values: impl Iterator<Item = T> + Clone,
+) -> (Vec<T>, Vec<usize>) {
+    let mut distinct: Vec<T> = values.clone().collect();
+    distinct.sort_unstable();
+    distinct.dedup();
+    // Always found, since the list holds these values.
+    let place = |value| distinct.binary_search(&value).unwrap_or(0);
+    let places = values.map(place).collect();
+    (distinct, places)
+}
+
+/// How many trials could be named if their group were left out. The other groups must have the class
+/// of the trial, one more class, and at least a third of all trials.
 fn known_elsewhere(class: &[usize], group: &[usize]) -> usize {
     let groups = group.iter().max().map_or(0, |last| last + 1);
     let classes = class.iter().max().map_or(0, |last| last + 1);

@@ -1,6 +1,6 @@
-//! The linear algebra that a discriminant needs: Cholesky factors and triangular solutions, in
-//! blocks, so that nearly all work is matrix products (Golub & Van Loan, "Matrix Computations",
-//! 4th ed., §4.2.9 and §3.1).
+//! Linear algebra for the discriminant: Cholesky factors and triangular solutions, in blocks, so that
+//! nearly all work is matrix products (Golub & Van Loan, "Matrix Computations", 4th ed., §4.2.9 and
+//! §3.1).
 
 use ndarray::linalg::general_mat_mul;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
@@ -12,14 +12,14 @@ const BLOCK: usize = 48;
 /// Number of vectors that are summed in f32 before the sum is added in f64.
 const ROWS_A_SUM: usize = 512;
 
-/// Columns of a matrix of sums that one thread computes at a time.
+/// Number of columns of a matrix of sums that one thread computes at a time.
 const COLUMNS_A_SUM: usize = 256;
 
-/// Rows that are worth a thread of their own.
+/// Number of rows that is worth its own thread.
 const ROWS_A_THREAD: usize = 512;
 
-/// Turns a symmetric positive definite matrix into its lower Cholesky factor: A = L·Lᵀ. Reads only
-/// the lower triangle; the values left above the diagonal are meaningless.
+/// Turns a symmetric positive definite matrix into its lower Cholesky factor: A = L·Lᵀ. Reads only the
+/// lower triangle; the values above the diagonal are meaningless afterwards.
 ///
 /// Returns `None` if the matrix is not positive definite in f64.
 pub fn cholesky(mut a: Array2<f64>) -> Option<Array2<f64>> {
@@ -27,9 +27,9 @@ pub fn cholesky(mut a: Array2<f64>) -> Option<Array2<f64>> {
     Some(a)
 }
 
-/// Halves the matrix until it is a block, so that most work is products of large matrices whose
-/// data stay in the caches (Gustavson 1997, "Recursion leads to automatic variable blocking for
-/// dense linear-algebra algorithms").
+/// Halves the matrix until it is a block, so that most work is products of large matrices with data
+/// that stay in the caches (Gustavson 1997, "Recursion leads to automatic variable blocking for dense
+/// linear-algebra algorithms").
 fn factor(mut a: ArrayViewMut2<'_, f64>) -> Option<()> {
     let n = a.nrows();
     if n > BLOCK {
@@ -44,7 +44,7 @@ fn factor(mut a: ArrayViewMut2<'_, f64>) -> Option<()> {
     for j in 0..n {
         let left: f64 = a.slice(s![j, ..j]).iter().map(|x| x * x).sum();
         let pivot = a[[j, j]] - left;
-        // Written so that NaN is refused as well.
+        // Written so that NaN fails as well.
         if !(pivot > 0.0 && pivot.is_finite()) {
             return None;
         }
@@ -60,12 +60,11 @@ fn factor(mut a: ArrayViewMut2<'_, f64>) -> Option<()> {
     Some(())
 }
 
-/// About half of `n`, in whole blocks.
 fn half_of(n: usize) -> usize {
     (n / 2).next_multiple_of(BLOCK)
 }
 
-/// Solves X·Lᵀ = B in place, L lower triangular.
+/// Solves X·Lᵀ = B in place, where L is lower triangular.
 fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
     let (n, rows) = (l.nrows(), b.nrows());
     if rows > 2 * ROWS_A_THREAD {
@@ -89,7 +88,7 @@ fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
     }
 }
 
-/// A ← A − X·Y for a symmetric X·Y; above the diagonal, A may keep its values.
+/// A ← A − X·Y for a symmetric X·Y. Values of A above the diagonal may stay unchanged.
 fn subtract_lower_product(
     x: &ArrayView2<'_, f64>,
     y: &ArrayView2<'_, f64>,
@@ -117,51 +116,57 @@ fn subtract_lower_product(
 
 /// Solves L·X = B in place; each column of `b` is a right-hand side.
 pub fn solve_lower(l: &Array2<f64>, b: &mut Array2<f64>) {
+    solve_from_left(&l.view(), b.view_mut());
+}
+
+fn solve_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
     let n = l.nrows();
-    for k in (0..n).step_by(BLOCK) {
-        let end = (k + BLOCK).min(n);
-        for i in k..end {
-            let (above, mut below) = b.view_mut().split_at(Axis(0), i);
-            let mut row = below.row_mut(0);
-            for j in k..i {
-                row.scaled_add(-l[[i, j]], &above.row(j));
-            }
-            row /= l[[i, i]];
+    if n > BLOCK {
+        let half = half_of(n);
+        let (mut first, mut second) = b.split_at(Axis(0), half);
+        solve_from_left(&l.slice(s![..half, ..half]), first.view_mut());
+        general_mat_mul(-1.0, &l.slice(s![half.., ..half]), &first, 1.0, &mut second);
+        return solve_from_left(&l.slice(s![half.., half..]), second);
+    }
+    for i in 0..n {
+        let (above, mut below) = b.view_mut().split_at(Axis(0), i);
+        let mut row = below.row_mut(0);
+        for (j, solved) in above.rows().into_iter().enumerate() {
+            row.scaled_add(-l[[i, j]], &solved);
         }
-        let (solved, mut rest) = b.view_mut().split_at(Axis(0), end);
-        general_mat_mul(
-            -1.0,
-            &l.slice(s![end.., k..end]),
-            &solved.slice(s![k.., ..]),
-            1.0,
-            &mut rest,
-        );
+        row /= l[[i, i]];
     }
 }
 
 /// Solves Lᵀ·X = B in place; each column of `b` is a right-hand side.
 pub fn solve_lower_transposed(l: &Array2<f64>, b: &mut Array2<f64>) {
+    solve_transposed_from_left(&l.view(), b.view_mut());
+}
+
+fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
     let n = l.nrows();
-    for k in (0..n).step_by(BLOCK).rev() {
-        let end = (k + BLOCK).min(n);
-        let (mut rest, solved) = b.view_mut().split_at(Axis(0), end);
-        let mut block = rest.slice_mut(s![k.., ..]);
-        general_mat_mul(-1.0, &l.slice(s![end.., k..end]).t(), &solved, 1.0, &mut block);
-        for i in (0..end - k).rev() {
-            let (mut above, below) = block.view_mut().split_at(Axis(0), i + 1);
-            let mut row = above.row_mut(i);
-            for j in i + 1..end - k {
-                row.scaled_add(-l[[k + j, k + i]], &below.row(j - i - 1));
-            }
-            row /= l[[k + i, k + i]];
+    if n > BLOCK {
+        let half = half_of(n);
+        let (mut first, mut second) = b.split_at(Axis(0), half);
+        solve_transposed_from_left(&l.slice(s![half.., half..]), second.view_mut());
+        general_mat_mul(-1.0, &l.slice(s![half.., ..half]).t(), &second, 1.0, &mut first);
+        return solve_transposed_from_left(&l.slice(s![..half, ..half]), first);
+    }
+    for i in (0..n).rev() {
+        let (mut above, below) = b.view_mut().split_at(Axis(0), i + 1);
+        let mut row = above.row_mut(i);
+        for (j, solved) in below.rows().into_iter().enumerate() {
+            row.scaled_add(-l[[i + 1 + j, i]], &solved);
         }
+        row /= l[[i, i]];
     }
 }
 
-/// Adds Σ z·zᵀ of the rows to the lower triangle of a matrix of shape (D, D). The values above the
-/// diagonal are meaningless.
-pub fn add_lower_gram(gram: &mut Array2<f64>, vectors: &Array2<f32>) {
-    let n = vectors.nrows();
+/// Σ z·zᵀ over the rows of a matrix of shape (n, D). The result has shape (D, D); only its lower
+/// triangle is filled.
+pub fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
+    let (n, dims) = vectors.dim();
+    let mut gram = Array2::zeros((dims, dims));
     let blocks: Vec<_> = gram.axis_chunks_iter_mut(Axis(1), COLUMNS_A_SUM).enumerate().collect();
     blocks.into_par_iter().for_each(|(block, mut columns)| {
         let from = block * COLUMNS_A_SUM;
@@ -173,21 +178,57 @@ pub fn add_lower_gram(gram: &mut Array2<f64>, vectors: &Array2<f32>) {
             below.zip_mut_with(&product, |sum, &x| *sum += f64::from(x));
         }
     });
+    gram
+}
+
+/// Training vectors minus the mean of their label.
+pub struct Residuals {
+    pub counts: Vec<f64>,
+    /// Mean of each label, shape (labels, D).
+    pub means: Array2<f64>,
+    /// Rows minus the mean of their label, shape (n, D).
+    pub rows: Array2<f32>,
+}
+
+impl Residuals {
+    /// The residuals of `rows`; `labels` gives the label of each row.
+    pub fn new(rows: &Array2<f32>, labels: &[usize]) -> Self {
+        let count = labels.iter().max().map_or(0, |last| last + 1);
+        let mut counts = vec![0.0; count];
+        let mut means = Array2::<f64>::zeros((count, rows.ncols()));
+        for (row, &label) in rows.rows().into_iter().zip(labels) {
+            counts[label] += 1.0;
+            means.row_mut(label).zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
+        }
+        for (mut mean, &n) in means.rows_mut().into_iter().zip(&counts) {
+            mean /= f64::max(n, 1.0);
+        }
+        let mut residuals = rows.clone();
+        for (mut row, &label) in residuals.rows_mut().into_iter().zip(labels) {
+            row.zip_mut_with(&means.row(label), |x, mean| *x -= *mean as f32);
+        }
+        Self { counts, means, rows: residuals }
+    }
+
+    /// Σ r·rᵀ over the rows; only the lower triangle is filled.
+    pub fn scatter(&self) -> Array2<f64> {
+        lower_gram(&self.rows.view())
+    }
 }
 
 /// Eigenvalues and eigenvectors of a small symmetric matrix.
 pub struct EigenPairs {
     n: usize,
     values: Vec<f64>,
-    /// Vectors in columns, shape (n, n).
+    /// One eigenvector a column, shape (n, n).
     vectors: Vec<f64>,
 }
 
 impl EigenPairs {
-    /// Decomposes a matrix of shape (n, n), row by row, by cyclic Jacobi rotations (Golub & Van
-    /// Loan, §8.5), which suit small n.
+    /// Decomposes a matrix of shape (n, n), given row by row, with cyclic Jacobi rotations (Golub &
+    /// Van Loan, §8.5). They suit small n.
     pub fn new(mut a: Vec<f64>, n: usize) -> Self {
-        /// Sweeps converge quadratically: ten are plenty.
+        /// Sweeps converge quadratically; ten are plenty.
         const SWEEPS: usize = 30;
         let mut vectors = vec![0.0; n * n];
         (0..n).for_each(|i| vectors[i * n + i] = 1.0);
@@ -209,7 +250,7 @@ impl EigenPairs {
         Self { n, values: (0..n).map(|i| a[i * n + i]).collect(), vectors }
     }
 
-    /// The matrix with the same eigenvectors and eigenvalues `f`(λ), row by row.
+    /// The matrix with the same eigenvectors and the eigenvalues `f`(λ), row by row.
     pub fn map(&self, f: impl Fn(f64) -> f64) -> Vec<f64> {
         let (n, v) = (self.n, &self.vectors);
         let values: Vec<f64> = self.values.iter().map(|&x| f(x)).collect();
@@ -221,8 +262,8 @@ impl EigenPairs {
     }
 }
 
-/// Appends the upper triangle of a symmetric matrix of shape (n, n), off-diagonal values times √2,
-/// so that the distance of two such lists is the Frobenius distance of the matrices.
+/// Appends the upper triangle of a symmetric matrix of shape (n, n). Off-diagonal values are
+/// multiplied by √2, so that distances between such lists are Frobenius distances of matrices.
 pub fn push_upper(matrix: &[f64], n: usize, vector: &mut Vec<f32>) {
     for row in 0..n {
         for column in row..n {
@@ -293,8 +334,7 @@ mod tests {
         let vectors = Array2::from_shape_fn((n, dims), value);
         let wide = vectors.mapv(f64::from);
         let full = wide.t().dot(&wide);
-        let mut lower = Array2::zeros((dims, dims));
-        add_lower_gram(&mut lower, &vectors);
+        let lower = lower_gram(&vectors.view());
         for ((i, j), expected) in full.indexed_iter().filter(|((i, j), _)| j <= i) {
             assert!((lower[[i, j]] - expected).abs() < 1e-5 * full[[i, i]], "{i}, {j}");
         }
@@ -305,7 +345,7 @@ mod tests {
         let n = 6;
         let value = |i: usize, j: usize| ((i * j + i + j) as f64 * 0.7).sin() * 0.3;
         let m = Array2::from_shape_fn((n, n), |(i, j)| value(i.min(j), i.max(j)));
-        // e^m by its series: m is small.
+        // e^m by its series, which converges fast since m is small.
         let (mut exponential, mut term) = (Array2::<f64>::eye(n), Array2::<f64>::eye(n));
         for k in 1..40 {
             term = term.dot(&m) / f64::from(k);

@@ -1,17 +1,17 @@
 //! The method `embedding` (method §11): puts all sources of a trial into one vector, and tells
-//! surfaces apart by a shrinkage discriminant.
+//! surfaces apart with a shrinkage discriminant.
 //!
-//! The vector holds Fourier features of log-band frames (`band_sums`): kernel mean embeddings,
-//! whose squared distance is an MMD². It also holds the moments and the lag covariance of each
-//! series (`series`). Pictures have the same features, with tiles as frames (`picture`). Features
-//! come twice: in *shape*, with the recording's own level taken off, and in *level*. The
-//! discriminant is trained on whole trials and augmented copies of them (`copies`), whose gain
-//! varies, so that it learns what level is worth; it is stored beside the library. Probabilities,
-//! the stopping rule and the threshold of `unknown` come from leaving library trials out, by user
-//! where there are several (`left_out`). Where a source is missing, only its columns are left out.
+//! The vector holds Fourier features of log-band frames (`band_sums`): kernel mean embeddings, with
+//! MMD² as squared distance. It also holds the moments and the lag covariance of each series
+//! (`series`). Pictures have the same features, with tiles as frames (`picture`). Each feature occurs
+//! in *shape*, relative to the recording's own level, and in *level*. The discriminant is trained on
+//! whole trials and on augmented copies (`copies`). The gain of copies varies, so that the
+//! discriminant learns how much to trust level; it is stored beside the library. Probabilities, the
+//! stopping rule and the threshold of `unknown` come from leaving out library trials, by user if there
+//! are several (`left_out`). If a source is missing, only its columns are left out.
 //!
-//! The score of a surface is 1/posterior, so that smaller is more alike, as in every method; the
-//! margin is the log of the odds. Of a source's configuration, only the band is used.
+//! The score of a surface is 1/posterior, so that smaller means more alike, as in every method. The
+//! margin is the log of the odds. Only the band of a source's configuration is used.
 
 mod band_sums;
 pub mod calibrated_probability;
@@ -21,16 +21,15 @@ mod follower;
 mod fourier;
 pub(super) mod frames;
 mod joint;
-mod labels;
+pub(super) mod labels;
+mod lanes;
 mod left_out;
 pub mod linear;
 mod model;
 mod moments;
 mod packed;
 mod picture;
-mod residuals;
 mod series;
-mod sums;
 mod tiles;
 mod training;
 
@@ -41,8 +40,7 @@ use serde::{Deserialize, Serialize};
 pub use self::follower::Follower;
 pub use self::frames::TrialFrames;
 pub use self::model::{EmbeddingModel, QueryVector};
-use super::checks::check_surfaces;
-use super::error::RecogniseError;
+use super::error::{RecogniseError, check_surfaces};
 use super::method::{Method, Model};
 use super::prepared::Prepared;
 use super::shape::LibraryShape;
@@ -51,10 +49,9 @@ use crate::scene::Scene;
 use crate::seed;
 use crate::trial::Trial;
 
-/// The method's name.
 const NAME: &str = "embedding";
 
-/// Settings of the method; defaults are left out when settings are written.
+/// Settings of the method `embedding`. Defaults are left out when settings are written.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct EmbeddingOptions {
@@ -89,7 +86,7 @@ impl Embedding {
     /// Embeds a library and trains a model on it.
     ///
     /// # Errors
-    /// As [`Method::fit`].
+    /// The errors of [`Method::fit`].
     pub fn train(
         &self,
         mut library: Vec<Arc<TrialFrames>>,

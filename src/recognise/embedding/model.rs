@@ -1,5 +1,6 @@
-//! The trained model of the method `embedding`: from a query to its answer.
+//! The trained model of the method `embedding`: turns a query into an answer.
 
+use std::any::Any;
 use std::collections::{BTreeSet, HashMap};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -10,16 +11,15 @@ use serde::Deserialize;
 
 use super::NAME;
 use super::calibrated_probability::{HeldOut, held_back, log_posterior};
-use super::follower::Follower;
 use super::frames::TrialFrames;
-use super::joint::{JointEmbedder, Present, StoredJoint, Stretch, columns};
+use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch, columns};
 use super::labels::Labels;
-use super::left_out::{FollowedTrial, LeftOut, LeftOutLook, Trained, evenly, looks_in};
+use super::left_out::{LeftOut, Trained, evenly};
 use super::training::Training;
 use crate::library::Entry;
 use crate::recognise::decide::conformal::{Rejection, RejectionError, nonconformity};
-use crate::recognise::decide::scan_time::{LeftOutAccuracy, LeftOutScan, LibraryCounts};
-use crate::recognise::decide::settle::{Settling, Stops};
+use crate::recognise::decide::scan_time::{Goal, LeftOutAccuracy, LibraryCounts, ScanTime};
+use crate::recognise::decide::settle::{FollowedTrial, LeftOutLook, Settling, looks_in};
 use crate::recognise::error::RecogniseError;
 use crate::recognise::follow::{FollowOptions, LOOK_S};
 use crate::recognise::method::{Evidence, Model, SourceEvidence};
@@ -33,19 +33,19 @@ use crate::trial::{Trial, TrialKey};
 pub struct EmbeddingModel {
     pub(super) scene: Scene,
     pub(super) shape: Arc<LibraryShape>,
-    /// The library's trials, sorted.
+    /// The keys of the library's trials, sorted.
     keys: Vec<TrialKey>,
     pub(super) labels: Labels,
     pub(super) joint: JointEmbedder,
     training: Training,
-    left_out: LeftOut,
-    /// Discriminants for sets of sources that a query has, but no library trial.
+    pub(super) left_out: LeftOut,
+    /// Discriminants for sets of sources that a query has had, but no library trial has.
     trained: Mutex<HashMap<Present, Arc<Trained>>>,
-    /// The library's trials, kept until `followed` is made of them.
+    /// The library's trials, kept until `followed` is computed from them.
     unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
     /// The left-out trials, each named at every look of its growing drag.
     followed: OnceLock<Vec<FollowedTrial>>,
-    /// The stopping rule for the first options asked for: later scans mostly have the same.
+    /// The stopping rule for the first options asked for; later scans mostly have the same options.
     settling: OnceLock<(FollowOptions, Settling)>,
 }
 
@@ -55,12 +55,12 @@ pub(super) struct Posterior {
     pub log_posterior: Vec<f64>,
     /// Probability of each surface, limited to what left-out library trials can show.
     pub probabilities: Vec<f64>,
-    /// As [`Ranking::p_value`].
+    /// The p-value, see [`Ranking::p_value`].
     pub p_value: Option<f64>,
 }
 
 impl Posterior {
-    /// Index of the most probable surface; the first in a tie.
+    /// Index of the most probable surface; the first index in a tie.
     pub fn best(&self) -> usize {
         let mut best = 0;
         for (i, p) in self.log_posterior.iter().enumerate() {
@@ -73,7 +73,7 @@ impl Posterior {
 }
 
 impl EmbeddingModel {
-    /// Trains on a library, sorted by key; `seed` draws the copies of its trials.
+    /// Trains on a library that is sorted by key. `seed` determines the copies of its trials.
     pub(super) fn train(
         scene: &Scene,
         shape: &Arc<LibraryShape>,
@@ -85,9 +85,7 @@ impl EmbeddingModel {
         for trial in &library {
             joint.check(trial)?;
         }
-        let training = Training::new(&mut joint, &library, &labels, seed);
-        // Copies take most of the memory; they are freed unless other folds share the trials.
-        library.iter_mut().filter_map(Arc::get_mut).for_each(TrialFrames::forget_copies);
+        let training = Training::new(&mut joint, &mut library, &labels, seed);
         let left_out = LeftOut::new(&joint, &training, &labels, &library);
         let keys = library.iter().map(|trial| trial.key.clone()).collect();
         let model = Self::of(scene, shape, (keys, labels, joint, training, left_out));
@@ -115,15 +113,10 @@ impl EmbeddingModel {
         }
     }
 
-    /// Distances of left-out library trials under models trained without them, with the index of
-    /// each trial's surface. Empty where there is nothing to leave out.
+    /// Distances of left-out library trials under models trained without them, with the index of each
+    /// trial's surface. Empty if nothing can be left out.
     pub fn held_out(&self) -> &[HeldOut] {
         &self.left_out.held_out
-    }
-
-    /// The length that a finished scan with a drag of `drag_s` counts as; infinite without a drag.
-    pub(super) fn ended_s(&self, drag_s: Option<f64>) -> f64 {
-        drag_s.map_or(f64::INFINITY, |drag_s| self.left_out.ended_s(drag_s))
     }
 
     fn embed(&self, query: &TrialFrames) -> Result<(Vec<f32>, Present), RecogniseError> {
@@ -131,10 +124,12 @@ impl EmbeddingModel {
         if !self.joint.says_something(query) {
             return Err(RecogniseError::TooLittle);
         }
-        Ok(self.joint.embed(query))
+        let (mut vector, present) = self.joint.raw(query, None);
+        self.joint.standardise(&mut vector, &present);
+        Ok((vector, present))
     }
 
-    /// The discriminants for a set of sources: trained at the first request, and kept.
+    /// The discriminants for a set of sources. They are trained when first needed, and kept.
     fn trained(&self, present: &Present) -> Arc<Trained> {
         if let Some(known) = self.left_out.trained.get(present) {
             return known.clone();
@@ -150,7 +145,7 @@ impl EmbeddingModel {
         trained
     }
 
-    /// Makes a posterior from the distances to all surfaces and the p-value of a scan.
+    /// Makes a posterior from the distances to all surfaces, the p-value and the length of a scan.
     fn posterior_of(&self, distances: &[f64], p_value: Option<f64>, scan_s: f64) -> Posterior {
         let log_posterior = log_posterior(distances, self.left_out.temperature.at(scan_s));
         Posterior {
@@ -160,14 +155,12 @@ impl EmbeddingModel {
         }
     }
 
-    /// The posterior of a standardised vector.
     pub(super) fn posterior(&self, vector: &[f32], present: &Present, scan_s: f64) -> Posterior {
         let trained = self.trained(present);
         let p_value = trained.p_value(vector.into(), scan_s);
         self.posterior_of(&trained.all.distances(vector.into()), p_value, scan_s)
     }
 
-    /// The sources that are present.
     fn stretches<'a>(&'a self, present: &'a Present) -> impl Iterator<Item = &'a Stretch> {
         self.joint.stretches.iter().zip(present).filter(|(_, has)| **has).map(|(s, _)| s)
     }
@@ -185,7 +178,7 @@ impl EmbeddingModel {
         };
         let candidates = posterior.log_posterior.iter().enumerate().map(candidate).collect();
         let sources = self.stretches(present).map(|stretch| stretch.spec.id.clone()).collect();
-        // There is a candidate: a library has two surfaces.
+        // There is a candidate, since a library has at least two surfaces.
         let mut ranking = rank(candidates, 1, sources).expect("at least two candidates");
         let calibrated = !self.left_out.held_out.is_empty();
         ranking.confidence = calibrated.then(|| posterior.probabilities[best]);
@@ -202,18 +195,18 @@ impl EmbeddingModel {
         };
         let members = (0..self.keys.len()).filter(|&i| self.labels.class[i] == class);
         let nearest = members.min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
-        // Every class has a trial: classes were made of trials.
+        // Every class has a trial, since the classes come from the trials.
         self.keys[nearest.unwrap_or(0)].clone()
     }
 
-    /// Each source's share of the distance to each surface, divided by 2τ: the sum over sources is
-    /// −ln posterior, up to a constant that is the same for all surfaces.
+    /// The share of each source in the distance to each surface, divided by 2τ. The sum over sources
+    /// is −ln posterior, up to a constant that is the same for all surfaces.
     fn evidence(&self, vector: &[f32], present: &Present, scan_s: f64) -> Evidence {
         let columns: Vec<_> = self.stretches(present).map(|s| s.columns.clone()).collect();
         let trained = &self.trained(present).all;
         let scale = 1.0 / (2.0 * self.left_out.temperature.at(scan_s));
         let (weights, offsets) = trained.weights();
-        // u·m_c: the class's distance is |u|² + |m_c|² less twice that.
+        // u·m_c. The distance to class c is |u|² + |m_c|² − 2·u·m_c.
         let inner = |class: usize, vector: ArrayView1<'_, f32>, columns: &Range<usize>| {
             let columns = s![columns.clone()];
             f64::from(weights.row(class).slice(columns).dot(&vector.slice(columns)))
@@ -236,17 +229,13 @@ impl EmbeddingModel {
         Evidence { surfaces: self.labels.surfaces.clone(), sources }
     }
 
-    /// The stopping rule for these options.
     pub(super) fn settling(&self, options: &FollowOptions) -> Settling {
-        let choose = || {
-            let stops: Vec<Stops> = self.followed().iter().map(|t| t.stops(options)).collect();
-            Settling::choose(&stops, options.loss)
-        };
+        let choose = || Settling::choose(self.followed(), options);
         let (found_for, settling) = self.settling.get_or_init(|| (options.clone(), choose()));
         if found_for == options { settling.clone() } else { choose() }
     }
 
-    /// The left-out trials, each named at every look of its growing drag; computed once.
+    /// The left-out trials, each named at every look of its growing drag. Computed once.
     fn followed(&self) -> &[FollowedTrial] {
         self.followed.get_or_init(|| {
             let library = self.unfollowed.lock().unwrap_or_else(PoisonError::into_inner).take();
@@ -258,7 +247,7 @@ impl EmbeddingModel {
         })
     }
 
-    /// Follows a library trial as a [`Follower`] would, with a model trained without it.
+    /// Follows a library trial like a follower, but with a model trained without the trial.
     fn follow_one(&self, frames: &TrialFrames, trial: usize) -> Option<FollowedTrial> {
         let present = &self.training.present[trial];
         let without = self.left_out.without(&self.labels, present, trial)?;
@@ -269,7 +258,7 @@ impl EmbeddingModel {
         let vectors = self.joint.beginnings(frames, whole, &looks);
         let look = |(number, distances): (&usize, Vec<f64>)| {
             let scan_s = *number as f64 * LOOK_S;
-            // Only the model without this trial measures it, so its value serves for every group.
+            // Only the model without this trial measures it, so this value is used for every group.
             let p_value = conformity.p_value(scan_s, |_| nonconformity(&distances));
             let posterior = self.posterior_of(&distances, p_value, scan_s);
             let class = posterior.best();
@@ -285,7 +274,7 @@ impl EmbeddingModel {
         })
     }
 
-    /// The surfaces, with their trials, and the people of the library.
+    /// Number of people in the library, and its surfaces with their numbers of trials.
     fn counts(&self) -> LibraryCounts {
         let mut trials = vec![0; self.labels.classes];
         self.labels.class.iter().for_each(|&class| trials[class] += 1);
@@ -297,7 +286,7 @@ impl EmbeddingModel {
         }
     }
 
-    /// The model from the bytes of [`EmbeddingModel::store`]; `None` if they are not valid.
+    /// Restores the model from the bytes of [`EmbeddingModel::store`]; `None` if they are not valid.
     pub(super) fn from_bytes(
         bytes: &[u8],
         scene: &Scene,
@@ -305,14 +294,15 @@ impl EmbeddingModel {
     ) -> Option<Self> {
         let stored: Stored = postcard::from_bytes(bytes).ok()?;
         let labels = Labels::new(&stored.keys.iter().collect::<Vec<_>>());
-        let joint = JointEmbedder::from_stored(scene, stored.joint)?;
+        let joint = stored.joint;
         let training = stored.training.restored(&labels, joint.dims())?;
         let fits = |trained: &Arc<Trained>| {
             let all = std::iter::once(&trained.all).chain(trained.without.iter().flatten());
             trained.without.len() == labels.groups
                 && all.into_iter().all(|d| d.is_of(labels.classes, joint.dims()))
         };
-        let sound = stored.left_out.trained.values().all(fits)
+        let sound = joint.is_of(scene)
+            && stored.left_out.trained.values().all(fits)
             && training.present.iter().all(|has| stored.left_out.trained.contains_key(has))
             && stored.followed.iter().all(|trial| trial.is_sound(labels.classes));
         let parts = (stored.keys, labels, joint, training, stored.left_out);
@@ -323,11 +313,11 @@ impl EmbeddingModel {
     }
 }
 
-/// The stored part of a model: all that does not follow from its scene and its trials' names.
+/// The stored part of a model: everything that does not follow from the scene and the trial keys.
 #[derive(Deserialize)]
 struct Stored {
     keys: Vec<TrialKey>,
-    joint: StoredJoint,
+    joint: JointEmbedder,
     training: Training,
     left_out: LeftOut,
     followed: Vec<FollowedTrial>,
@@ -342,52 +332,62 @@ impl Model for EmbeddingModel {
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
         let query = query.frames(NAME)?;
         let (vector, present) = self.embed(query)?;
-        Ok(self.ranking(&vector, &present, self.ended_s(self.joint.drag_s(query))))
+        Ok(self.ranking(&vector, &present, self.left_out.ended_s(self.joint.drag_s(query))))
     }
 
     fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
         let query = query.frames(NAME)?;
         let (vector, present) = self.embed(query)?;
-        Ok(Some(self.evidence(&vector, &present, self.ended_s(self.joint.drag_s(query)))))
+        Ok(Some(self.evidence(&vector, &present, self.left_out.ended_s(self.joint.drag_s(query)))))
     }
 
-    fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
+    fn as_any(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
         Some(self)
     }
 }
 
-/// Abilities that no other method has.
-impl EmbeddingModel {
-    /// Whether a channel of a source, counted from 0, moves in the library's trials. One that is
-    /// constant there may be constant in a query, too: its sensor is not dead.
-    pub fn moves(&self, source: &SourceId, channel: usize) -> bool {
-        self.joint.moves(source, channel)
+impl dyn Model {
+    /// The model as that of the method `embedding`, which can do more; `None` for other methods.
+    pub fn embedding(self: Arc<Self>) -> Option<Arc<EmbeddingModel>> {
+        self.as_any()?.downcast().ok()
     }
 
-    /// A query that can be named repeatedly, each time by some of its sources.
+    /// How long scans must last to reach `accuracy`. If `accuracy` is `None`, they may lose at most
+    /// one percentage point against whole scans. All commands use this number. `None` if the method
+    /// cannot follow scans.
+    pub fn scan_time(self: Arc<Self>, accuracy: Option<f64>) -> Option<ScanTime> {
+        Some(self.embedding()?.left_out_accuracy().scan_time(Goal::wanted(accuracy)))
+    }
+}
+
+impl EmbeddingModel {
+    /// Whether a channel of a source, counted from 0, varies in the library's trials. A channel that
+    /// is constant in the library may be constant in a query without being dead. True for sources that
+    /// the library lacks.
+    pub fn moves(&self, source: &SourceId, channel: usize) -> bool {
+        match self.joint.stretch(source).map(|stretch| &stretch.embedder) {
+            Some(SourceEmbedder::Series(embedder)) => embedder.moves(channel),
+            _ => true,
+        }
+    }
+
+    /// A query that can be named several times, each time by some of its sources.
     ///
     /// # Errors
-    /// As [`Model::rank`].
+    /// The errors of [`Model::rank`].
     pub fn by_sources(self: Arc<Self>, query: &Prepared) -> Result<QueryVector, RecogniseError> {
         let (vector, present) = self.embed(query.frames(NAME)?)?;
         Ok(QueryVector { model: self, vector, present })
     }
 
-    /// Follows scans in progress. The first call calibrates the stopping rule, which takes a while.
-    pub fn follow(self: Arc<Self>, options: &FollowOptions) -> Follower {
-        Follower::new(&self, options)
-    }
-
-    /// How many left-out library trials are named right by each scan time. The first call takes a
+    /// How many left-out library trials are named right at each scan time. The first call takes a
     /// while, unless scans were followed before.
     pub fn left_out_accuracy(&self) -> LeftOutAccuracy {
-        let scans: Vec<LeftOutScan> = self.followed().iter().map(FollowedTrial::scan).collect();
-        LeftOutAccuracy::new(&scans, self.counts())
+        LeftOutAccuracy::new(self.followed(), self.counts())
     }
 
-    /// The p-value at or below which a query is called unknown, for a stated rate of false
-    /// rejections; without one, for the usual rate: 1 %, or the lowest that the library's trials
-    /// can show.
+    /// The p-value at or below which a query is called unknown, for a stated false rejection rate. If
+    /// `rate` is `None`, the rate is 1 %, or the lowest rate that the library's trials can show.
     ///
     /// # Errors
     /// If the library has too few trials.
@@ -401,11 +401,10 @@ impl EmbeddingModel {
         }
     }
 
-    /// The model as bytes, for [`Method::restore`](crate::recognise::Method::restore), if possible.
+    /// The model as bytes for [`Method::restore`](crate::recognise::Method::restore), if possible.
     pub(crate) fn store(&self) -> Option<Vec<u8>> {
         // In the order of `Stored`. Following left-out trials takes a while, unless already done.
-        let joint = self.joint.to_stored();
-        let stored = (&self.keys, joint, &self.training, &self.left_out, self.followed());
+        let stored = (&self.keys, &self.joint, &self.training, &self.left_out, self.followed());
         postcard::to_allocvec(&stored).ok()
     }
 }
@@ -413,14 +412,13 @@ impl EmbeddingModel {
 /// A query as a vector, to be named by any of its sources.
 pub struct QueryVector {
     model: Arc<EmbeddingModel>,
-    /// The query's vector, standardised.
     vector: Vec<f32>,
     present: Present,
 }
 
 impl QueryVector {
-    /// The most alike surface by `sources`, as a query of these alone would be named; `None` if the
-    /// query and the library have none of them in common.
+    /// The surface most like the query by `sources` alone; `None` if the query and the library have
+    /// none of these sources in common.
     pub fn surface(&self, sources: &[&SourceId]) -> Option<&str> {
         let stretches = self.model.joint.stretches.iter().zip(&self.present);
         let chosen: Present =

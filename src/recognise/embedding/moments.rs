@@ -1,66 +1,49 @@
-//! Running sums of a series, from which its moments and its lag covariance follow.
+//! Running sums of a series, which give its moments and its lag covariance.
 //!
-//! A series is summed in blocks of half a long frame, so that a growing scan only adds its new
-//! blocks. All powers are of x minus the mean of the first block, so that an offset costs no
-//! digits. While a scan grows, its final mean is unknown: mean magnitude, crossings and drift are
-//! taken about the mean of each block. For a finished series they are exact.
+//! A series is summed in blocks of half a long frame, so that a growing scan only adds its new blocks.
+//! All powers are of x minus the mean of the first block, so that an offset costs no digits. The final
+//! mean of a growing scan is not known yet, so its mean magnitude, crossings and drift use the mean of
+//! each block. For a finished series they are exact.
 
 use serde::{Deserialize, Serialize};
 
-use super::sums::{about, dot, less, powers};
+use super::lanes::{about, dot, extremes, powers};
+use crate::recognise::features::windowed_frames::sum;
 
-/// Lags of the products x_t·x_{t−l}, in samples: 0 … 3.
+/// Number of lags of the products x_t·x_{t−l}: 0 … 3 samples.
 const LAGS: usize = 4;
 
-/// Keeps logarithms finite: far below a 24-bit converter's step.
+/// Keeps logarithms finite; far below one step of a 24-bit converter.
 const FLOOR: f64 = 1e-9;
 
-/// The statistics of one channel, in order: see [`Statistics::moments`].
-pub const MOMENTS: [&str; 9] = [
-    "ln of the standard deviation",
-    "skewness, cube root",
-    "ln of the kurtosis",
-    "ln of peak over deviation (crest)",
-    "ln of deviation over mean magnitude (shape)",
-    "ln of peak over squared mean root (clearance)",
-    "ln of the rate of mean crossings in Hz",
-    "ln of the deviation of differences over that of values",
-    "ln of the deviation of the level over 16 parts",
-];
+/// Number of statistics of one channel, see [`Statistics::moments`].
+pub const MOMENTS: usize = 9;
 
-/// Indices in [`MOMENTS`] of ln deviation and ln drift, which a gain changes.
+/// Indices of ln deviation and ln drift, the statistics that depend on gain.
 pub const LOUDNESS: [usize; 2] = [0, 8];
 
-/// The sums of a channel, in the order in which they are stored.
+/// The sums of a channel, in the order in which they are stored. `Root` is Σ √|x − m|.
 #[derive(Clone, Copy)]
 enum Of {
-    /// Σ x
     Sum,
-    /// Σ x³
     Cubes,
-    /// Σ x⁴
     Fourths,
     /// Σ over 16 parts of (Σ x)²/n; in a growing scan, over its blocks
     SquaredLevel,
-    /// Σ |x − m|, m the mean; in a growing scan, the block's mean
+    /// Σ |x − m|, where m is the mean; in a growing scan, the mean of the block
     Magnitude,
-    /// Σ √|x − m|
     Root,
-    /// crossings of m
     Crossings,
-    /// least x
     Least,
-    /// greatest x
     Greatest,
 }
 
-/// Number of parts whose means show the drift of a series.
+/// Number of parts of a series. Their means show its drift.
 const PARTS: usize = 16;
 
-/// Number of sums of a channel.
 const OF_CHANNEL: usize = 9;
 
-/// Number of sums of a block: its length, [`OF_CHANNEL`] a channel, C × C products for each lag.
+/// Number of sums of a block: its length, [`OF_CHANNEL`] for each channel, C × C for each lag.
 fn width(channels: usize) -> usize {
     1 + OF_CHANNEL * channels + LAGS * channels * channels
 }
@@ -73,8 +56,8 @@ fn products(channels: usize, lag: usize) -> usize {
     1 + OF_CHANNEL * channels + lag * channels * channels
 }
 
-/// Sums over the blocks in which any channel moves, or over all blocks if none does. Blocks without
-/// movement are gaps that a serial line has filled with its last value.
+/// Sums over the blocks in which a channel moves, or over all blocks if no channel ever moves. Blocks
+/// without movement are gaps that a serial line has filled with its last value.
 #[derive(Clone, Debug)]
 struct Sums {
     channels: usize,
@@ -113,12 +96,10 @@ impl Sums {
     }
 }
 
-/// The sums of a series or of a part of it, from which its moments follow.
+/// The sums of a series or of a part of it, which give its moments.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Moments {
-    /// The value that is subtracted from each channel.
     reference: Vec<f32>,
-    /// See [`width`].
     sums: Vec<f32>,
 }
 
@@ -134,19 +115,18 @@ impl Moments {
         self.reference.len()
     }
 
-    /// Whether every channel is constant.
     pub fn is_constant(&self) -> bool {
         (0..self.channels())
             .all(|c| self.sums[place(Of::Least, c)] == self.sums[place(Of::Greatest, c)])
     }
 
-    /// The statistics of a series at `rate_hz`, multiplied by a gain of e^`ln_gain`.
+    /// The statistics of a series at `rate_hz`, as if multiplied by a gain of e^`ln_gain`.
     pub fn statistics(&self, rate_hz: f64, ln_gain: f64) -> Statistics {
         let channels = self.channels();
         let n = f64::from(self.sums[0]).max(1.0);
         let at = |of: Of, c: usize| f64::from(self.sums[place(of, c)]);
         let level: Vec<f64> = (0..channels).map(|c| at(Of::Sum, c) / n).collect();
-        // Γ(l)_ij, mean of (x_i(t) − m_i)·(x_j(t − l) − m_j).
+        // Γ(l)_ij: the mean of (x_i(t) − m_i)·(x_j(t − l) − m_j).
         let covariance = |lag: usize| -> Vec<f64> {
             let from = products(channels, lag);
             let entry = |k: usize| {
@@ -156,7 +136,7 @@ impl Moments {
             (0..channels * channels).map(entry).collect()
         };
         let mut covariances: Vec<Vec<f64>> = (0..LAGS).map(covariance).collect();
-        let mut moments = Vec::with_capacity(MOMENTS.len() * channels);
+        let mut moments = Vec::with_capacity(MOMENTS * channels);
         let mut deviations = Vec::with_capacity(channels);
         for (c, &m) in level.iter().enumerate() {
             let own = |lag: usize| covariances[lag][c * channels + c];
@@ -192,10 +172,12 @@ impl Moments {
     }
 }
 
-/// Statistics of a series or of a part of it.
 #[derive(Clone, Debug)]
 pub struct Statistics {
-    /// [`MOMENTS`], channel by channel.
+    /// For each channel: ln deviation, cube root of skewness, and the ln of these: kurtosis, crest
+    /// (peak/deviation), shape (deviation/mean magnitude), clearance (peak/squared mean root), rate of
+    /// mean crossings in Hz, (deviation of differences)/(deviation of values), and drift (deviation of
+    /// the means of 16 parts).
     pub moments: Vec<f64>,
     /// Standard deviation of each channel; at least 1e-9.
     pub deviations: Vec<f64>,
@@ -205,14 +187,12 @@ pub struct Statistics {
     pub covariances: Vec<Vec<f64>>,
 }
 
-/// The sums of a growing series.
 #[derive(Clone, Debug)]
 pub struct GrowingMoments {
-    /// Samples a block.
     block: usize,
-    /// The mean of the first block, once that is complete.
+    /// The mean of the first block; `None` until that block is complete.
     reference: Option<Vec<f32>>,
-    /// The last frames before the current block, up to the longest lag.
+    /// The last frames before the current block, as many as the longest lag needs.
     before: Vec<f32>,
     /// Samples of the block that is not complete yet.
     pending: Vec<f32>,
@@ -220,13 +200,11 @@ pub struct GrowingMoments {
 }
 
 impl GrowingMoments {
-    /// A series without samples.
     pub fn new(channels: usize, block: usize) -> Self {
         let sums = Sums::new(channels);
         Self { block, reference: None, before: Vec::new(), pending: Vec::new(), sums }
     }
 
-    /// Takes the next samples, interleaved.
     pub fn extend(&mut self, samples: &[f32]) {
         let channels = self.sums.channels;
         let size = self.block * channels;
@@ -244,7 +222,6 @@ impl GrowingMoments {
         self.pending = blocks.remainder().to_vec();
     }
 
-    /// The moments of all samples so far.
     pub fn so_far(&self) -> Moments {
         let channels = self.sums.channels;
         let reference = self.reference.clone().unwrap_or_else(|| means(&self.pending, channels));
@@ -255,18 +232,18 @@ impl GrowingMoments {
         Moments { sums: sums.values.iter().copied().map(held).collect(), reference }
     }
 
-    /// The exact moments of a finished series, which consists of `samples`.
+    /// The exact moments of a finished series; `samples` must be the whole series.
     pub fn whole(&self, samples: &[f32]) -> Moments {
         let channels = self.sums.channels;
         let mut moments = self.so_far();
-        // The other sums leave out gaps; these do not, and are scaled to the same length.
+        // The other sums leave out gaps. These do not, so they are scaled to the same length.
         let scale = f64::from(moments.sums[0]) / (samples.len() / channels).max(1) as f64;
         for channel in 0..channels {
             let x = less(samples, (channels, channel), moments.reference[channel]);
             let part = |k: usize| &x[k * x.len() / PARTS..(k + 1) * x.len() / PARTS];
             let (mut total, mut squared_level) = (0.0, 0.0);
             for part in (0..PARTS).map(part) {
-                let sum = powers(part)[0];
+                let sum = sum(part);
                 total += sum;
                 squared_level += sum * sum / part.len().max(1) as f64;
             }
@@ -285,7 +262,7 @@ impl GrowingMoments {
     }
 }
 
-/// Powers of samples far beyond full scale must not become infinite.
+/// Limits x to finite f32, since powers of samples far beyond full scale may overflow.
 fn held(x: f64) -> f32 {
     x.clamp(f64::from(-f32::MAX), f64::from(f32::MAX)) as f32
 }
@@ -306,7 +283,7 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
     sums[0] = frames as f32;
     let past = before.len() / channels;
     let centred = |samples: &[f32], c: usize| less(samples, (channels, c), reference[c]);
-    // Each channel with the samples before the block, which products of later samples need.
+    // Each channel, preceded by the samples before the block that lagged products need.
     let all: Vec<Vec<f32>> =
         (0..channels).map(|c| [centred(before, c), centred(samples, c)].concat()).collect();
     for (c, of_channel) in all.iter().enumerate() {
@@ -314,7 +291,7 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
         let [sum, cubes, fourths] = powers(of_block);
         let mean = (sum / frames.max(1) as f64) as f32;
         let [magnitude, root, crossings] = about(of_block, mean);
-        let extreme = |f: fn(f32, f32) -> f32| of_block.iter().copied().reduce(f).unwrap_or(0.0);
+        let (least, greatest) = extremes(of_block);
         for (of, value) in [
             (Of::Sum, sum),
             (Of::Cubes, cubes),
@@ -323,15 +300,15 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
             (Of::Magnitude, magnitude),
             (Of::Root, root),
             (Of::Crossings, crossings),
-            (Of::Least, f64::from(extreme(f32::min))),
-            (Of::Greatest, f64::from(extreme(f32::max))),
+            (Of::Least, f64::from(least)),
+            (Of::Greatest, f64::from(greatest)),
         ] {
             sums[place(of, c)] = value as f32;
         }
     }
     for lag in 0..LAGS {
         let at = products(channels, lag);
-        // The first samples of a recording have none before them.
+        // A recording has no samples before its first block.
         let from = past.max(lag);
         for (i, now) in all.iter().enumerate() {
             for (j, earlier) in all.iter().enumerate() {
@@ -343,9 +320,16 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
             }
         }
     }
-    // Powers of samples far beyond full scale must not become infinite.
     sums.iter_mut().for_each(|x| *x = x.clamp(-f32::MAX, f32::MAX));
     sums
+}
+
+/// One channel of interleaved samples, minus `reference`.
+fn less(samples: &[f32], (channels, channel): (usize, usize), reference: f32) -> Vec<f32> {
+    if channels == 1 {
+        return samples.iter().map(|x| x - reference).collect();
+    }
+    samples.chunks_exact(channels).map(|frame| frame[channel] - reference).collect()
 }
 
 #[cfg(test)]
@@ -380,7 +364,7 @@ mod tests {
             let of = |f: &dyn Fn(f64) -> f64| mean(&x.iter().map(|x| f(x - m)).collect::<Vec<_>>());
             let deviation = of(&|x| x * x).sqrt();
             let peak = x.iter().map(|x| (x - m).abs()).fold(0.0, f64::max);
-            let moments = &stats.moments[c * MOMENTS.len()..];
+            let moments = &stats.moments[c * MOMENTS..];
             assert!((stats.means[c] - m).abs() < 1e-5);
             assert!((moments[0] - deviation.ln()).abs() < 1e-4);
             assert!((moments[1].powi(3) - of(&|x| x.powi(3)) / deviation.powi(3)).abs() < 1e-3);

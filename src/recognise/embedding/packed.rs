@@ -1,10 +1,39 @@
-//! Stores numbers as one run of little-endian bytes, which is far quicker to read than one number
-//! after the other. For `#[serde(with = "…")]` in stored trials and models.
+//! Stores numbers as one run of little-endian bytes, which is far quicker to read than single numbers:
+//! frames and, by `#[serde(with = "…")]`, matrices of stored trials and models.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Bytes that are written in one run, not as a list.
+/// Log-band frames in fixed point, with 2⁻⁹ of a unit of ln power as step. This is finer than any
+/// estimate of power, and takes half the memory of f32.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PackedFrames {
+    #[serde(with = "list")]
+    values: Vec<i16>,
+}
+
+/// Number of fixed-point steps in one unit of ln power.
+const STEPS: f32 = 512.0;
+
+impl PackedFrames {
+    pub fn new(values: &[f32]) -> Self {
+        let pack = |x: &f32| (x * STEPS).round().clamp(f32::from(i16::MIN), f32::from(i16::MAX));
+        Self { values: values.iter().map(|x| pack(x) as i16).collect() }
+    }
+
+    /// All values, as ln power.
+    pub fn values(&self) -> Vec<f32> {
+        self.part(self.values.len(), 0..1)
+    }
+
+    /// The frames `within`, each of `width` values, as ln power.
+    pub fn part(&self, width: usize, within: std::ops::Range<usize>) -> Vec<f32> {
+        let values = &self.values[within.start * width..within.end * width];
+        values.iter().map(|&x| f32::from(x) / STEPS).collect()
+    }
+}
+
+/// Bytes that are written as one run, not as a list.
 struct Bytes(Vec<u8>);
 
 impl Serialize for Bytes {
@@ -13,10 +42,10 @@ impl Serialize for Bytes {
     }
 }
 
-/// Reads numbers of `N` bytes each; an error if bytes are left over.
+/// Reads numbers of `N` bytes each; fails if bytes are left over.
 fn numbers<const N: usize, T, E: Error>(
     bytes: &[u8],
-    number: fn([u8; N]) -> T,
+    number: impl Fn([u8; N]) -> T,
 ) -> Result<Vec<T>, E> {
     let (parts, rest) = bytes.as_chunks();
     if !rest.is_empty() {
@@ -29,12 +58,11 @@ fn numbers<const N: usize, T, E: Error>(
 pub mod list {
     use super::*;
 
-    /// Writes the list.
     pub fn serialize<S: Serializer>(values: &[i16], to: S) -> Result<S::Ok, S::Error> {
-        Bytes(values.iter().flat_map(|x| x.to_le_bytes()).collect()).serialize(to)
+        let bytes: Vec<_> = values.iter().map(|x| x.to_le_bytes()).collect();
+        Bytes(bytes.into_flattened()).serialize(to)
     }
 
-    /// Reads the list.
     pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<i16>, D::Error> {
         numbers(<&[u8]>::deserialize(from)?, i16::from_le_bytes)
     }
@@ -45,16 +73,32 @@ pub mod matrix {
     use super::*;
     use ndarray::Array2;
 
-    /// Writes its shape and its values.
     pub fn serialize<S: Serializer>(matrix: &Array2<f32>, to: S) -> Result<S::Ok, S::Error> {
-        let bytes = Bytes(matrix.iter().flat_map(|x| x.to_le_bytes()).collect());
-        (matrix.dim(), bytes).serialize(to)
+        let bytes: Vec<_> = matrix.iter().map(|x| x.to_le_bytes()).collect();
+        (matrix.dim(), Bytes(bytes.into_flattened())).serialize(to)
     }
 
-    /// Reads the matrix.
     pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Array2<f32>, D::Error> {
         let (shape, bytes) = <((usize, usize), &[u8])>::deserialize(from)?;
         let matrix = Array2::from_shape_vec(shape, numbers(bytes, f32::from_le_bytes)?);
         matrix.map_err(D::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fixed_point_is_finer_than_a_hundredth() {
+        let values = [-32.236, 0.001, 7.5, 88.7];
+        let packed = PackedFrames::new(&values);
+        let out = packed.part(2, 0..2);
+        for (a, b) in values.iter().zip(&out).take(3) {
+            assert!((a - b).abs() <= 0.5 / STEPS);
+        }
+        assert!(out[3] > 63.9, "beyond any sound, and held there");
+        let bytes = postcard::to_allocvec(&packed).unwrap();
+        assert_eq!(postcard::from_bytes::<PackedFrames>(&bytes).unwrap(), packed);
     }
 }

@@ -1,41 +1,38 @@
 //! Turns a picture, or a quarter of it, into a vector (method §11): Fourier features of its tiles,
-//! means and moments of its channels, and the covariance of pixels with displaced ones.
+//! means and moments of its channels, and the covariance of pixels with displaced pixels.
 
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::{Counts, ViewEmbedder};
 use super::linear::{EigenPairs, push_upper};
-use super::tiles::{CHANNELS, Part, PictureTiles, STACKED};
+use super::tiles::{CHANNELS, PictureTiles, STACKED};
 
-/// Added to the eigenvalues of a covariance after division by its unit.
+/// Added to the eigenvalues of a covariance after they are divided by their unit.
 const RIDGE: f64 = 1e-4;
 
-/// The unit of variance in level: a standard deviation of a tenth of full scale, squared.
+/// Unit of variance in level: the square of a standard deviation of a tenth of full scale.
 const UNIT: f64 = 0.01;
 
-/// How pictures of one source become vectors.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct PictureEmbedder {
     tiles: ViewEmbedder,
 }
 
 impl PictureEmbedder {
-    /// Takes means and deviations from `pictures`, at least one.
-    pub fn new(pictures: &[&PictureTiles]) -> Self {
-        let counts: Vec<Counts> = pictures.iter().map(|p| p.counts(Part::Whole)).collect();
-        Self { tiles: ViewEmbedder::new(&counts) }
+    /// Takes means and deviations from the counted tiles of pictures, at least one.
+    pub fn new(pictures: &[Counts]) -> Self {
+        Self { tiles: ViewEmbedder::new(pictures) }
     }
 
-    /// Length of a vector.
     pub fn dims(&self) -> usize {
         self.tiles.dims() + 4 * CHANNELS + STACKED * (STACKED + 1)
     }
 
-    /// The vector of a part of a picture, its pixels multiplied by a gain of e^`ln_gain`.
-    pub fn vector(&self, picture: &PictureTiles, part: Part, ln_gain: f64) -> Vec<f32> {
+    /// The vector of a picture or of one quarter, as if its pixels were multiplied by e^`ln_gain`.
+    pub fn vector(&self, picture: &PictureTiles, quarter: Option<usize>, ln_gain: f64) -> Vec<f32> {
         let mut vector = Vec::with_capacity(self.dims());
-        self.tiles.push(&picture.counts(part), ln_gain, &mut vector);
-        let statistics = picture.statistics(part);
+        self.tiles.push(&picture.counts(quarter), ln_gain, &mut vector);
+        let statistics = picture.statistics(quarter);
         for [mean, deviation, skewness, kurtosis] in statistics.moments {
             vector.extend([
                 (mean * ln_gain.exp()) as f32,
@@ -47,7 +44,7 @@ impl PictureEmbedder {
         let mut variances: Vec<f64> =
             (0..STACKED).map(|i| statistics.covariance[i * (STACKED + 1)]).collect();
         variances.sort_by(f64::total_cmp);
-        // In a grey picture, two of three channels do not vary, so the median may be 0.
+        // In a grey picture, two of the three channels do not vary, so the median may be 0.
         let own = variances[STACKED / 2].max(1e-3 * variances[STACKED - 1]).max(1e-12);
         let power = (2.0 * ln_gain).exp();
         let eigen = EigenPairs::new(statistics.covariance, STACKED);

@@ -1,52 +1,52 @@
-//! Turns a series, or a piece of it, into a vector (method §11): Fourier features of its log-band
-//! frames, means of its channels, moments and lag covariance. What depends on loudness comes both
-//! in shape, with the piece's own level taken off, and in level.
+//! Turns a series, a copy or a beginning into a vector (method §11): Fourier features of its log-band
+//! frames, means of its channels, moments and lag covariance. Features that depend on loudness occur
+//! in shape (relative to the series' own level) and in level.
 //!
-//! Means, moments and lag covariance respond to all frequencies. They are left out where a source
-//! is compared in part of its spectrum: excluded frequencies must not come back through them.
+//! Means, moments and lag covariance respond to all frequencies. They are left out if a source is
+//! compared in only part of its spectrum, so that excluded frequencies do not count through them.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::{BandSums, Counts, ViewEmbedder, median};
-use super::frames::{PackedFrames, Piece, SeriesFrames, SourceViews};
+use super::frames::{Piece, SeriesFrames, SourceViews};
 use super::linear::{EigenPairs, push_upper};
 use super::moments::{LOUDNESS, MOMENTS, Moments, Statistics};
+use super::packed::PackedFrames;
+use crate::recognise::features::windowed_frames::FrameView;
 
-/// Lags, in samples, between the copies of a series whose joint covariance is taken.
+/// Lags in samples; the joint covariance is of the series shifted by each of them.
 const LAGS: [usize; 3] = [0, 1, 3];
 
 /// Added to the eigenvalues of the covariance, in units of the library's variance.
 const RIDGE: f64 = 1e-3;
 
-/// Correlations are clipped to ± this before their inverse hyperbolic tangent is taken.
+/// Correlations are clipped to ± this value before their inverse hyperbolic tangent.
 const MOST_CORRELATED: f64 = 0.99;
 
-/// Up to this deviation, a channel counts as constant.
+/// A channel with at most this standard deviation counts as constant.
 const STILL: f64 = 2e-9;
 
-/// A band of at least this share of all frequencies counts as all of them.
+/// A band that covers at least this share of all frequencies counts as all of them.
 const NEARLY_ALL: f64 = 0.9;
 
-/// How the series of one source become vectors.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct SeriesEmbedder {
     pub views: SourceViews,
     frames: [ViewEmbedder; 2],
-    /// Median over a library of the deviation of each channel.
+    /// Median over a library of the standard deviation of each channel.
     deviations: Vec<f64>,
-    /// Whether means, moments and lag covariance are features.
     all_frequencies: bool,
 }
 
 impl SeriesEmbedder {
-    /// Takes means and deviations from `trials` of a library, at least one. `band_hz` is the band
-    /// in which they are compared, if one is configured.
+    /// Takes means and deviations from `trials` of a library, at least one. `band_hz` is the band in
+    /// which they are compared; `None` if no band is configured.
     pub fn new(trials: &[&SeriesFrames], band_hz: Option<(f64, f64)>) -> Self {
         let views = trials[0].views.clone();
         let embedder = |view: usize| {
             let counts: Vec<Counts> = (trials.par_iter())
-                .map(|trial| counted(&views, &trial.whole.frames[view], view).on_surface())
+                .map(|trial| counted(&views.0[view], &trial.whole.frames[view]).on_surface())
                 .collect();
             ViewEmbedder::new(&counts)
         };
@@ -65,12 +65,12 @@ impl SeriesEmbedder {
         }
     }
 
-    /// Whether a channel is constant in the library and compared by its level, as a switch is.
+    /// Whether a channel is constant in the library and compared by its level, like a switch.
     pub fn has_switch(&self) -> bool {
         self.all_frequencies && (0..self.channels()).any(|channel| !self.moves(channel))
     }
 
-    /// Whether a channel moves (is not constant) in most trials of the library.
+    /// Whether a channel varies in most trials of the library.
     pub fn moves(&self, channel: usize) -> bool {
         self.deviations.get(channel).is_none_or(|&deviation| deviation > STILL)
     }
@@ -79,7 +79,6 @@ impl SeriesEmbedder {
         self.deviations.len()
     }
 
-    /// Length of a vector.
     pub fn dims(&self) -> usize {
         let channels = self.channels();
         let bands = self.frames[0].dims() + self.frames[1].dims();
@@ -88,18 +87,18 @@ impl SeriesEmbedder {
         }
         let stacked = LAGS.len() * channels;
         bands
-            + (1 + MOMENTS.len() + LOUDNESS.len()) * channels
+            + (1 + MOMENTS + LOUDNESS.len()) * channels
             + stacked * (stacked + 1) / 2
             + channels * (channels - 1) / 2
     }
 
-    /// The vector of a series or a copy at `rate_hz`, multiplied by a gain of e^`ln_gain`.
+    /// The vector of a series or a copy at `rate_hz`, as if multiplied by a gain of e^`ln_gain`.
     pub fn embed(&self, piece: &Piece, rate_hz: f64, ln_gain: f64) -> Vec<f32> {
-        let sums = [0, 1].map(|view| counted(&self.views, &piece.frames[view], view));
+        let sums = [0, 1].map(|view| counted(&self.views.0[view], &piece.frames[view]));
         self.vector(&sums, &piece.moments, rate_hz, ln_gain)
     }
 
-    /// The vector of a series or a part of it, from its sums.
+    /// The vector of a series, or of a part of it, from its sums.
     pub fn vector(
         &self,
         views: &[BandSums; 2],
@@ -117,17 +116,17 @@ impl SeriesEmbedder {
             vector.extend(means.map(|(mean, deviation)| (mean / deviation).asinh() as f32));
             vector.extend(stats.moments.iter().map(|&x| x as f32));
             let gain = self.ln_gain(&stats);
-            for of_channel in stats.moments.chunks_exact(MOMENTS.len()) {
+            for of_channel in stats.moments.chunks_exact(MOMENTS) {
                 vector.extend(LOUDNESS.map(|at| (of_channel[at] - gain) as f32));
             }
             self.push_covariance(&stats, &mut vector);
         }
-        // Statistics of samples far beyond full scale may overflow; such features count as 0.
+        // Statistics of samples far beyond full scale may overflow; such features are set to 0.
         vector.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
         vector
     }
 
-    /// How much louder a series is than the library: mean ln ratio over channels moving in both.
+    /// How much louder a series is than the library: mean ln ratio over channels that vary in both.
     fn ln_gain(&self, stats: &Statistics) -> f64 {
         let louder: Vec<f64> = (stats.deviations.iter().zip(&self.deviations))
             .filter(|(own, library)| **own > STILL && **library > STILL)
@@ -136,9 +135,9 @@ impl SeriesEmbedder {
         louder.iter().sum::<f64>() / louder.len().max(1) as f64
     }
 
-    /// Upper triangle of ln(Cov + RIDGE·I), Cov of (x̃_t, x̃_{t−1}, x̃_{t−3}) with x̃ = x over the
-    /// library's deviation, so that the squared distance is that of the log-Euclidean metric (Arsigny
-    /// et al. 2006); then atanh of the channels' correlations.
+    /// Appends the upper triangle of ln(C + RIDGE·I), so that distances are log-Euclidean (Arsigny et
+    /// al. 2006). C is the covariance of (x̃_t, x̃_{t−1}, x̃_{t−3}), and x̃ is x divided by the
+    /// library's deviation. Then appends the atanh of the correlations between channels.
     fn push_covariance(&self, stats: &Statistics, vector: &mut Vec<f32>) {
         let channels = self.channels();
         let size = LAGS.len() * channels;
@@ -168,11 +167,8 @@ impl SeriesEmbedder {
     }
 }
 
-pub(super) fn counted(views: &SourceViews, frames: &PackedFrames, view: usize) -> BandSums {
-    let (width, channels) = (views.0[view].width(), views.0[view].channels);
-    let mut sums = BandSums::new(channels, width);
-    let mut values = Vec::new();
-    frames.unpack(width, 0..frames.frames(width), &mut values);
-    sums.add(&values);
+pub(super) fn counted(view: &FrameView, frames: &PackedFrames) -> BandSums {
+    let mut sums = BandSums::new(view.channels, view.width());
+    sums.add(&frames.values());
     sums
 }

@@ -1,11 +1,12 @@
 //! Treats a picture as a series in two dimensions, with tiles as frames (method §11).
 //!
-//! The channels are brightness (R+G+B)/3, R − G and (R+G)/2 − B, of values from 0 to 1. Tiles are
-//! 64 × 64 pixels, half a tile apart; each loses its mean, is windowed (two-dimensional Hann) and
-//! transformed, and the power of its bins averaged over eight rings by four directions. Sums over
-//! pixels, and over products with pixels to the right and below, give moments and covariance. They
-//! are kept for each quarter, so that a quarter and the whole only cost additions.
+//! The channels are brightness (R+G+B)/3, R − G and (R+G)/2 − B, for values from 0 to 1. Tiles are 64
+//! × 64 pixels, half a tile apart. The mean of each tile is subtracted; the tile is windowed
+//! (two-dimensional Hann) and transformed, and its power is averaged over eight rings by four
+//! directions. Sums over pixels, and over products with pixels to the right and below, give moments
+//! and covariance. Each quarter has its own sums, which add up to those of the whole.
 
+use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
 use multiversion::multiversion;
@@ -15,53 +16,41 @@ use rustfft::{Fft, FftPlanner};
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::{BandSums, Counts};
-use super::frames::PackedFrames;
+use super::lanes::chunks;
+use super::packed::PackedFrames;
 use crate::trial::Image;
 
-/// Channels of a picture.
 pub const CHANNELS: usize = 3;
-/// Pixels along a side of a tile.
 const SIDE: usize = 64;
-/// Pixels from one tile to the next.
 const HOP: usize = SIDE / 2;
-/// Number of tiles below each other and beside each other.
+/// Number of tiles in a column of tiles, and in a row.
 const TILES: [usize; 2] = [(Image::ROWS - SIDE) / HOP + 1, (Image::COLS - SIDE) / HOP + 1];
-/// Rings of spatial frequency, equally wide in its logarithm.
+/// Number of rings of spatial frequency, equally wide in its logarithm.
 const RINGS: usize = 8;
-/// Radius where rings begin and end, in bins: from 1.5/64 to ½ cycles a pixel.
+/// Radius of the innermost and outermost edge, in bins: from 1.5/64 to ½ cycles a pixel.
 const RADII: (f64, f64) = (1.5, SIDE as f64 / 2.0);
-/// Directions: 0, 45, 90 and 135°, each ± 22.5°.
+/// Number of directions: 0, 45, 90 and 135°, each ± 22.5°.
 const DIRECTIONS: usize = 4;
 /// Keeps the logarithm of power finite.
 const POWER_FLOOR: f32 = 1e-14;
-/// Displacements, in rows and columns, of the pixels whose covariance is taken.
+/// Displacements, in rows and columns, of the pixels in the covariance.
 const DISPLACED: [(usize, usize); 7] = [(0, 0), (0, 1), (1, 0), (0, 4), (4, 0), (0, 16), (16, 0)];
-/// The longest displacement.
 const REACH: usize = 16;
 /// Step between the rows of pixels that enter the covariance.
 const ROW_STEP: usize = 4;
-/// Channels of all displaced pixels together.
+/// Number of channels of all displaced pixels together.
 pub const STACKED: usize = CHANNELS * DISPLACED.len();
-
-/// A part of a picture.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Part {
-    Whole,
-    /// One of four quarters, by its number.
-    Quarter(usize),
-}
 
 /// A picture, reduced to its tiles and its statistics.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PictureTiles {
     /// ln power of each tile, row by row.
     tiles: PackedFrames,
-    /// The mean of each channel, which is taken off before anything is summed.
+    /// The mean of each channel, which is subtracted before anything is summed.
     reference: [f32; CHANNELS],
     quarters: Vec<PixelSums>,
 }
 
-/// Sums over some pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct PixelSums {
     pixels: f64,
@@ -69,13 +58,12 @@ struct PixelSums {
     powers: [[f64; 4]; CHANNELS],
     /// Number of pixels that enter the covariance.
     stacks: f64,
-    /// Σ v_i, v the channels of all displaced pixels; [`STACKED`] values.
+    /// Σ v_i, where v are the channels of all displaced pixels; [`STACKED`] values.
     sums: Vec<f64>,
     /// Σ v_i·v_j for j ≤ i, row by row.
     products: Vec<f64>,
 }
 
-/// Statistics of the pixels of a part.
 pub struct PixelStatistics {
     /// Mean, standard deviation, skewness and kurtosis of each channel.
     pub moments: [[f64; 4]; CHANNELS],
@@ -84,7 +72,6 @@ pub struct PixelStatistics {
 }
 
 impl PictureTiles {
-    /// The tiles of a picture.
     pub fn new(image: &Image) -> Self {
         let mut planes = planes(image);
         let reference = planes.each_ref().map(|plane| {
@@ -99,48 +86,37 @@ impl PictureTiles {
         Self { tiles: PackedFrames::new(&rows.concat()), reference, quarters }
     }
 
-    /// Values of one tile: the bands of all channels.
+    /// Number of values of one tile: the bands of all channels.
     pub fn width() -> usize {
         CHANNELS * rings().count
     }
 
-    /// Histograms of ln power of the tiles in a part.
-    pub(super) fn counts(&self, part: Part) -> Counts {
-        let mut values = Vec::new();
-        self.tiles.unpack(Self::width(), 0..TILES[0] * TILES[1], &mut values);
+    /// Histograms of ln power of all tiles, or of the tiles within one of the four quarters.
+    pub(super) fn counts(&self, quarter: Option<usize>) -> Counts {
+        let part = quarter.map(pixels_of);
+        let lies = |at: usize, within: &Range<usize>| within.start <= at && at + SIDE <= within.end;
         let mut sums = BandSums::new(CHANNELS, Self::width());
-        for (tile, row) in values.chunks_exact(Self::width()).enumerate() {
-            let at = [tile / TILES[1] * HOP, tile % TILES[1] * HOP];
-            let is_in = match part {
-                Part::Whole => true,
-                Part::Quarter(q) => {
-                    let (rows, columns) = pixels_of(q);
-                    let lies = |at: usize, within: &std::ops::Range<usize>| {
-                        within.start <= at && at + SIDE <= within.end
-                    };
-                    lies(at[0], &rows) && lies(at[1], &columns)
-                }
-            };
-            if is_in {
+        for (tile, row) in self.tiles.values().chunks_exact(Self::width()).enumerate() {
+            let (top, left) = (tile / TILES[1] * HOP, tile % TILES[1] * HOP);
+            if part.as_ref().is_none_or(|(rows, columns)| lies(top, rows) && lies(left, columns)) {
                 sums.add(row);
             }
         }
         sums.on_surface()
     }
 
-    /// Statistics of the pixels of a part; pairs across the borders of quarters are left out.
-    pub fn statistics(&self, part: Part) -> PixelStatistics {
+    /// Statistics of all pixels, or of those of a quarter. Pairs of pixels across the borders of
+    /// quarters are left out.
+    pub fn statistics(&self, quarter: Option<usize>) -> PixelStatistics {
         let mut sums = PixelSums::none();
-        match part {
-            Part::Whole => self.quarters.iter().for_each(|quarter| sums.join(quarter)),
-            Part::Quarter(q) => sums.join(&self.quarters[q % self.quarters.len().max(1)]),
-        }
+        let wanted = |(i, _): &(usize, &PixelSums)| quarter.is_none_or(|quarter| quarter == *i);
+        let parts = self.quarters.iter().enumerate().filter(wanted);
+        parts.for_each(|(_, quarter)| sums.join(quarter));
         sums.statistics(&self.reference)
     }
 }
 
-/// Rows and columns of a quarter.
-fn pixels_of(quarter: usize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+fn pixels_of(quarter: usize) -> (Range<usize>, Range<usize>) {
     let half = |size: usize, second: bool| {
         let from = usize::from(second) * (size / 2);
         from..from + size / 2
@@ -148,7 +124,7 @@ fn pixels_of(quarter: usize) -> (std::ops::Range<usize>, std::ops::Range<usize>)
     (half(Image::ROWS, quarter / 2 % 2 == 1), half(Image::COLS, quarter % 2 == 1))
 }
 
-/// The channels of a picture, row by row.
+/// The three channels of a picture, each row by row.
 fn planes(image: &Image) -> [Vec<f32>; CHANNELS] {
     let mut planes: [Vec<f32>; CHANNELS] = Default::default();
     for rgb in image.rgb().chunks_exact(3) {
@@ -236,37 +212,50 @@ impl PixelSums {
 
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn add_powers(x: &[f32], powers: &mut [f64; 4]) {
+    let (whole, last) = chunks::<8>(x, 0.0);
     let mut acc = [[0f32; 8]; 4];
-    for chunk in x.chunks(8) {
-        for (lane, &x) in chunk.iter().enumerate() {
-            let square = x * x;
+    for i in 0..=whole.len() {
+        let x = if i < whole.len() { &whole[i] } else { &last };
+        for lane in 0..8 {
+            let (x, square) = (x[lane], x[lane] * x[lane]);
             acc[0][lane] += x;
             acc[1][lane] += square;
             acc[2][lane] += x * square;
             acc[3][lane] += square * square;
         }
     }
-    for (sum, lanes) in powers.iter_mut().zip(&acc) {
-        *sum += lanes.iter().map(|&x| f64::from(x)).sum::<f64>();
+    for power in 0..4 {
+        for lane in acc[power] {
+            powers[power] += f64::from(lane);
+        }
     }
 }
 
-/// Adds Σ v_i and, for j ≤ i, Σ v_i·v_j of equally long rows.
+/// Adds Σ v_i and, for j ≤ i, Σ v_i·v_j over equally long rows.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn add_products(rows: &[&[f32]], sums: &mut [f64], products: &mut [f64]) {
     let mut at = 0;
     for (i, a) in rows.iter().enumerate() {
-        sums[i] += f64::from(a.iter().sum::<f32>());
+        let mut sum = 0.0;
+        for x in *a {
+            sum += x;
+        }
+        sums[i] += f64::from(sum);
         for b in &rows[..=i] {
-            let mut lanes = [0f32; 16];
-            for (a, b) in a.chunks_exact(16).zip(b.chunks_exact(16)) {
+            let (mut lanes, mut product) = ([0f32; 16], 0.0);
+            let ((a, last_a), (b, last_b)) = (chunks::<16>(a, 0.0), chunks::<16>(b, 0.0));
+            for i in 0..a.len().min(b.len()) {
                 for lane in 0..16 {
-                    lanes[lane] += a[lane] * b[lane];
+                    lanes[lane] += a[i][lane] * b[i][lane];
                 }
             }
-            let used = a.len() / 16 * 16;
-            let rest: f32 = a[used..].iter().zip(&b[used..]).map(|(a, b)| a * b).sum();
-            products[at] += f64::from(lanes.iter().sum::<f32>() + rest);
+            for lane in 0..16 {
+                lanes[lane] += last_a[lane] * last_b[lane];
+            }
+            for lane in lanes {
+                product += lane;
+            }
+            products[at] += f64::from(product);
             at += 1;
         }
     }
@@ -274,14 +263,13 @@ fn add_products(rows: &[&[f32]], sums: &mut [f64], products: &mut [f64]) {
 
 /// The band of each bin of a transformed tile.
 struct Rings {
-    /// Row, column and band of each bin in the upper half plane that has a band.
+    /// Row, column and band of each bin in the upper half plane that belongs to a band.
     bins: Vec<(usize, usize, usize)>,
-    /// Number of bins of each band.
     sizes: Vec<f32>,
-    /// Number of bands that have a bin.
+    /// Number of bands with at least one bin.
     count: usize,
     window: Vec<f32>,
-    /// Turns |X|² into power: 2/(N·Σw²).
+    /// Factor from |X|² to power: 2/(N·Σw²).
     scale: f32,
     plan: Arc<dyn Fft<f32>>,
 }
@@ -314,7 +302,7 @@ impl Rings {
         used.dedup();
         let mut sizes = vec![0.0; used.len()];
         for bin in &mut bins {
-            // Always found: `used` holds the band of every bin.
+            // Always found, since `used` holds the band of every bin.
             bin.2 = used.binary_search(&bin.2).unwrap_or(0);
             sizes[bin.2] += 1.0;
         }
@@ -330,7 +318,7 @@ impl Rings {
         }
     }
 
-    /// The ln power of the bands of two tiles, which are the real and imaginary part of `pair`.
+    /// The ln power of the bands of two tiles, given as the real and imaginary parts of `pair`.
     fn transform(&self, pair: &mut [Complex<f32>], scratch: &mut [Complex<f32>]) -> [Vec<f32>; 2] {
         self.plan.process_with_scratch(pair, scratch);
         for row in 0..SIDE {
@@ -341,7 +329,7 @@ impl Rings {
         self.plan.process_with_scratch(pair, scratch);
         let mut powers = [vec![0f32; self.count], vec![0f32; self.count]];
         for &(row, column, band) in &self.bins {
-            // Rows and columns have changed places.
+            // Rows and columns have been swapped.
             let here = pair[column * SIDE + row];
             let there = pair[(SIDE - column) % SIDE * SIDE + (SIDE - row) % SIDE].conj();
             powers[0][band] += 0.25 * (here + there).norm_sqr();
@@ -356,7 +344,7 @@ impl Rings {
     }
 }
 
-/// ln power of the tiles of one row, each with all its channels.
+/// ln power of one row of tiles; each tile has all its channels.
 fn tile_row(planes: &[Vec<f32>; CHANNELS], row: usize) -> Vec<f32> {
     let rings = rings();
     let mut pair = vec![Complex::default(); SIDE * SIDE];
@@ -406,8 +394,7 @@ mod tests {
             let phase = std::f64::consts::TAU * column as f64 / 8.0;
             [(128.0 + 60.0 * phase.sin()).round() as u8; 3]
         });
-        let mut values = Vec::new();
-        stripes.tiles.unpack(PictureTiles::width(), 0..1, &mut values);
+        let values = stripes.tiles.part(PictureTiles::width(), 0..1);
         let brightest = (0..rings().count).max_by(|&a, &b| values[a].total_cmp(&values[b]));
         let (_, _, band) = rings().bins.iter().find(|bin| (bin.0, bin.1) == (0, 8)).unwrap();
         assert_eq!(brightest, Some(*band));
@@ -435,7 +422,7 @@ mod tests {
     #[test]
     fn statistics_are_those_of_their_definitions() {
         let tiles = picture(texture);
-        let stats = tiles.statistics(Part::Quarter(0));
+        let stats = tiles.statistics(Some(0));
         let (rows, columns) = pixels_of(0);
         let pixels = || rows.clone().flat_map(|r| columns.clone().map(move |c| (r, c)));
         let brightness = |(r, c): (usize, usize)| {
@@ -446,7 +433,7 @@ mod tests {
         let deviation = (pixels().map(|p| (brightness(p) - mean).powi(2)).sum::<f64>() / n).sqrt();
         assert!((stats.moments[0][0] - mean).abs() < 1e-5);
         assert!((stats.moments[0][1] - deviation).abs() < 1e-5);
-        // Brightness here and 4 columns to the right: places 0 and 9.
+        // Brightness here and 4 columns to the right: indices 0 and 9.
         let pairs: Vec<(f64, f64)> = (rows.start..rows.end - REACH)
             .step_by(ROW_STEP)
             .flat_map(|r| (columns.start..columns.end - REACH).map(move |c| (r, c)))
@@ -468,14 +455,14 @@ mod tests {
     #[test]
     fn quarters_make_the_whole_and_a_plain_picture_is_finite() {
         let tiles = picture(texture);
-        let of = |part| tiles.statistics(part).moments[1][0];
-        let mean = (0..4).map(|q| of(Part::Quarter(q))).sum::<f64>() / 4.0;
-        assert!((of(Part::Whole) - mean).abs() < 1e-9);
+        let of = |quarter| tiles.statistics(quarter).moments[1][0];
+        let mean = (0..4).map(|q| of(Some(q))).sum::<f64>() / 4.0;
+        assert!((of(None) - mean).abs() < 1e-9);
         let plain = picture(|_, _| [9; 3]);
-        let stats = plain.statistics(Part::Whole);
+        let stats = plain.statistics(None);
         assert!(
             stats.covariance.iter().chain(stats.moments.iter().flatten()).all(|x| x.is_finite())
         );
-        assert!(plain.counts(Part::Quarter(3)).ln_mean_power().iter().all(|x| x.is_finite()));
+        assert!(plain.counts(Some(3)).ln_mean_power().iter().all(|x| x.is_finite()));
     }
 }

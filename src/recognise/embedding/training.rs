@@ -1,9 +1,9 @@
-//! Training vectors of whole trials and their copies, and how far their scatter is shrunk.
+//! Training vectors of whole trials and their copies, and the shrinkage of their scatter.
 //!
 //! There are three kinds of vectors: of whole trials, of excerpts and of twins ([`super::copies`]).
-//! The scatter within classes pools them, each minus the mean of its class and kind. Its shrinkage
-//! is estimated (Ledoit and Wolf 2004, "A well-conditioned estimator for large-dimensional
-//! covariance matrices"), with each trial and its copies as one observation.
+//! The scatter within classes pools them, each minus the mean of its class and kind. The shrinkage is
+//! estimated (Ledoit and Wolf 2004, "A well-conditioned estimator for large-dimensional covariance
+//! matrices"); each trial with its copies counts as one observation.
 
 use std::sync::Arc;
 
@@ -16,48 +16,50 @@ use super::discriminant::{Discriminant, Vectors};
 use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present, columns};
 use super::labels::Labels;
-use super::linear::{add_lower_gram, cholesky, solve_lower_transposed};
+use super::linear::{Residuals, cholesky, lower_gram, solve_lower_transposed};
 use super::packed;
-use super::residuals::Residuals;
+use crate::system::give_back_memory;
 
-/// Kinds of training vectors: wholes, excerpts, twins.
+/// Number of kinds of training vectors: whole trials, excerpts and twins.
 const KINDS: usize = 3;
 
-/// Limits of the shrinkage.
 const SHRINKAGE: (f64, f64) = (1e-4, 1.0);
 
-/// Added to the diagonal of the matrix of inner products, as a share of its mean: more than
-/// rounding in f32, far less than the shrinkage.
+/// Added to the diagonal of the matrix of inner products, as a share of its mean. It is more than
+/// rounding in f32, and far less than the shrinkage.
 const JITTER: f64 = 1e-5;
 
-/// The standardised training vectors of a library.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Training {
-    /// Shape (rows, D): one row for each whole trial, in order, then those of each trial's copies.
+    /// Shape (rows, D): one row for each whole trial, then the rows of each trial's copies.
     #[serde(with = "packed::matrix")]
     rows: Array2<f32>,
     /// Class and kind of each row: kind · classes + class; kind 0 is a whole trial.
     labels: Vec<usize>,
-    /// Group of each row; rows of one group are left out together.
+    /// Group of each row. Rows of one group are left out together.
     groups: Vec<usize>,
     classes: usize,
     /// Shrinkage γ of the scatter.
     shrinkage: f64,
     group_count: usize,
-    /// Whether each trial has each source.
     pub present: Vec<Present>,
 }
 
 impl Training {
-    /// Embeds a library, and sets the mean and deviation by which `joint` standardises.
+    /// Embeds a library, and sets the mean and deviation by which `joint` standardises. Then frees the
+    /// copies, which take most of the memory, unless other folds share the trials.
     pub fn new(
         joint: &mut JointEmbedder,
-        library: &[Arc<TrialFrames>],
+        library: &mut [Arc<TrialFrames>],
         labels: &Labels,
         seed: u64,
     ) -> Self {
-        let mut vectors: Vec<Vec<Vec<f32>>> =
-            library.par_iter().map(|trial| joint.training_vectors(trial, seed)).collect();
+        let embed = |trial: &mut Arc<TrialFrames>| {
+            let vectors = joint.training_vectors(trial, seed);
+            Arc::get_mut(trial).into_iter().for_each(TrialFrames::forget_copies);
+            vectors
+        };
+        let mut vectors: Vec<Vec<Vec<f32>>> = library.par_iter_mut().map(embed).collect();
         let present: Vec<Present> = library.iter().map(|trial| joint.present(trial)).collect();
         let wholes: Vec<(&[f32], &Present)> =
             vectors.iter().zip(&present).map(|(v, has)| (&v[0][..], has)).collect();
@@ -70,6 +72,8 @@ impl Training {
             let (trial, vector) = place(row, library.len());
             values.assign(&ArrayView1::from(&vectors[trial][vector]));
         }
+        drop(vectors);
+        give_back_memory();
         let mut training = Self::of(rows, present, 0.0, labels);
         training.fill_absent(joint);
         training.shrinkage = training.measured_shrinkage();
@@ -95,8 +99,8 @@ impl Training {
         fits.then(|| Self::of(rows, present, shrinkage, labels))
     }
 
-    /// Sources that a row lacks get the mean of the other rows of its label, so that they neither
-    /// move means nor add scatter.
+    /// Sets the columns of a source that a row lacks to the mean of the other rows of its label, so
+    /// that they neither move means nor add scatter.
     fn fill_absent(&mut self, joint: &JointEmbedder) {
         let trial = |row| place(row, self.present.len()).0;
         for (s, stretch) in joint.stretches.iter().enumerate() {
@@ -122,20 +126,15 @@ impl Training {
         }
     }
 
-    /// γ = [Σ_trials Σ_{a,b of the trial} (r_a·r_b)²/N² − ‖S‖²/n] / ‖S − μI‖², where r_a are the N
-    /// rows of n trials minus the means of their labels, S = Σ r_a·r_aᵀ/N and μ = tr(S)/D. Taking
-    /// copies for separate observations would halve it.
+    /// γ = [Σ_trials Σ_{a,b of the trial} (r_a·r_b)²/N² − ‖S‖²/n] / ‖S − μI‖². The r_a are the N rows
+    /// of n trials minus the means of their labels, S = Σ r_a·r_aᵀ/N and μ = tr(S)/D. If copies
+    /// counted as separate observations, γ would be half as large.
     fn measured_shrinkage(&self) -> f64 {
         let residuals = Residuals::new(&self.rows, &self.labels);
         let (rows, dims) = self.rows.dim();
         let trials = self.present.len();
-        let product = if rows < dims {
-            let mut product = Array2::zeros((rows, rows));
-            add_lower_gram(&mut product, &residuals.rows.t().to_owned());
-            product
-        } else {
-            residuals.scatter()
-        };
+        let product =
+            if rows < dims { lower_gram(&residuals.rows.t()) } else { residuals.scatter() };
         let residuals = residuals.rows;
         let (n, d) = (rows as f64, dims as f64);
         let trace = product.diag().sum() / n;
@@ -161,12 +160,11 @@ impl Training {
         self.rows.row(trial)
     }
 
-    pub fn excerpts(&self, trial: usize) -> Vec<Vec<f32>> {
+    pub fn excerpts(&self, trial: usize) -> impl Iterator<Item = ArrayView1<'_, f32>> {
         let first = self.present.len() + trial * COPIES;
-        (first..first + EXCERPTS).map(|row| self.rows.row(row).to_vec()).collect()
+        (first..first + EXCERPTS).map(|row| self.rows.row(row))
     }
 
-    /// Mean of the whole trials of a class.
     pub fn class_mean(&self, labels: &Labels, class: usize) -> Array1<f32> {
         let members: Vec<usize> =
             (0..labels.class.len()).filter(|&i| labels.class[i] == class).collect();
@@ -174,9 +172,9 @@ impl Training {
         sum / members.len().max(1) as f32
     }
 
-    /// Discriminants for the sources that are `present`: from all trials, and from those outside
-    /// each group, `None` where these are too few or all alike. If not even all trials can train
-    /// one, the first gives plain distances to the class means.
+    /// Discriminants for the sources that are `present`: trained on all trials, and without each
+    /// group. An entry is `None` if the remaining trials are too few or all alike. If not even all
+    /// trials can train a discriminant, the first one gives plain distances to the class means.
     pub fn discriminants(
         &self,
         joint: &JointEmbedder,
@@ -205,14 +203,14 @@ impl Training {
         Vectors { rows, labels, groups, classes: *classes, group_count: *group_count }
     }
 
-    /// The same discriminants if there are more features than rows: in the space that the rows
-    /// span. With Z·Zᵀ = L·Lᵀ the rows of L are the rows of Z in the orthonormal basis L⁻¹·Z;
-    /// directions outside that space do not separate classes.
+    /// The same discriminants if there are more features than rows, in the space that the rows span.
+    /// With Z·Zᵀ = L·Lᵀ, the rows of L are the rows of Z in the orthonormal basis L⁻¹·Z. Directions
+    /// outside that space do not separate classes.
     fn in_their_span(
         &self,
         vectors: &Array2<f32>,
     ) -> Option<(Option<Discriminant>, Vec<Option<Discriminant>>)> {
-        let mut inner = vectors.dot(&vectors.t()).mapv(f64::from);
+        let mut inner = lower_gram(&vectors.t());
         let jitter = JITTER * inner.diag().sum() / vectors.nrows().max(1) as f64;
         inner.diag_mut().map_inplace(|x| *x += jitter);
         let mut factor = cholesky(inner)?;
@@ -234,7 +232,7 @@ impl Training {
     }
 }
 
-/// The trial of a row, and which of the trial's vectors it is: 0 for the whole, then the copies.
+/// The trial of a row, and the index of its vector in the trial: 0 for the whole, then the copies.
 fn place(row: usize, trials: usize) -> (usize, usize) {
     match row.checked_sub(trials) {
         None => (row, 0),

@@ -1,14 +1,14 @@
 //! Hand-made features of a trial, for the comparison classifiers, and log-band frames, which
-//! `embedding` uses, too. A [`FeatureVector`] holds
+//! `embedding` uses too. A [`FeatureVector`] holds these features:
 //!
 //! | source | features, for each channel | |
 //! |---|---|---|
-//! | any series | `series_statistics::MOMENTS` | level, spread, moments and ratios in time |
+//! | any series | `series_statistics::moments` | level, spread, moments and ratios in time |
 //! | domain `spectrum` | log-band levels, mean and deviation over frames of 46 ms | up to 40 bands |
 //! | domain `time` | the same over frames of 0.2 s, to 500 Hz | up to 16 bands |
-//! | picture | `picture_statistics::FEATURES` | colour statistics, co-occurrence |
+//! | picture | `picture_statistics::features` | colour statistics, co-occurrence |
 //!
-//! The features of a trial depend on that trial alone.
+//! The features of a trial do not depend on other trials.
 
 pub(crate) mod picture_statistics;
 pub(crate) mod series_statistics;
@@ -16,23 +16,18 @@ pub(super) mod windowed_frames;
 
 use std::collections::BTreeMap;
 
-use rayon::prelude::*;
-
-use crate::recognise::checks::check_signal;
-use crate::recognise::error::RecogniseError;
-use crate::scene::{Scene, SourceId, SourceSpec};
+use crate::recognise::error::{RecogniseError, of_known_sources};
+use crate::scene::{Scene, SourceId};
 use crate::trial::{Signal, Trial, TrialKey};
 
-/// Features of one source of one trial.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SourceFeatures {
-    /// The values, in the order that the documentation of this module gives.
+    /// The values, in the order of the table at the top of this module.
     pub values: Vec<f64>,
-    /// The recording's rate in Hz; 0 for pictures, and where only the features are known.
+    /// The recording's rate in Hz; 0 for pictures and for features that were read from a table.
     pub rate_hz: f64,
 }
 
-/// Features of a trial, source by source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureVector {
     pub key: TrialKey,
@@ -40,36 +35,28 @@ pub struct FeatureVector {
 }
 
 impl FeatureVector {
-    /// The features of those sources of a trial that the scene describes.
+    /// The features of each source of a trial that the scene describes.
     ///
     /// # Errors
-    /// If a source is of another kind, or has another number of channels, than the scene says.
+    /// If a source has another kind or another number of channels than the scene says.
     pub fn new(key: &TrialKey, trial: &Trial, scene: &Scene) -> Result<Self, RecogniseError> {
-        let known: Vec<(&SourceSpec, &Signal)> = (trial.signals.iter())
-            .filter_map(|(id, signal)| Some((scene.get(id.as_str())?, signal)))
-            .collect();
-        let features = |(spec, signal): (&SourceSpec, &Signal)| {
-            check_signal(spec, signal, key)?;
-            let features = match signal {
-                Signal::Image(image) => {
-                    SourceFeatures { values: picture_statistics::features(image), rate_hz: 0.0 }
-                }
-                Signal::Series(series) => SourceFeatures {
-                    values: series_statistics::features(series, &spec.domain),
-                    rate_hz: series.rate_hz(),
-                },
-            };
-            Ok((spec.id.clone(), features))
-        };
-        let sources = known.into_par_iter().map(features).collect::<Result<_, RecogniseError>>()?;
+        let sources = of_known_sources(key, trial, scene, |spec, signal| match signal {
+            Signal::Image(image) => {
+                SourceFeatures { values: picture_statistics::features(image), rate_hz: 0.0 }
+            }
+            Signal::Series(series) => SourceFeatures {
+                values: series_statistics::features(series, &spec.domain),
+                rate_hz: series.rate_hz(),
+            },
+        })?;
         Ok(Self { key: key.clone(), sources })
     }
 }
 
 /// Hue (in turns, 0 to below 1), saturation and value (0 to 1) of 8-bit red, green and blue.
 ///
-/// Grey has hue 0 and saturation 0, black also value 0 (Smith 1978, "Color gamut transform
-/// pairs", as MATLAB's `rgb2hsv`).
+/// Grey has hue 0 and saturation 0; black also has value 0 (Smith 1978, "Color gamut transform pairs",
+/// like MATLAB's `rgb2hsv`).
 pub fn hsv(rgb: [u8; 3]) -> [f64; 3] {
     let [r, g, b] = rgb.map(|x| f64::from(x) / 255.0);
     let max = r.max(g).max(b);

@@ -1,35 +1,18 @@
-//! Features of a picture: colour statistics, grey-level co-occurrence.
+//! Features of a picture: statistics of its colours and of its texture (grey-level co-occurrence).
 
 use std::ops::Range;
 
 use super::hsv;
 use crate::trial::Image;
 
-/// Number of features: [`COLOURS`], then [`TEXTURES`] at each of [`STEPS`].
-#[cfg_attr(not(test), expect(dead_code, reason = "says what the numbers are"))]
-pub const FEATURES: usize = COLOURS.len() + STEPS.len() * TEXTURES.len();
-
-/// Colour statistics. Hue is a direction, weighted by saturation, so that grey has none.
-pub const COLOURS: [&str; 9] = [
-    "mean of saturation × cos hue",
-    "mean of saturation × sin hue",
-    "mean saturation",
-    "deviation of saturation",
-    "mean value",
-    "deviation of value",
-    "skewness of value",
-    "mean of red − blue",
-    "deviation of red − blue",
-];
-/// Texture statistics of grey levels a step apart, along rows and columns (Haralick et al. 1973,
-/// "Textural features for image classification").
-pub const TEXTURES: [&str; 5] =
-    ["ln contrast", "homogeneity", "ln energy", "entropy", "correlation"];
-/// Distances in pixels between the grey levels that are compared.
-pub const STEPS: [usize; 4] = [1, 3, 9, 27];
-/// Grey levels of a co-occurrence matrix.
+/// Distances in pixels at which grey levels are compared.
+const STEPS: [usize; 4] = [1, 3, 9, 27];
 const LEVELS: usize = 16;
+/// Number of texture statistics for each of [`STEPS`].
+const TEXTURES: usize = 5;
 
+/// Colour statistics, then texture statistics for each of [`STEPS`]. Hue is an angle, so its cosine
+/// and sine are used; both are weighted by saturation, since grey has no hue.
 pub fn features(image: &Image) -> Vec<f64> {
     let mut grey = Vec::with_capacity(Image::ROWS * Image::COLS);
     let mut columns: [Vec<f64>; 5] = Default::default();
@@ -80,7 +63,7 @@ impl PixelMoments {
     }
 }
 
-/// Grey values of a picture, and the same as levels from 0 to 15 of the picture's own range.
+/// Grey values of a picture, and the same values as levels from 0 (darkest pixel) to 15 (brightest).
 struct Texture {
     grey: Vec<f32>,
     level: Vec<u8>,
@@ -97,8 +80,10 @@ impl Texture {
         Self { level: grey.iter().map(level).collect(), grey, variance }
     }
 
-    /// [`TEXTURES`] of pixels `step` apart. Contrast and correlation use unrounded grey values.
-    fn at(&self, step: usize) -> [f64; TEXTURES.len()] {
+    /// Ln contrast, homogeneity, ln energy, entropy and correlation of pixels `step` apart along rows
+    /// and columns (Haralick et al. 1973, "Textural features for image classification"). Contrast and
+    /// correlation use grey values, the others use levels.
+    fn at(&self, step: usize) -> [f64; TEXTURES] {
         let mut counts = [[0u32; LEVELS]; LEVELS];
         let (mut contrast, mut pairs) = (0.0, 0);
         let mut add = |from: Range<usize>, by: usize| {
@@ -121,7 +106,7 @@ impl Texture {
         let contrast = contrast / pairs;
         let (mut homogeneity, mut energy, mut entropy) = (0.0, 0.0, 0.0);
         for (i, j) in (0..LEVELS).flat_map(|i| (0..LEVELS).map(move |j| (i, j))) {
-            // Pairs of pixels have no order.
+            // Each pair of pixels counts in both directions.
             let count = counts[i][j] + counts[j][i];
             if count > 0 {
                 let p = f64::from(count) / (2.0 * pairs);
@@ -140,6 +125,9 @@ impl Texture {
 mod tests {
     use super::*;
 
+    /// Number of colour statistics.
+    const COLOURS: usize = 9;
+
     fn picture(pixel: impl Fn(usize, usize) -> [u8; 3]) -> Vec<f64> {
         let at = |i: usize| pixel(i / Image::COLS, i % Image::COLS);
         let rgb = (0..Image::ROWS * Image::COLS).flat_map(at).collect();
@@ -149,16 +137,16 @@ mod tests {
     #[test]
     fn a_plain_picture_has_a_colour_and_no_texture() {
         let plain = picture(|_, _| [200, 100, 50]);
-        assert_eq!(plain.len(), FEATURES);
+        assert_eq!(plain.len(), COLOURS + STEPS.len() * TEXTURES);
         assert!((plain[4] - 200.0 / 255.0).abs() < 1e-9 && plain[5] < 1e-9);
         assert!(plain.iter().all(|x| x.is_finite()));
-        assert_eq!(plain[COLOURS.len()], 0.0, "no contrast");
+        assert_eq!(plain[COLOURS], 0.0, "no contrast");
     }
 
     #[test]
     fn stripes_have_contrast_at_steps_that_cross_them() {
         let stripes = picture(|_, col| [if col / 9 % 2 == 0 { 255 } else { 0 }; 3]);
-        let contrast = |step: usize| stripes[COLOURS.len() + step * TEXTURES.len()];
+        let contrast = |step: usize| stripes[COLOURS + step * TEXTURES];
         assert!(contrast(2) > contrast(0) + 1.0, "{} {}", contrast(2), contrast(0));
     }
 }

@@ -1,33 +1,17 @@
 //! Features of a series: moments and ratios in time, and a log-band spectrum.
 
-use super::windowed_frames::{FrameView, VIEWS, ViewFrames};
+use super::windowed_frames::{FrameView, VIEWS};
 use crate::scene::Domain;
 use crate::trial::Series;
 
-/// The time-domain features of each channel. Scale-free ratios and levels are logarithms, so that
-/// their distributions have no long tails.
-pub const MOMENTS: [&str; 11] = [
-    "mean",
-    "ln of the standard deviation",
-    "skewness, cube root",
-    "ln of the kurtosis",
-    "ln of peak over deviation (crest)",
-    "ln of deviation over mean magnitude (shape)",
-    "ln of peak over mean magnitude (impulse)",
-    "ln of peak over squared mean root (clearance)",
-    "ln of the rate of mean crossings in Hz",
-    "ln of the deviation of differences over that of values",
-    "ln of the deviation of the level over 16 parts",
-];
-
-/// For series of domain `time`: seconds in a frame, number of bands, highest frequency in Hz.
+/// For series of domain `time`: frame duration in seconds, number of bands, highest frequency in Hz.
 const SLOW: (f64, usize, f64) = (0.2, 16, 500.0);
-/// Number of parts whose mean levels show the slow drift of a series.
+/// Number of parts of a series. Their mean levels show its slow drift.
 const PARTS: usize = 16;
-/// Keeps logarithms finite: far below a 24-bit converter's step.
+/// Keeps logarithms finite; far below one step of a 24-bit converter.
 const FLOOR: f64 = 1e-9;
 
-/// The features of a series, channel by channel, then the spectrum.
+/// The features of each channel in time, then the spectrum.
 pub fn features(series: &Series, domain: &Domain) -> Vec<f64> {
     let mut features = Vec::new();
     for channel in 0..series.channels() {
@@ -39,15 +23,16 @@ pub fn features(series: &Series, domain: &Domain) -> Vec<f64> {
         Domain::Time { .. } | Domain::Image => (SLOW.0, SLOW.1, (0.0, SLOW.2)),
     };
     let view = FrameView::new(series.rate_hz(), series.channels(), band_hz, frame_s, bands);
-    features.extend(levels(&ViewFrames::new(view, series.samples())));
+    features.extend(levels(&view, series.samples()));
     features
 }
 
-/// Mean over frames of each log-band level, then the deviation of each.
-fn levels(frames: &ViewFrames) -> Vec<f64> {
-    let (width, n) = (frames.view.width(), frames.frames() as f64);
+/// Mean over frames of each log-band level, then the standard deviation of each level.
+fn levels(view: &FrameView, samples: &[f32]) -> Vec<f64> {
+    let (width, frames) = (view.width(), view.frames(samples));
+    let n = (frames.len() / width) as f64;
     let (mut sum, mut squares) = (vec![0.0; width], vec![0.0; width]);
-    for row in frames.values.chunks_exact(width) {
+    for row in frames.chunks_exact(width) {
         for (i, &x) in row.iter().enumerate() {
             sum[i] += f64::from(x);
             squares[i] += f64::from(x).powi(2);
@@ -58,8 +43,9 @@ fn levels(frames: &ViewFrames) -> Vec<f64> {
     mean.iter().copied().chain(spread).collect()
 }
 
-/// [`MOMENTS`] of one channel.
-fn moments(values: &[f64], rate_hz: f64) -> [f64; MOMENTS.len()] {
+/// The features of one channel in time. Ratios and levels are logarithms, so that their distributions
+/// have no long tails.
+fn moments(values: &[f64], rate_hz: f64) -> [f64; 11] {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     let of = |f: fn(f64) -> f64| values.iter().map(|x| f(x - mean)).sum::<f64>() / n;
@@ -78,12 +64,14 @@ fn moments(values: &[f64], rate_hz: f64) -> [f64; MOMENTS.len()] {
     [
         mean,
         deviation.ln(),
+        // Skewness, kurtosis, crest, shape, impulse and clearance factors.
         (third / deviation.powi(3)).cbrt(),
         (fourth / deviation.powi(4)).max(FLOOR).ln(),
         (peak / deviation).ln(),
         (deviation / magnitude).ln(),
         (peak / magnitude).ln(),
         (peak / root).ln(),
+        // Mean crossings in Hz, size of steps over size of values, and drift over 16 parts.
         ((crossings + 1.0) * rate_hz / n).ln(),
         (steps / deviation).max(FLOOR).ln(),
         drift.max(FLOOR).ln(),

@@ -1,12 +1,12 @@
 //! Log-band frames: the power of a sound or vibration in frequency bands, frame by frame.
 //!
-//! A source with a spectrum is cut in two ways, called views: long frames (about 46 ms, 40 bands)
-//! and short ones (about 12 ms, 24 bands), which overlap by half. Each frame loses its mean, since
-//! a sensor's offset would leak into the lowest bands; it is windowed (periodic Hann), transformed,
-//! and the power of its bins averaged over bands with edges equally spaced in ln(1 + f/f0), where
-//! f0 is a tenth of the highest frequency. The result is A = ln(mean power + 1e-14). Power is
-//! 2|X|²/(L·Σw²) with samples in units of full scale, so that 16-bit quantisation amounts to about
-//! 8e-14 a bin.
+//! A source with a spectrum is cut into frames in two ways, called views: long frames (about 46 ms, 40
+//! bands) and short frames (about 12 ms, 24 bands). Successive frames overlap by half. The mean of
+//! each frame is subtracted first, since a sensor's offset would leak into the lowest bands. The frame
+//! is windowed (periodic Hann) and transformed. Its power is averaged over bands with edges equally
+//! spaced in ln(1 + f/f0); f0 is a tenth of the highest frequency. The value of a band is A = ln(mean
+//! power + 1e-14). The power of a bin is 2|X|²/(L·Σw²) for samples in units of full scale, so 16-bit
+//! quantisation adds about 8e-14 a bin.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -19,16 +19,14 @@ use realfft::{RealFftPlanner, RealToComplex};
 /// The views of a source: duration of a frame in seconds, and number of bands.
 pub(super) const VIEWS: [(f64, usize); 2] = [(0.0464, 40), (0.0116, 24)];
 
-/// Power below which a band counts as silent; keeps the logarithm finite.
+/// Added to the power of each band, so that the logarithm of a silent band is finite.
 const POWER_FLOOR: f32 = 1e-14;
 
-/// Frames that one thread transforms at a time.
 const FRAMES_A_TASK: usize = 64;
 
-/// How a source is cut into frames and bands.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct FrameView {
-    /// Samples a frame, L: a power of two.
+    /// Number of samples in a frame, L: a power of two.
     pub points: usize,
     pub rate_hz: f64,
     pub channels: usize,
@@ -37,8 +35,8 @@ pub struct FrameView {
 }
 
 impl FrameView {
-    /// A view whose frames last `frame_s` seconds, rounded (in log2) to a power of two of samples,
-    /// with at most `bands` bands, each at least a bin wide and none above half the rate.
+    /// A view with frames of `frame_s` seconds, rounded (in log2) to a power of two of samples. It has
+    /// at most `bands` bands; each band is at least one bin wide, and none lies above half the rate.
     pub fn new(
         rate_hz: f64,
         channels: usize,
@@ -61,27 +59,59 @@ impl FrameView {
         Self { points, rate_hz, channels, edges: band_edges(points, rate_hz, band_hz, bands) }
     }
 
-    /// Samples from the beginning of one frame to that of the next.
+    /// Samples from the beginning of one frame to the beginning of the next.
     pub fn hop(&self) -> usize {
         self.points / 2
     }
 
-    /// Number of bands of one channel.
     pub fn bands(&self) -> usize {
         self.edges.len() - 1
     }
 
-    /// Values of one frame: all bands of the first channel, then of the second, …
+    /// Number of values in a frame: all bands of the first channel, then of the second, …
     pub fn width(&self) -> usize {
         self.channels * self.bands()
     }
 
-    /// Number of whole frames in a recording of `samples` a channel.
+    /// Number of whole frames in a recording of `samples` samples a channel.
     pub fn frames_in(&self, samples: usize) -> usize {
         if samples < self.points { 0 } else { (samples - self.points) / self.hop() + 1 }
     }
 
-    /// Whether the bands of two views cover the same frequencies, even at different rates.
+    /// The frames of a recording of interleaved samples: A = ln(mean power + 1e-14), shape (frames,
+    /// width). A recording shorter than a frame gives one frame: mean subtracted, padded with zeros.
+    pub fn frames(&self, samples: &[f32]) -> Vec<f32> {
+        let channels = self.channels;
+        if self.frames_in(samples.len() / channels) > 0 {
+            return self.whole_frames(samples);
+        }
+        let mut padded = vec![0.0; self.points * channels];
+        for c in 0..channels {
+            let of_channel: Vec<f32> = samples.iter().skip(c).step_by(channels).copied().collect();
+            let mean = mean(&of_channel);
+            let slots = padded.iter_mut().skip(c).step_by(channels);
+            slots.zip(&of_channel).for_each(|(slot, x)| *slot = x - mean);
+        }
+        self.whole_frames(&padded)
+    }
+
+    /// Like [`Self::frames`], but gives no frame if the recording is shorter than a frame.
+    pub fn whole_frames(&self, samples: &[f32]) -> Vec<f32> {
+        let (width, hop, channels) = (self.width(), self.hop(), self.channels);
+        let mut values = vec![0.0; self.frames_in(samples.len() / channels) * width];
+        values.par_chunks_mut(width * FRAMES_A_TASK).enumerate().for_each(|(task, rows)| {
+            with_workspace(self.points, |workspace| {
+                for (i, row) in rows.chunks_exact_mut(width).enumerate() {
+                    let start = (task * FRAMES_A_TASK + i) * hop * channels;
+                    let frame = &samples[start..start + self.points * channels];
+                    workspace.frame(self, frame, row);
+                }
+            });
+        });
+        values
+    }
+
+    /// Whether the bands of two views cover the same frequencies; their rates may differ.
     pub fn comparable(&self, other: &Self) -> bool {
         let width_hz = |view: &Self| view.rate_hz / view.points as f64;
         let edge_hz = |view: &Self, i: usize| view.edges[i] as f64 * width_hz(view);
@@ -98,7 +128,7 @@ fn band_edges(points: usize, rate_hz: f64, band_hz: (f64, f64), bands: usize) ->
     let f0 = high / 10.0;
     let (first, last) = ((low / f0).ln_1p(), (high / f0).ln_1p());
     let per_hz = points as f64 / rate_hz;
-    // No band reaches beyond the source's own band, however few bins that has.
+    // No band ends above the highest frequency of `band_hz`, even if fewer than `bands` bands fit.
     let end = ((high * per_hz).round() as usize).clamp(1, points / 2 + 1);
     let mut edges: Vec<usize> = Vec::with_capacity(bands + 1);
     let mut previous: Option<usize> = None;
@@ -115,75 +145,17 @@ fn band_edges(points: usize, rate_hz: f64, band_hz: (f64, f64), bands: usize) ->
         edges.retain(|&edge| edge >= least);
     }
     if edges.len() < 2 {
-        // Nothing of the band lies below half the rate: the highest bin stands for it.
+        // The whole band lies above half the rate; the highest bin is used instead.
         return vec![end - 1, end];
     }
     edges
 }
 
-/// Frames of one view: `width` values each, one after the other.
-#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
-pub struct ViewFrames {
-    pub view: FrameView,
-    /// A = ln(mean power + 1e-14), shape (frames, width).
-    pub values: Vec<f32>,
-}
-
-impl ViewFrames {
-    /// The frames of a recording of interleaved samples; a short one is padded with zeros.
-    pub fn new(view: FrameView, samples: &[f32]) -> Self {
-        let mut frames = Self { view, values: Vec::new() };
-        frames.extend(samples);
-        if frames.values.is_empty() {
-            frames.pad(samples);
-        }
-        frames
-    }
-
-    /// Appends all whole frames; returns how many samples a channel are not needed again.
-    pub fn extend(&mut self, samples: &[f32]) -> usize {
-        let view = &self.view;
-        let new = view.frames_in(samples.len() / view.channels);
-        let (width, hop, channels) = (view.width(), view.hop(), view.channels);
-        let begin = self.values.len();
-        self.values.resize(begin + new * width, 0.0);
-        self.values[begin..].par_chunks_mut(width * FRAMES_A_TASK).enumerate().for_each(
-            |(task, rows)| {
-                with_workspace(view.points, |workspace| {
-                    for (i, row) in rows.chunks_exact_mut(width).enumerate() {
-                        let start = (task * FRAMES_A_TASK + i) * hop * channels;
-                        let frame = &samples[start..start + view.points * channels];
-                        workspace.frame(view, frame, row);
-                    }
-                });
-            },
-        );
-        new * hop
-    }
-
-    /// Appends one frame: `samples`, less the mean of each channel, then zeros.
-    pub fn pad(&mut self, samples: &[f32]) {
-        let channels = self.view.channels;
-        let mut padded = vec![0.0; self.view.points * channels];
-        for c in 0..channels {
-            let of_channel: Vec<f32> = samples.iter().skip(c).step_by(channels).copied().collect();
-            let mean = mean(&of_channel);
-            let slots = padded.iter_mut().skip(c).step_by(channels);
-            slots.zip(&of_channel).for_each(|(slot, x)| *slot = x - mean);
-        }
-        self.extend(&padded);
-    }
-
-    pub fn frames(&self) -> usize {
-        self.values.len() / self.view.width()
-    }
-}
-
-/// An FFT plan and its buffers; each thread keeps its own.
+/// An FFT plan and its buffers. Each thread has its own.
 struct Workspace {
     plan: Arc<dyn RealToComplex<f32>>,
     window: Vec<f32>,
-    /// Turns |X|² into power: 2/(L·Σw²).
+    /// Factor from |X|² to power: 2/(L·Σw²).
     scale: f32,
     input: Vec<f32>,
     output: Vec<Complex<f32>>,
@@ -216,11 +188,15 @@ impl Workspace {
         }
     }
 
-    /// One frame of L interleaved samples a channel; `row` gets the bands, channel by channel.
+    /// Transforms one frame of L interleaved samples a channel; fills `row`, channel by channel.
     fn frame(&mut self, view: &FrameView, samples: &[f32], row: &mut [f32]) {
         for (channel, bands) in row.chunks_exact_mut(view.bands()).enumerate() {
-            let of_channel = samples[channel..].iter().step_by(view.channels);
-            self.input.iter_mut().zip(of_channel).for_each(|(slot, x)| *slot = *x);
+            if view.channels == 1 {
+                self.input.copy_from_slice(samples);
+            } else {
+                let of_channel = samples[channel..].iter().step_by(view.channels);
+                self.input.iter_mut().zip(of_channel).for_each(|(slot, x)| *slot = *x);
+            }
             let mean = mean(&self.input);
             for (slot, w) in self.input.iter_mut().zip(&self.window) {
                 *slot = (*slot - mean) * w;
@@ -232,7 +208,7 @@ impl Workspace {
             for (band, slot) in bands.iter_mut().enumerate() {
                 let bins = &self.output[view.edges[band]..view.edges[band + 1]];
                 let power: f32 = bins.iter().map(Complex::norm_sqr).sum();
-                // Samples far beyond full scale must not become infinite.
+                // Samples far above full scale must not give infinite values.
                 let mean = (power * self.scale / bins.len() as f32).min(f32::MAX);
                 *slot = (mean + POWER_FLOOR).ln();
             }
@@ -240,13 +216,23 @@ impl Workspace {
     }
 }
 
-/// The mean, summed in f64 in eight lanes, so that no addition waits for the one before it.
 fn mean(samples: &[f32]) -> f32 {
+    (sum(samples) / samples.len().max(1) as f64) as f32
+}
+
+/// Sum of the samples, by eight sums in f64, so that no addition waits for the one before.
+pub fn sum(samples: &[f32]) -> f64 {
     let mut lanes = [0f64; 8];
-    for chunk in samples.chunks(lanes.len()) {
-        lanes.iter_mut().zip(chunk).for_each(|(lane, &x)| *lane += f64::from(x));
+    let (chunks, rest) = samples.as_chunks::<8>();
+    for chunk in chunks {
+        for lane in 0..8 {
+            lanes[lane] += f64::from(chunk[lane]);
+        }
     }
-    (lanes.iter().sum::<f64>() / samples.len().max(1) as f64) as f32
+    for lane in 0..rest.len() {
+        lanes[lane] += f64::from(rest[lane]);
+    }
+    lanes.iter().sum()
 }
 
 #[cfg(test)]
@@ -294,12 +280,12 @@ mod tests {
         let hz = view.rate_hz / 2048.0 * 50.0;
         let wave = |i: usize| (2.0 * std::f64::consts::PI * hz * i as f64 / view.rate_hz).sin();
         let samples: Vec<f32> = (0..44_100).map(|i| 0.1 * wave(i) as f32).collect();
-        let frames = ViewFrames::new(view.clone(), &samples);
-        assert_eq!(frames.frames(), 42);
+        let frames = view.frames(&samples);
+        assert_eq!(frames.len(), 42 * view.width());
         let power: f64 = (0..view.bands())
             .map(|b| {
                 let bins = (view.edges[b + 1] - view.edges[b]) as f64;
-                f64::from(frames.values[b]).exp() * bins
+                f64::from(frames[b]).exp() * bins
             })
             .sum();
         // Mean square of the windowed sine over that of the window: 0.1²/2.
@@ -310,12 +296,12 @@ mod tests {
     fn a_gain_adds_a_constant_and_silence_is_finite() {
         let samples: Vec<f32> = (0..4096).map(|i| ((i * i) as f32 * 0.37).sin() * 0.2).collect();
         let louder: Vec<f32> = samples.iter().map(|x| x * 2.0).collect();
-        let (a, b) = (ViewFrames::new(view(1), &samples), ViewFrames::new(view(1), &louder));
-        assert!(a.values.iter().zip(&b.values).all(|(a, b)| (b - a - 4f32.ln()).abs() < 1e-4));
-        let silent = ViewFrames::new(view(0), &[0.0; 10]);
-        assert_eq!(silent.frames(), 1);
-        assert!(silent.values.iter().all(|x| (x - POWER_FLOOR.ln()).abs() < 1e-3));
-        assert!(ViewFrames::new(view(0), &[1e30; 4096]).values.iter().all(|x| x.is_finite()));
+        let (a, b) = (view(1).frames(&samples), view(1).frames(&louder));
+        assert!(a.iter().zip(&b).all(|(a, b)| (b - a - 4f32.ln()).abs() < 1e-4));
+        let silent = view(0).frames(&[0.0; 10]);
+        assert_eq!(silent.len(), view(0).width());
+        assert!(silent.iter().all(|x| (x - POWER_FLOOR.ln()).abs() < 1e-3));
+        assert!(view(0).frames(&[1e30; 4096]).iter().all(|x| x.is_finite()));
     }
 
     #[test]
@@ -323,9 +309,8 @@ mod tests {
         let samples: Vec<f32> = (0..4096).map(|i| ((i * i) as f32 * 0.37).sin() * 0.2).collect();
         let shifted: Vec<f32> = samples.iter().map(|x| x + 0.5).collect();
         for index in [0, 1] {
-            let a = ViewFrames::new(view(index), &samples);
-            let b = ViewFrames::new(view(index), &shifted);
-            assert!(a.values.iter().zip(&b.values).all(|(a, b)| (b - a).abs() < 1e-3));
+            let (a, b) = (view(index).frames(&samples), view(index).frames(&shifted));
+            assert!(a.iter().zip(&b).all(|(a, b)| (b - a).abs() < 1e-3));
         }
     }
 
@@ -333,9 +318,9 @@ mod tests {
     fn channels_stand_beside_each_other() {
         let one: Vec<f32> = (0..4096).map(|i| (i as f32 * 0.5).sin()).collect();
         let two: Vec<f32> = one.iter().flat_map(|&x| [x, 0.5 * x]).collect();
-        let mono = ViewFrames::new(view(1), &one);
-        let both = ViewFrames::new(FrameView { channels: 2, ..view(1) }, &two);
-        assert_eq!(both.frames(), mono.frames());
-        assert_eq!(both.values[3 * 48..][..24], mono.values[3 * 24..][..24]);
+        let mono = view(1).frames(&one);
+        let both = FrameView { channels: 2, ..view(1) }.frames(&two);
+        assert_eq!(both.len(), 2 * mono.len());
+        assert_eq!(both[3 * 48..][..24], mono[3 * 24..][..24]);
     }
 }

@@ -1,10 +1,10 @@
 //! Successive halving: compares all trials by a few repetitions, and only the best by more.
 //!
-//! Positions are shared, so a repetition draws the same samples from every trial, and trials far
-//! from the query stand out at once. Repetitions resample one recording: dropping a trial after one
-//! of them saves work and rarely changes a label, but says nothing about confidence. With the
-//! default stages 12 % of the work remains. Measured: on LMT108's dragging sounds of 20 surfaces
-//! (`mi2`, leave one trial out, R = 10) the label was that of the exact method in 200 of 200
+//! With shared positions, a repetition draws the same samples from every trial, so trials far from the
+//! query stand out at once. All repetitions resample the same recording. Dropping a trial after the
+//! first of them therefore saves work and rarely changes a label, but tells nothing about confidence.
+//! With the default stages 12 % of the work remains. Measured on LMT108's dragging sounds of 20
+//! surfaces (`mi2`, leave one trial out, R = 10): the label equalled the exact method's in 200 of 200
 //! queries, and in 500 of 500 against a synthetic library of 1080 trials (`cargo bench --bench
 //! reference -- halving`).
 
@@ -12,22 +12,22 @@ use std::collections::BTreeSet;
 
 use crate::recognise::rank::{Candidate, RankedSurface, Ranking};
 
-/// A stage: after some repetitions, only the best trials stay.
+/// A stage of halving: after some repetitions, only the best trials stay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
-    /// Repetitions done by the end of the stage.
+    /// Number of repetitions done by the end of the stage, counted from the start.
     pub repetitions: usize,
-    /// Number of trials that stay.
+    /// Number of trials that stay after the stage.
     pub keep: usize,
 }
 
-/// Stages for the paper's R = 10: one repetition for all trials, two for 64, ten for 16.
+/// Stages for the paper's R = 10: one repetition for all trials, two for 64 trials, ten for 16.
 pub const STAGES: [Stage; 2] =
     [Stage { repetitions: 1, keep: 64 }, Stage { repetitions: 2, keep: 16 }];
 
-/// Splits candidates into the `keep` best and the rest, both with the most alike first. Ties go as
-/// in a ranking, so that the order of candidates does not matter.
+/// Splits candidates into the `keep` best and the rest; both lists begin with the most alike. Ties are
+/// resolved as in a ranking, so the order of candidates does not matter.
 pub(super) fn split<T>(mut all: Vec<(Candidate, T)>, keep: usize) -> (Vec<T>, Vec<Candidate>) {
     all.sort_by(|(a, _), (b, _)| a.log_ds.total_cmp(&b.log_ds).then_with(|| a.key.cmp(&b.key)));
     let dropped = all.split_off(keep.min(all.len()));
@@ -35,8 +35,8 @@ pub(super) fn split<T>(mut all: Vec<(Candidate, T)>, keep: usize) -> (Vec<T>, Ve
     (stay, dropped.into_iter().map(|(candidate, _)| candidate).collect())
 }
 
-/// Appends the surfaces that were dropped to a ranking of those that stayed, the last dropped
-/// first. Each gets its score at that time, or that of the surface before it if larger.
+/// Appends the dropped surfaces to a ranking of those that stayed; the surfaces dropped last come
+/// first. Each gets the score it was dropped with, or the score before it in the list if larger.
 pub(super) fn append(ranking: &mut Ranking, dropped: Vec<Vec<Candidate>>) {
     let mut seen: BTreeSet<String> = ranking.ranked.iter().map(|r| r.surface.clone()).collect();
     let (first, alone) = (ranking.ranked[0].score, ranking.ranked.len() == 1);

@@ -1,12 +1,11 @@
 //! The paper's method, exactly (method §2): raw samples, n·MMD²_b for each source, the product over
 //! sources, and the nearest neighbour.
 //!
-//! [`ReferenceOptions`] has shortcuts that keep the result, at least within a stated bound:
-//! positions shared over the library; K(z, z) summed once for each query and K(y, y) read from a
-//! table, both within 1e-4 of a score ([`SumPrecision`]); and, on request, successive halving.
-//! Results depend neither on the number of threads nor on the library's order.
+//! [`ReferenceOptions`] has shortcuts that keep the result exact or within a stated bound. Positions
+//! are shared over the library. K(z, z) is summed once for each query, and K(y, y) is read from a
+//! table; both change a score by at most 1e-4 ([`SumPrecision`]). Successive halving is optional.
+//! Results depend neither on the number of threads nor on the order of the library.
 
-mod domain;
 mod halving;
 mod model;
 pub(super) mod prepared_trial;
@@ -14,14 +13,13 @@ mod sample_set;
 mod sampling;
 mod score;
 
-pub use domain::DomainSamples;
 pub use halving::{STAGES, Stage};
 pub use model::ReferenceModel;
 pub use prepared_trial::PreparedTrial;
 pub(super) use prepared_trial::{SampledSource, shared_sources};
 pub use sample_set::{SampleSet, Scratch};
-pub use sampling::image_grid;
 pub(super) use sampling::keyed_positions;
+pub use sampling::{DomainSamples, image_grid};
 pub(super) use score::aligned;
 pub use score::{QuerySet, SumPrecision, log_score, score_samples};
 
@@ -29,9 +27,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use self::model::Sampler;
-use super::checks::check_surfaces;
-use super::error::RecogniseError;
+use super::error::{RecogniseError, check_surfaces};
 use super::method::{Method, Model};
 use super::prepared::Prepared;
 use super::shape::LibraryShape;
@@ -43,21 +39,24 @@ use crate::trial::Trial;
 
 /// The method `reference`.
 #[derive(Clone, Debug)]
-pub struct Reference(Sampler);
+pub struct Reference {
+    scene: Scene,
+    options: ReferenceOptions,
+}
 
 impl Reference {
     /// The method for the sources of a scene.
     pub fn new(scene: Scene, options: ReferenceOptions) -> Self {
-        Self(Sampler { scene, options })
+        Self { scene, options }
     }
 
-    /// A model of a library, which may have only one surface.
+    /// Makes a model of a library, which may have only one surface.
     ///
     /// # Errors
     /// If a trial was prepared for another method.
     pub fn model(&self, library: &[Prepared]) -> Result<ReferenceModel, RecogniseError> {
         let library = library.iter().map(|trial| trial.samples(NAME).cloned());
-        Ok(ReferenceModel { sampler: self.0.clone(), library: library.collect::<Result<_, _>>()? })
+        Ok(ReferenceModel { method: self.clone(), library: library.collect::<Result<_, _>>()? })
     }
 }
 
@@ -68,8 +67,8 @@ impl Method for Reference {
 
     fn settings_key(&self, _: &LibraryShape) -> u64 {
         let ReferenceOptions { samples, repetitions, positions, seed, precision, tabulate, .. } =
-            self.0.options;
-        let sources: Vec<_> = self.0.scene.sources().collect();
+            self.options;
+        let sources: Vec<_> = self.scene.sources().collect();
         let settings = format!(
             "{samples} {repetitions} {positions:?} {seed} {precision:?} {tabulate} {NODES} {FOLD} \
              {sources:?}"
@@ -83,9 +82,9 @@ impl Method for Reference {
         trial: &Trial,
         _: &LibraryShape,
     ) -> Result<Prepared, RecogniseError> {
-        let ReferenceOptions { tabulate, precision, .. } = self.0.options;
+        let ReferenceOptions { tabulate, precision, .. } = self.options;
         let tabulate = tabulate && precision == SumPrecision::Fast;
-        Ok(Prepared::Samples(Arc::new(self.0.sampled(entry, trial, tabulate)?)))
+        Ok(Prepared::Samples(Arc::new(self.sampled(entry, trial, tabulate)?)))
     }
 
     fn fit(
@@ -98,46 +97,45 @@ impl Method for Reference {
     }
 }
 
-/// The method's name.
 pub const NAME: &str = "reference";
 
-/// The way to draw sample positions: once for the whole library, or for each pair of trials.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+/// How sample positions are drawn: once for the whole library, or for each pair of trials.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PositionMode {
-    /// Once a repetition, the same for every trial: far cheaper.
+    /// Once a repetition, the same for every trial; far cheaper.
     #[default]
     Shared,
-    /// Anew for every pair, as the authors' program does.
+    /// Anew for every pair of trials, like the authors' program.
     PerPair,
 }
 
-/// Settings of the method. The defaults are the paper's; except for n and R, they are left out when
-/// settings are written.
+/// Settings of the method `reference`. The defaults are the paper's. When settings are written,
+/// defaults are left out, except n and R.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct ReferenceOptions {
-    /// Samples drawn from a source, n.
+    /// Number of samples drawn from each source, n.
     #[serde(rename = "n")]
     pub samples: usize,
-    /// Repetitions whose scores are averaged, R.
+    /// Number of repetitions, R; scores are averaged over them.
     pub repetitions: usize,
-    /// Nearest neighbours, k.
+    /// Number of nearest neighbours, k.
     #[serde(skip_serializing_if = "is_one")]
     pub neighbours: usize,
-    /// The way to draw positions.
+    /// How positions are drawn.
     #[serde(skip_serializing_if = "is_default")]
     pub positions: PositionMode,
     /// Seed of all positions.
     #[serde(skip_serializing_if = "is_one")]
     pub seed: u64,
-    /// The precision of kernel sums.
+    /// How precisely kernel sums are computed.
     #[serde(skip_serializing_if = "is_default")]
     pub precision: SumPrecision,
-    /// Whether K(y, y) of library trials is tabulated over σ: slower to prepare, faster to compare.
+    /// Whether K(y, y) of library trials is tabulated over σ: slower preparation, faster comparison.
     #[serde(skip_serializing_if = "is_true")]
     pub tabulate: bool,
-    /// Stages of successive halving, in order; without any, all trials get all repetitions.
+    /// Stages of successive halving, in order. If empty, all trials get all repetitions.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub halving: Vec<Stage>,
 }
@@ -155,7 +153,7 @@ fn is_true(value: &bool) -> bool {
 }
 
 impl ReferenceOptions {
-    /// The stages for a library of `trials`; the last one has all repetitions and drops no trial.
+    /// The stages for a library of `trials` trials. The last has all repetitions and drops no trial.
     pub(super) fn stages(&self, trials: usize) -> Vec<Stage> {
         let Self { repetitions, neighbours, halving, .. } = self;
         let mut stages: Vec<Stage> = Vec::new();

@@ -1,49 +1,46 @@
-//! A trial made ready for the method `reference`: its sources cut to length and sampled.
+//! A trial prepared for the method `reference`: its sources are cut to length and sampled.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use rayon::prelude::*;
-
-use super::domain::DomainSamples;
 use super::sample_set::SampleSet;
+use super::sampling::DomainSamples;
 use crate::library::Entry;
-use crate::recognise::checks::{check_signal, nothing_in_common};
-use crate::recognise::error::RecogniseError;
+use crate::recognise::error::{RecogniseError, nothing_in_common, of_known_sources};
 use crate::scene::{Scene, SourceId, SourceSpec};
 use crate::seed;
 use crate::trial::{Signal, Trial, TrialKey};
 
-/// One source of a trial, cut to some length and ready to be compared.
+/// One source of a trial, cut to some length and sampled.
 pub struct SampledSource {
-    /// One set of samples a repetition; empty where positions are drawn for each pair.
+    /// One set of samples for each repetition; empty if positions are drawn for each pair of trials.
     pub sets: Vec<SampleSet>,
-    /// All samples, kept only where positions are drawn for each pair.
+    /// All samples; `None` unless positions are drawn for each pair of trials.
     pub domain: Option<DomainSamples>,
 }
 
-/// A source, its rate and frames if it is a series, and its sets.
+/// A source; its rate in Hz and its number of frames if it is a series; and its sets.
 type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 
-/// How many lengths of a source stay in memory besides the trial's own: enough for `chart`.
+/// Number of lengths of a source kept in memory besides the trial's own; enough for `chart`.
 const KEPT_LENGTHS: usize = 3;
 
-/// Each source at the lengths used so far, in frames.
+/// Each source cut to the lengths used so far, with the length in frames.
 type SampledSources = BTreeMap<SourceId, Vec<(usize, Arc<SampledSource>)>>;
 
-/// A trial, ready to be compared.
+/// A trial, prepared for comparison.
 pub struct PreparedTrial {
     entry: Entry,
-    /// Rate and frames of each source that the scene describes; an image has neither.
+    /// Rate in Hz and frames of each source that the scene describes; `None` for an image.
     shapes: BTreeMap<SourceId, Option<(f64, usize)>>,
     content: u64,
-    /// Each source, cut to the lengths used so far; the trial's own length comes first.
+    /// Each source cut to the lengths used so far; the trial's own length comes first.
     cuts: Mutex<SampledSources>,
 }
 
 impl PreparedTrial {
-    /// Prepares those sources of a trial that the scene describes, at their own lengths; `hashed`
-    /// says whether `PreparedTrial::content` is needed.
+    /// Prepares the sources of a trial that the scene describes, at their own lengths. `hashed` says
+    /// whether `PreparedTrial::content` is needed.
     pub fn new(
         entry: &Entry,
         trial: &Trial,
@@ -51,33 +48,27 @@ impl PreparedTrial {
         hashed: bool,
         cut: impl Fn(&SourceSpec, &Signal, usize) -> SampledSource + Sync,
     ) -> Result<Self, RecogniseError> {
-        let known: Vec<(&SourceId, &Signal, &SourceSpec)> = (trial.signals.iter())
-            .filter_map(|(id, signal)| Some((id, signal, scene.get(id.as_str())?)))
-            .collect();
-        let made = (known.par_iter())
-            .map(|(_, signal, spec)| {
-                check_signal(spec, signal, &entry.key)?;
-                let shape = match signal {
-                    Signal::Image(_) => None,
-                    Signal::Series(series) => Some((series.rate_hz(), series.frames())),
-                };
-                let frames = shape.map_or(0, |(_, frames)| frames);
-                let content = if hashed { signal.content_hash() } else { 0 };
-                Ok((shape, content, (frames, Arc::new(cut(spec, signal, frames)))))
-            })
-            .collect::<Result<Vec<_>, RecogniseError>>()?;
+        let made = of_known_sources(&entry.key, trial, scene, |spec, signal| {
+            let shape = match signal {
+                Signal::Image(_) => None,
+                Signal::Series(series) => Some((series.rate_hz(), series.frames())),
+            };
+            let frames = shape.map_or(0, |(_, frames)| frames);
+            let content = if hashed { signal.content_hash() } else { 0 };
+            (shape, content, (frames, Arc::new(cut(spec, signal, frames))))
+        })?;
         let (mut shapes, mut cuts, mut all) = (BTreeMap::new(), BTreeMap::new(), 0);
-        for ((id, ..), (shape, content, cut)) in known.into_iter().zip(made) {
+        for (id, (shape, content, cut)) in made {
             let parts = [all, content].map(u64::to_le_bytes);
             all = seed::stable_hash(&[&parts[0], id.as_str().as_bytes(), &parts[1]]);
             shapes.insert(id.clone(), shape);
-            cuts.insert(id.clone(), vec![cut]);
+            cuts.insert(id, vec![cut]);
         }
         Ok(Self { entry: entry.clone(), shapes, content: all, cuts: Mutex::new(cuts) })
     }
 
-    /// The trial as bytes, for a cache; `None` where positions are drawn for each pair, since then
-    /// the bytes are as large as the recording.
+    /// The trial as bytes, for a cache; `None` if positions are drawn for each pair of trials, since
+    /// the bytes would then be as large as the recording.
     pub(in crate::recognise) fn encode(&self) -> Option<Vec<u8>> {
         let cuts = self.lock();
         let mut sources = Vec::new();
@@ -89,7 +80,7 @@ impl PreparedTrial {
         sampled.then(|| postcard::to_allocvec(&sources).ok())?
     }
 
-    /// The trial of an entry from the bytes of `encode`; `None` if they are not valid.
+    /// Decodes the bytes of `encode` for the trial of an entry; `None` if they are not valid.
     pub(in crate::recognise) fn decode(entry: &Entry, bytes: &[u8]) -> Option<Self> {
         let sources: Vec<StoredSource> = postcard::from_bytes(bytes).ok()?;
         let (mut shapes, mut cuts) = (BTreeMap::new(), BTreeMap::new());
@@ -108,19 +99,18 @@ impl PreparedTrial {
         &self.entry.key
     }
 
-    /// Hash of all raw samples (0 unless `hashed`). It seeds the draws for a pair, so that these
-    /// depend neither on names nor on order.
+    /// Hash of all raw samples (0 unless `hashed`). It seeds the draws for a pair of trials, so that
+    /// the draws depend neither on names nor on order.
     pub(super) fn content(&self) -> u64 {
         self.content
     }
 
-    /// Sample rate of a source, if the trial has it and it is not an image.
     fn rate_hz(&self, id: &SourceId) -> Option<f64> {
         self.shapes.get(id)?.map(|(rate_hz, _)| rate_hz)
     }
 
-    /// Frames that two trials both have of a source: the shorter's; 0 for images; `None` if one
-    /// lacks the source.
+    /// Number of frames of a source that both trials have: that of the shorter trial; 0 for images;
+    /// `None` if a trial lacks the source.
     pub(super) fn common_frames(&self, other: &Self, id: &SourceId) -> Option<usize> {
         match (self.shapes.get(id)?, other.shapes.get(id)?) {
             (Some((_, mine)), Some((_, others))) => Some(*mine.min(others)),
@@ -128,7 +118,7 @@ impl PreparedTrial {
         }
     }
 
-    /// The source cut to `frames`: from memory, or by `cut` from the trial, which is loaded again.
+    /// The source cut to `frames` frames: from memory, or by loading the trial and calling `cut`.
     pub(super) fn at_length(
         &self,
         id: &SourceId,
@@ -144,8 +134,8 @@ impl PreparedTrial {
         let made = Arc::new(cut(&trial.signals[id]));
         let mut cuts = self.lock();
         let kept = cuts.entry(id.clone()).or_default();
-        // Another thread may have made the same cut meanwhile. Waiting for it could last for ever:
-        // its parallel work may run a task that waits for this very cut.
+        // Another thread may have made the same cut meanwhile. Waiting for that thread could last for
+        // ever: its parallel work may run a task that waits for this very cut.
         if !kept.iter().any(|(at, _)| *at == frames) {
             if kept.len() > KEPT_LENGTHS {
                 kept.remove(1);
@@ -156,7 +146,7 @@ impl PreparedTrial {
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, SampledSources> {
-        // A thread that panicked while it held the lock left at most a cut unsaved.
+        // If a thread panicked while it held the lock, at most one cut was not saved.
         self.cuts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -164,7 +154,7 @@ impl PreparedTrial {
 /// The sources that a query shares with a library, sorted by name.
 ///
 /// # Errors
-/// If there is none, or if one has different rates.
+/// If there is no shared source, or if a shared source has different rates.
 pub fn shared_sources<'a>(
     scene: &'a Scene,
     query: &PreparedTrial,

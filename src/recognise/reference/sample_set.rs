@@ -1,45 +1,44 @@
-//! Samples drawn from one source of one trial, with everything that is computed from them once.
+//! Samples drawn from one source of one trial, and everything that is computed from them once.
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use crate::kernel::{LineSum, Number, Points, SelfMean, length_scale};
 
-/// Kernel sums of a set with at most this many distinct samples run over these only.
+/// If a set has at most this many distinct samples, its kernel sums run over the distinct samples.
 const MOST_DISTINCT: usize = 8;
 
-/// Allowed error of n·MMD² from rounding coordinates to f32; beyond it, sums are in f64.
+/// Allowed error of n·MMD² from rounding coordinates to f32; above it, sums are in f64.
 const ROUNDING_ALLOWED: f64 = 3e-5;
 
-/// Allowed error of n·MMD² from a table of K(y, y); beyond it, there is no table.
+/// Largest error of n·MMD² that a table of K(y, y) may cause; a less exact table is dropped.
 const TABLE_ALLOWED: f64 = 3e-5;
 
-/// Beyond this many times its own length scale, a set looks like one tight cluster.
+/// At more than this many times its own length scale, a set counts as one tight cluster.
 const AFAR: f64 = 8.0;
 
-/// Samples drawn from one source. Once σ is known, comparisons do not depend on their order.
+/// Samples drawn from one source. Given σ, comparisons do not depend on the order of the samples.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SampleSet {
-    /// Channel after channel in the order drawn; a single channel in ascending order.
+    /// Channel after channel, in the order drawn; a single channel is in ascending order.
     pub(super) values: Values,
-    /// Mean of each channel.
     pub(super) mean: Vec<f64>,
-    /// Median of each channel, the origin of coordinates: rounding to f32 is finest there.
+    /// Median of each channel. It is the origin of coordinates, since f32 is finest near 0.
     pub(super) centre: Vec<f64>,
-    /// σ by the median heuristic, of these samples.
+    /// σ of these samples: by the median heuristic, or fixed.
     pub(super) sigma: f64,
-    /// Error of n·MMD², times σ, that coordinates in f32 may cause.
+    /// Error of n·MMD² from coordinates in f32, multiplied by σ.
     pub(super) coarseness: f64,
-    /// Whether the distances between its samples take only a few values: see [`is_clustered`].
+    /// Whether the distances between the samples take only a few values; see [`is_clustered`].
     pub(super) clustered: bool,
     /// Mean of K(y, y) as a function of σ, if tabulated.
     pub(super) table: Option<SelfMean>,
-    /// Distinct samples and how often each occurs, where they are few; not stored.
+    /// Distinct samples and how often each occurs; `None` if they are many. Not stored.
     #[serde(skip)]
     distinct: Option<DistinctPoints>,
 }
 
-/// Numbers in the shortest form that holds them exactly.
+/// Numbers in the shortest form that is exact.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum Values {
     Single(Box<[f32]>),
@@ -63,14 +62,14 @@ impl Values {
     }
 }
 
-/// Distinct samples, each `dims` numbers long, and how often each occurs.
+/// Distinct samples, each of `dims` numbers, and how often each occurs.
 #[derive(Clone, Debug, PartialEq)]
 struct DistinctPoints {
     points: Vec<f64>,
     counts: Vec<f64>,
 }
 
-/// Buffers of a comparison, reused by the next one.
+/// Buffers of a comparison, kept to be reused by the next comparison.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
     pub(super) in_f32: Points<f32>,
@@ -78,8 +77,8 @@ pub struct Scratch {
 }
 
 impl SampleSet {
-    /// A set from samples of shape (n, channels), n and channels at least 1. σ is found by the
-    /// median heuristic unless `sigma` fixes it.
+    /// Makes a set from samples of shape (n, channels); n and channels are at least 1. σ is found by
+    /// the median heuristic unless `sigma` fixes it.
     pub fn new(samples: &Array2<f64>, sigma: Option<f64>) -> Self {
         let sigma = sigma.unwrap_or_else(|| length_scale(samples.view()));
         let n = samples.nrows();
@@ -104,7 +103,7 @@ impl SampleSet {
         Self { values, mean, centre, sigma, coarseness, clustered, table: None, distinct }
     }
 
-    /// Recomputes what is not stored of a set; false if the stored fields contradict each other.
+    /// Recomputes the fields that are not stored; false if the stored fields contradict each other.
     pub(super) fn complete(&mut self) -> bool {
         let (dims, count) = (self.dims(), self.values.len());
         if count == 0 || dims == 0 || count % dims != 0 || self.centre.len() != dims {
@@ -118,18 +117,16 @@ impl SampleSet {
         true
     }
 
-    /// Number of samples.
     pub(crate) fn n(&self) -> usize {
         self.values.len() / self.dims()
     }
 
-    /// Number of channels.
     pub(crate) fn dims(&self) -> usize {
         self.mean.len()
     }
 
-    /// Tabulates K(y, y) over length scales around the set's own, so that comparisons with a
-    /// library trial need not sum it. No table is kept if it would not be exact enough.
+    /// Tabulates K(y, y) over length scales around the set's own, so that comparisons with this set
+    /// need not sum it. The table is dropped if it is not exact enough.
     pub fn tabulate(&mut self) {
         if self.distinct.is_some() {
             return;
@@ -141,7 +138,7 @@ impl SampleSet {
         });
     }
 
-    /// Σ k(yᵢ, yⱼ) at a length scale, by the table if there is one.
+    /// Σ k(yᵢ, yⱼ) at length scale `sigma`, from the table if there is one.
     pub(super) fn self_sum_at(&self, sigma: f64, scratch: &mut Scratch) -> f64 {
         match self.table.as_ref().and_then(|table| table.at(sigma)) {
             Some(mean) => mean * (self.n() as f64).powi(2),
@@ -161,13 +158,13 @@ impl SampleSet {
         }
     }
 
-    /// Whether f32 is exact enough for sums at this length scale, of at most four channels.
+    /// Whether f32 is exact enough for sums at this length scale; only for at most four channels.
     pub(super) fn fits_lanes(&self, sigma: f64) -> bool {
         self.dims() <= 4 && self.coarseness <= ROUNDING_ALLOWED * sigma
     }
 
-    /// Whether the set has only a few different distances at this length scale. Every set does at a
-    /// length scale far above its own.
+    /// Whether the set has only a few different distances at this length scale. This is true of every
+    /// set at a length scale far above its own.
     pub(super) fn is_clustered_at(&self, sigma: f64) -> bool {
         self.clustered || sigma > AFAR * self.sigma
     }
@@ -184,7 +181,7 @@ impl SampleSet {
         }
     }
 
-    /// The first channel's kernel sum at length scale `sigma`, as a function of one variable.
+    /// The kernel sum over the first channel's samples at length scale `sigma`, as a function of x.
     pub(super) fn line(&self, sigma: f64) -> LineSum {
         let n = self.n();
         match &self.values {
@@ -195,7 +192,7 @@ impl SampleSet {
         }
     }
 
-    /// The kernel sum of the first channel's samples, moved by `shift`, against those of `line`.
+    /// Kernel sum between the first channel's samples, moved by `shift`, and those of `line`.
     pub(super) fn sum_on_line(&self, line: &LineSum, shift: f64) -> f64 {
         match &self.values {
             Values::Single(v) => line.sum(v[..self.n()].iter().map(|&x| f64::from(x)), shift),
@@ -203,7 +200,7 @@ impl SampleSet {
         }
     }
 
-    /// Σ k(aᵢ, bⱼ) over distinct samples, if both sets have few; b, the `other`, moves by `shift`.
+    /// Σ k(aᵢ, bⱼ) over distinct samples, b from `other` and moved by `shift`; `None` if many.
     pub(super) fn distinct_sum(&self, other: &Self, sigma: f64, shift: &[f64]) -> Option<f64> {
         let (a, b, dims) = (self.distinct.as_ref()?, other.distinct.as_ref()?, self.dims());
         let mut total = 0.0;
@@ -239,13 +236,13 @@ impl DistinctPoints {
     }
 }
 
-/// Whether a set has only a few different distances.
+/// Whether a set has only a few different distances, so that its sums need f64.
 ///
-/// The error of a kernel value in f32, and of adding it to a sum, changes sign with the fraction of
-/// q, where the value is 2^(−q/16). Over spread-out samples it averages out; samples in a few tight
+/// A kernel value is 2^(−q/16). The error of computing it in f32, and of adding it to a sum, changes
+/// sign with the fraction of q. The errors average out over spread-out samples. Samples in a few tight
 /// clusters have only a few distances and so a few fractions, and their errors add up. A subset of
-/// pairs shows which it is. A clustered set against a spread-out one is safe: they have as many
-/// distances as the latter has samples.
+/// pairs shows which case holds. A clustered set against a spread-out set is safe: the pair has as
+/// many distances as the spread-out set has samples.
 fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
     const SUBSET: usize = 32;
     const BINS: usize = 8;
@@ -264,12 +261,12 @@ fn is_clustered(values: &[f64], n: usize, sigma: f64) -> bool {
     most * BINS as f64 > 2.0 * sum
 }
 
-/// Error of n·MMD² times σ that rounding centred coordinates to f32 may cause.
+/// Estimated error of n·MMD² from rounding centred coordinates to f32, multiplied by σ.
 ///
-/// Rounding moves point i by δᵢ = 2⁻²⁴|xᵢ|/σ, which changes its kernel values with points in reach,
-/// each by at most 0.61 δᵢ. In reach of a point far from the centre are only points at least half
-/// as far out, mᵢ of them; errors of different points have different signs. So the error of 2/n Σᵢⱼ
-/// k is about 2/n · 0.61 · (Σᵢ (δᵢ mᵢ)²)^½.
+/// Rounding moves point i by δᵢ = 2⁻²⁴|xᵢ|/σ. This changes its kernel value with each point in reach
+/// by at most 0.61 δᵢ. Only mᵢ points, those at least half as far from the centre, are in reach of
+/// point i. Errors of different points have different signs. So the error of 2/n Σᵢⱼ k is about 2/n ·
+/// 0.61 · (Σᵢ (δᵢ mᵢ)²)^½.
 fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
     let distances = distances(values, n, centre);
     let mut nearer = 0;
@@ -280,7 +277,7 @@ fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
         }
         sum += (d * (n - nearer) as f64).powi(2);
     }
-    // Squares that overflow or vanish in f64 do so in f32 as well.
+    // If squares overflow or vanish here, they would in f32 too; the error is then infinite.
     let error = ROUNDING / n as f64 * sum.sqrt();
     if error.is_normal() || distances[n - 1] == 0.0 { error } else { f64::INFINITY }
 }
@@ -288,7 +285,6 @@ fn coarseness(values: &[f64], n: usize, centre: &[f64]) -> f64 {
 /// 2 · 0.61 · 2⁻²⁴: see [`coarseness`].
 const ROUNDING: f64 = 1.22 * 0.5 * f32::EPSILON as f64;
 
-/// Distances of samples from the centre, ascending.
 fn distances(values: &[f64], n: usize, centre: &[f64]) -> Vec<f64> {
     let distance = |i: usize| {
         let d2 = centre.iter().enumerate().map(|(c, m)| (values[c * n + i] - m).powi(2));

@@ -1,13 +1,13 @@
-//! Kills an edit, or lets the disk refuse it, at each of its changes in turn.
+//! Tests that kill an edit, or let the disk refuse a change, at each change on disk in turn.
 
 use std::collections::BTreeMap;
 use std::fs;
 
 use super::disk::stops::{Stop, until};
-use super::tests::{held, library};
+use super::edited::{held, library};
 use super::*;
 
-/// The name of each trial, present or removed, by the bytes of its data.
+/// Maps the data of each trial, present or removed, to the trial's name.
 fn state(root: &Path, scene: &Scene) -> BTreeMap<Vec<u8>, String> {
     let mut state = BTreeMap::new();
     let of = |entries: Vec<Entry>, place: &str| -> Vec<_> {
@@ -43,7 +43,7 @@ fn copy(from: &Path, to: &Path) {
 
 type Edit = fn(&mut Editor) -> Result<(), LibraryError>;
 
-/// A name, a preparation, and the edit that is cut short.
+/// The test cases: name, preparation of the library, and the edit that is cut short.
 const EDITS: [(&str, Edit, Edit); 9] = [
     ("rename", |_| Ok(()), |e| e.rename("oak", "ash").map(drop)),
     ("move", |_| Ok(()), |e| e.move_to(&["oak/anna-02".into(), "ash".into()], "elm").map(drop)),
@@ -67,7 +67,7 @@ const EDITS: [(&str, Edit, Edit); 9] = [
     ),
 ];
 
-/// A library after a preparation, and its number of steps.
+/// A library after the edit that prepares a test case, and its number of steps.
 struct Before {
     dir: tempfile::TempDir,
     scene: Scene,
@@ -88,8 +88,8 @@ impl Before {
         dir
     }
 
-    /// Opens a library in which an edit was cut short. Trials and steps must be as before the edit
-    /// or as `after` it, and undoing must lead back to the beginning.
+    /// Opens a library after an interrupted edit. Trials and steps must be as before the edit or as
+    /// `after` it, and undoing all steps must lead back to the beginning.
     fn check(&self, root: &Path, after: &BTreeMap<Vec<u8>, String>, at: &str) {
         let before = state(self.dir.path(), &self.scene);
         drop(LibraryLock::for_reading(root));
@@ -128,7 +128,7 @@ fn an_edit_that_is_killed_at_any_change_is_finished_or_taken_back_by_the_next_op
             let cut_short = scratch();
             copy(dir.path(), cut_short.path());
             before.check(dir.path(), &after, &format!("{what}, killed at {first}"));
-            // The opening that repairs the library is killed, too.
+            // The next opening repairs the library. This kills the repair, too.
             for second in 0.. {
                 let dir = scratch();
                 copy(cut_short.path(), dir.path());

@@ -1,4 +1,4 @@
-//! Each change that an edit makes on disk passes through here, so that a test can stop at each.
+//! All changes that an edit makes on disk, as functions in which a test can stop the edit.
 
 use std::fs::{self, File};
 use std::io::{self, Seek, Write};
@@ -11,13 +11,13 @@ pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
     fs::rename(from, to)
 }
 
-/// Renames a file or folder, but fails if that would replace another one.
+/// Renames a file or folder; fails if the new name is taken.
 pub(super) fn move_to(from: &Path, to: &Path) -> io::Result<()> {
     point()?;
     system::rename_new(from, to)
 }
 
-/// Writes at the end of a file, and waits until the disk holds it.
+/// Writes `bytes` at the end of a file, and waits until the disk holds them.
 pub(super) fn append(file: &mut File, bytes: &[u8]) -> io::Result<()> {
     let (first, second) = bytes.split_at(bytes.len() / 2);
     file.seek(io::SeekFrom::End(0))?;
@@ -28,7 +28,7 @@ pub(super) fn append(file: &mut File, bytes: &[u8]) -> io::Result<()> {
     if cfg!(test) { Ok(()) } else { file.sync_all() }
 }
 
-/// Cuts a file to a length. Should the rest reappear after a crash, it is just repaired again.
+/// Shortens a file to `length`. If a crash restores the rest, the next edit cuts it off again.
 pub(super) fn cut(file: &File, length: u64) -> io::Result<()> {
     point()?;
     file.set_len(length)?;
@@ -36,7 +36,7 @@ pub(super) fn cut(file: &File, length: u64) -> io::Result<()> {
     Ok(())
 }
 
-/// Writes a file, for which [`sync_all`] waits.
+/// Writes a file. The data are sure to be on disk only after [`sync_all`].
 pub(super) fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = File::create(path)?;
     point()?;
@@ -56,7 +56,7 @@ pub(super) fn link(target: &Path, path: &Path) -> io::Result<()> {
     system::link_folder(target, path)
 }
 
-/// Waits until the disk holds all changes below a folder: one wait for any number of files.
+/// Waits until the disk holds all changes below a folder, with one wait for any number of files.
 pub(super) fn sync_all(folder: &Path) -> io::Result<()> {
     point()?;
     if cfg!(test) { Ok(()) } else { system::file_system_written(folder) }
@@ -76,14 +76,14 @@ pub(super) mod stops {
     use std::io;
     use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-    /// What happens at a change.
+    /// How a test disturbs a change on disk.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub enum Stop {
-        /// The process ends there: nothing of it runs any more.
+        /// The process is killed at this change.
         Kill,
-        /// The file system refuses this one.
+        /// The file system refuses this one change.
         Fail,
-        /// It refuses this one and all that follow.
+        /// The file system refuses this change and all later ones.
         FailOn,
     }
 
@@ -104,8 +104,8 @@ pub(super) mod stops {
         Err(io::Error::other("stopped by the test"))
     }
 
-    /// Does `work` with `stop` at the change of this number, counted from 0. Returns the result,
-    /// `None` if it was killed there, and whether it came that far.
+    /// Runs `work`, and interrupts its change number `change` (from 0) by `stop`. Returns the
+    /// result of `work` (`None` if it was killed), and whether `work` made that many changes.
     pub fn until<T>(change: u32, stop: Stop, work: impl FnOnce() -> T) -> (Option<T>, bool) {
         AT.set(Some((change, stop)));
         let done = catch_unwind(AssertUnwindSafe(work));

@@ -14,50 +14,50 @@ use crate::trial::{EXPERT, TrialKey, normal};
 /// A trial in the list of a library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ListedTrial {
-    /// The name that edits use: its folder `SURFACE/TRIAL`, or its first file `SURFACE/FILE.wav` if
-    /// it has no folder of its own.
+    /// The trial's name for edits: its folder `SURFACE/TRIAL`, or its first file `SURFACE/FILE.wav`
+    /// if it has no folder of its own.
     pub trial: String,
-    /// Its label, user and number.
+    /// The trial's label, user and number.
     #[serde(flatten)]
     pub key: TrialKey,
-    /// When it was recorded, as its `trial.toml` says.
+    /// When the trial was recorded, as its `trial.toml` says.
     pub started_at: Option<String>,
-    /// Its sources.
+    /// The trial's sources.
     pub sources: Vec<SourceId>,
-    /// Duration of its longest series, in seconds.
+    /// Duration of the trial's longest series, in seconds.
     pub seconds: f64,
 }
 
 pub(crate) use crate::library::files::name_within as trial_name;
 
-/// The trials of a library that can be read, if any.
+/// The trials of a library that can be read.
 pub(super) fn trials(library: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
     Ok(recording::open_part(library, library, scene)?.library.entries)
 }
 
-/// The removed trials that can be read.
+/// The removed trials of a library that can be read.
 pub(super) fn removed(library: &Path, scene: &Scene) -> Result<Vec<Entry>, LibraryError> {
     let bin = library.join(REMOVED);
     if !bin.exists() {
         return Ok(Vec::new());
     }
-    // Their sources are described by the library.
+    // `library.toml` in the library's folder describes the sources of removed trials, too.
     Ok(recording::open_part(&bin, library, scene)?.library.entries)
 }
 
 /// The trials of a library that can be read, sorted.
 ///
 /// # Errors
-/// If they cannot be read.
+/// If the library cannot be read.
 pub fn list(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, LibraryError> {
     Ok(trials(library, scene)?.iter().map(|entry| listed(library, entry)).collect())
 }
 
-/// The trials that were removed from a library and can come back, sorted; one that cannot be read is
+/// The removed trials of a library, which can be restored, sorted. A trial that cannot be read is
 /// listed without its sources.
 ///
 /// # Errors
-/// If their folder cannot be read.
+/// If the folder of removed trials cannot be read.
 pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, LibraryError> {
     let bin = library.join(REMOVED);
     let entries = removed(library, scene)?;
@@ -72,7 +72,7 @@ pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, L
     for (surface, trial) in places.filter(|(s, t)| !listed_by_another(&format!("{s}/{t}"))) {
         let name = format!("{surface}/{trial}");
         let stem = Path::new(&trial).file_stem().unwrap_or_default().to_string_lossy();
-        let number = recording::number_in(&stem).unwrap_or_default();
+        let number = files::number_in(&stem).unwrap_or_default();
         let (key, sources) = (TrialKey::new(normal(&surface), EXPERT, number), Vec::new());
         let one = ListedTrial { trial: name.clone(), key, started_at: None, sources, seconds: 0.0 };
         all.insert(name, one);
@@ -81,7 +81,7 @@ pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, L
     Ok(all.into_values().collect())
 }
 
-/// The folders and files of trials, each as `(SURFACE, TRIAL)`.
+/// All folders and files that may hold a trial, each as `(SURFACE, TRIAL)`.
 pub(super) fn places(root: &Path) -> Vec<(String, String)> {
     let within = |folder: &Path, is_wanted: fn(&Listed) -> bool| {
         let items = files::list(folder).unwrap_or_default().into_iter();
@@ -97,7 +97,7 @@ pub(super) fn places(root: &Path) -> Vec<(String, String)> {
 
 fn listed(root: &Path, entry: &Entry) -> ListedTrial {
     let folder = entry.places().into_iter().find(|place| place.is_dir());
-    // Unreadable sources are left out here, and found by `surfaced check`.
+    // Unreadable sources are left out here; `surfaced check` reports them.
     let seconds = entry.outlines().unwrap_or_default();
     let seconds = seconds.values().map(|of| of.frames as f64 / of.rate_hz);
     let started_at = |folder| About::read(folder).ok()?.started_at;
@@ -110,11 +110,8 @@ fn listed(root: &Path, entry: &Entry) -> ListedTrial {
     }
 }
 
-/// The next free number for each surface and user; removed trials keep theirs, since they may come
-/// back.
-///
-/// # Errors
-/// If the library exists but cannot be read.
+/// The next free trial number for each surface and user. Removed trials keep their numbers, since
+/// they may be restored.
 pub(crate) fn numbers_after(
     library: &Path,
     scene: &Scene,
@@ -130,21 +127,7 @@ pub(crate) fn numbers_after(
     Ok(numbers)
 }
 
-/// The next number of one surface and user.
-///
-/// # Errors
-/// As [`numbers_after`].
-pub(crate) fn number_after(
-    library: &Path,
-    scene: &Scene,
-    surface: &str,
-    user: &str,
-) -> Result<u32, LibraryError> {
-    let of = (surface.to_string(), user.to_string());
-    Ok(numbers_after(library, scene)?.remove(&of).unwrap_or(1))
-}
-
-/// The `SURFACE/TRIAL` whose `trial.toml` has these notes; `likely` is tried first.
+/// The name `SURFACE/TRIAL` of the trial whose `trial.toml` has these notes. Tries `likely` first.
 pub(crate) fn trial_of_note(library: &Path, notes: &str, likely: Option<&str>) -> Option<String> {
     let likely = likely.and_then(|name| name.split_once('/'));
     let likely = likely.map(|(surface, trial)| (surface.to_string(), trial.to_string()));

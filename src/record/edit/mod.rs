@@ -1,48 +1,43 @@
-//! Edits of a library on disk, each of which can be undone: giving trials another label, removing
-//! them, and restoring them.
+//! Edits a library on disk: gives trials another label, removes trials, or restores them. Each edit
+//! can be undone.
 //!
 //! A removed trial lies complete in `LIBRARY/.removed/SURFACE/TRIAL`, which readers skip.
-//! `LIBRARY/.removed/steps.jsonl` lists the edits, so that the last one can be undone, and one that
-//! a crash cut short is finished when the library is next opened. Nothing is moved while somebody
+//! `LIBRARY/.removed/steps.jsonl` lists the edits. The last edit can be undone, and an edit that a
+//! crash cut short is finished when the library is next opened. No trial moves while a program
 //! reads the library ([`LibraryLock`]).
 
 mod disk;
 mod list;
-mod lock;
 mod moves;
-mod plan;
 mod steps;
 
 pub use list::{ListedTrial, list, list_removed};
-pub(crate) use list::{number_after, numbers_after, trial_name, trial_of_note};
-pub use lock::LibraryLock;
+pub(crate) use list::{numbers_after, trial_name, trial_of_note};
 pub use steps::{Move, Step, last_step};
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
-
-use serde::Serialize;
+use std::time::{Duration, Instant};
 
 use self::list::{places, removed, trials};
-use self::moves::{carry_out, check, tidy};
-use self::plan::Plan;
-use self::steps::Steps;
-use super::{TrialOptions, append_trial, trial_folder, utc};
+use self::moves::{Plan, carry_out, check, tidy};
+use self::steps::{StepLine, Steps};
+use super::{TrialOptions, append_trial, trial_folder};
 use crate::library::{Entry, LibraryError};
 use crate::scene::Scene;
-use crate::system::identity;
+use crate::system::{Locked, identity, lock_holder, open_lock};
 use crate::trial::{Trial, TrialKey, normal};
 
-/// The folder of removed trials.
+/// Name of the folder of removed trials, in the library's folder.
 pub(super) const REMOVED: &str = ".removed";
 
-/// Whether readers accept a folder of this name, and the name leads nowhere else.
+/// Whether a folder in a library may have this name: not empty, not hidden, and without `/`.
 pub(crate) fn is_plain(name: &str) -> bool {
     !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\0'])
 }
 
-/// A library that is being edited; nobody reads it meanwhile.
+/// A library that is locked for editing: no program reads it meanwhile.
 pub struct Editor {
     root: PathBuf,
     scene: Scene,
@@ -50,34 +45,9 @@ pub struct Editor {
     _lock: LibraryLock,
 }
 
-/// A step that was undone.
-#[derive(Clone, Debug, Serialize)]
-pub struct Undone {
-    /// The step, with the moves that undid it.
-    #[serde(flatten)]
-    pub step: Step,
-    /// Trials of the step that are no longer where it put them, `SURFACE/TRIAL`.
-    pub gone: Vec<String>,
-}
-
-impl AsRef<Step> for Undone {
-    fn as_ref(&self) -> &Step {
-        &self.step
-    }
-}
-
-impl AsRef<Self> for Step {
-    fn as_ref(&self) -> &Self {
-        self
-    }
-}
-
-/// Writes a trial into a library as a step that can be undone, under the next number that no trial
-/// has, not even a removed one. Returns its name, `SURFACE/TRIAL`. A trial with the same notes is
-/// the same trial: it stays where it is, or is restored if it was removed.
-///
-/// # Errors
-/// If the library cannot be read or written.
+/// Writes a trial into a library as a step that can be undone, and returns its name
+/// `SURFACE/TRIAL`. The trial gets the next number that no trial has, present or removed. If a
+/// trial with the same notes exists, nothing is written: that trial stays, or is restored.
 pub(crate) fn keep(
     library: &Path,
     scene: &Scene,
@@ -85,7 +55,7 @@ pub(crate) fn keep(
     options: &TrialOptions,
     what: String,
 ) -> Result<String, LibraryError> {
-    // Once the library is locked for editing, nothing moves during the search.
+    // Locks the library, so that no trial moves during the search for the notes.
     let mut editor = Editor::open(library, scene)?;
     if let Some(notes) = &options.about.notes {
         if let Some(there) = trial_of_note(library, notes, None) {
@@ -97,34 +67,30 @@ pub(crate) fn keep(
             return Ok(back);
         }
     }
-    trial.key.number = number_after(library, scene, &trial.key.surface, &trial.key.user)?;
+    let of = (trial.key.surface.clone(), trial.key.user.clone());
+    trial.key.number = numbers_after(library, scene)?.remove(&of).unwrap_or(1);
     let (number, folder) = append_trial(library, &trial, scene, options)?;
     let to = trial_name(library, &folder);
     let key = Some(TrialKey { number, ..trial.key });
-    // Undoing this step removes the trial.
+    // The recorded move starts in the removed trials, so that undoing it removes the trial.
     let from = format!("{REMOVED}/{to}");
     let moves = vec![Move { from, to: to.clone(), was: key.clone(), is: key, inode: None }];
-    editor.steps.note(Step { what, at: utc(SystemTime::now()), moves })?;
+    editor.steps.add([StepLine::Began(Step::now(what, moves)), StepLine::Done])?;
     Ok(to)
 }
 
 impl Editor {
-    /// Waits until nobody reads a library, locks it for editing, and finishes an edit cut short.
+    /// Waits until no program reads a library, locks it, and finishes an edit that was cut short.
     ///
     /// # Errors
-    /// If there is no such library, somebody reads it all the time, or an edit that was cut short
-    /// can be neither finished nor taken back.
+    /// If there is no such library, other programs read it all the time, or an edit that was cut
+    /// short can be neither finished nor taken back.
     pub fn open(library: &Path, scene: &Scene) -> Result<Self, LibraryError> {
         let lock = LibraryLock::for_editing(library)?;
         let (root, steps) = (library.to_path_buf(), Steps::open(library)?);
         let mut editor = Self { root, scene: scene.clone(), steps, _lock: lock };
         editor.finish_left()?;
         Ok(editor)
-    }
-
-    /// Finishes an edit that was cut short, and nothing else.
-    fn finish(library: &Path) -> Result<(), LibraryError> {
-        Self::open(library, &Scene::lmt108()).map(drop)
     }
 
     fn finish_left(&mut self) -> Result<(), LibraryError> {
@@ -145,8 +111,8 @@ impl Editor {
     /// Gives all trials of a surface another label.
     ///
     /// # Errors
-    /// If there is no such surface, or the file system refuses. Then nothing has changed, which
-    /// also holds for the other edits.
+    /// If there is no such surface, or the file system refuses. An edit that fails leaves the
+    /// library unchanged, unless the error says that the edit could not be undone.
     pub fn rename(&mut self, surface: &str, label: &str) -> Result<Step, LibraryError> {
         let entries = trials(&self.root, &self.scene)?;
         let of_surface: Vec<&Entry> =
@@ -158,10 +124,10 @@ impl Editor {
         self.relabel(&entries, &of_surface, label, what)
     }
 
-    /// Gives trials another label; the name of a surface stands for all of its trials.
+    /// Gives trials another label. In `names`, a surface stands for all of its trials.
     ///
     /// # Errors
-    /// As [`Editor::rename`].
+    /// If there is no such trial, or the file system refuses (see [`Editor::rename`]).
     pub fn move_to(&mut self, names: &[String], label: &str) -> Result<Step, LibraryError> {
         let entries = trials(&self.root, &self.scene)?;
         let chosen = self.choose(&self.root, &entries, names)?;
@@ -188,66 +154,44 @@ impl Editor {
         self.take(what, plan.moves)
     }
 
-    /// Removes trials; the name of a surface stands for all of its trials.
+    /// Removes trials. In `names`, a surface stands for all of its trials.
     ///
     /// # Errors
-    /// As [`Editor::rename`].
+    /// If there is no such trial, or the file system refuses (see [`Editor::rename`]).
     pub fn remove(&mut self, names: &[String]) -> Result<Step, LibraryError> {
         let entries = trials(&self.root, &self.scene)?;
         let mut plan = Plan::new(&self.root, [&[], &[]], &HashSet::new());
         for name in names {
-            match self.choose(&self.root, &entries, std::slice::from_ref(name)) {
-                Ok(chosen) => {
-                    for entry in chosen {
-                        let places = self.places_of(entry)?.into_iter();
-                        places.for_each(|place| plan.remove(place, Some(&entry.key)));
-                    }
-                }
-                // A trial that cannot be read can be removed all the same.
-                Err(error) => match self.unreadable(&self.root, name) {
-                    Some(folder) => plan.remove(&folder, None),
-                    None => return Err(error),
-                },
-            }
+            let places = self.all_places(&self.root, &entries, name)?;
+            places.iter().for_each(|(place, key)| plan.remove(place, *key));
         }
         self.take(format!("remove {}", names.join(", ")), plan.moves)
     }
 
-    /// Restores removed trials; the name of a surface stands for all of its trials.
+    /// Restores removed trials. In `names`, a surface stands for all of its trials.
     ///
     /// # Errors
-    /// As [`Editor::rename`].
+    /// If there is no such trial, or the file system refuses (see [`Editor::rename`]).
     pub fn restore(&mut self, names: &[String]) -> Result<Step, LibraryError> {
         let bin = self.root.join(REMOVED);
         let (entries, gone) = (trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?);
-        let (mut chosen, mut damaged) = (BTreeMap::new(), Vec::new());
+        let mut chosen = BTreeMap::new();
         for name in names {
-            match self.choose(&bin, &gone, std::slice::from_ref(name)) {
-                Ok(found) => {
-                    for entry in found {
-                        let places = self.places_of(entry)?.into_iter();
-                        chosen.extend(places.map(|place| (place.to_path_buf(), &entry.key)));
-                    }
-                }
-                Err(error) => match self.unreadable(&bin, name) {
-                    Some(folder) => damaged.push((folder, self.root.join(name))),
-                    None => return Err(error),
-                },
-            }
+            chosen.extend(self.all_places(&bin, &gone, name)?);
         }
         let leaving = chosen.keys().cloned().collect();
         let mut plan = Plan::new(&self.root, [&entries, &gone], &leaving);
         for (place, key) in chosen {
-            plan.rename(&place, key, key)?;
-        }
-        for (from, to) in damaged {
-            plan.add(&from, to, None, None);
+            match key {
+                Some(key) => plan.rename(&place, key, key)?,
+                None => plan.add(&place, self.root.join(trial_name(&bin, &place)), None, None),
+            }
         }
         self.take(format!("restore {}", names.join(", ")), plan.moves)
     }
 
-    /// Restores a removed trial under another name, as a step; `None` if it is not there. Includes
-    /// trials that are not listed because they share their number with another removed one.
+    /// Restores the removed trial `gone` as `key`, as a step; `None` if there is no such trial.
+    /// Also finds a trial that is not listed, since another removed trial has its number.
     fn bring_back(
         &mut self,
         gone: &str,
@@ -271,11 +215,12 @@ impl Editor {
         Ok(step.moves.first().map(|one| one.to.clone()))
     }
 
-    /// Undoes the last step. A trial whose former place is taken goes to a free one beside it.
+    /// Undoes the last step, and returns it with the moves that undid it. If the former place of a
+    /// trial is taken, the trial goes to a free place beside it.
     ///
     /// # Errors
-    /// If there is none, or the file system refuses.
-    pub fn undo(&mut self) -> Result<Undone, LibraryError> {
+    /// If there is no step to undo, or the file system refuses.
+    pub fn undo(&mut self) -> Result<Step, LibraryError> {
         let Some(last) = self.steps.last() else {
             return Err(LibraryError::file(&self.root, "there is no step to undo"));
         };
@@ -287,20 +232,22 @@ impl Editor {
         let leaving = there.iter().map(|one| self.root.join(&one.to)).collect();
         let mut plan = Plan::new(&self.root, [&entries, &gone], &leaving);
         there.iter().for_each(|one| plan.reverse(one));
-        let gone = missing.iter().map(|one| one.to.clone()).collect();
+        step.gone = Some(missing.iter().map(|one| one.to.clone()).collect());
         let moves = plan.moves;
         let checked = moves.iter().try_for_each(|one| check(&self.root, one));
-        if let Err(error) = checked.and_then(|()| self.steps.undo(moves.clone())) {
+        if let Err(error) =
+            checked.and_then(|()| self.steps.add([StepLine::Undoing(moves.clone())]))
+        {
             tidy(&self.root, &moves);
             return Err(error);
         }
         let taken_back = self.settle(&moves, true)?;
         step.moves = moves;
-        taken_back.map_or(Ok(Undone { step, gone }), Err)
+        taken_back.map_or(Ok(step), Err)
     }
 
-    /// The trials of these names: `SURFACE/TRIAL`, a file of it, or `SURFACE` for all of its
-    /// trials.
+    /// The trials that `names` select. A name is `SURFACE/TRIAL`, a file of a trial, or `SURFACE`
+    /// for all trials of a surface.
     fn choose<'e>(
         &self,
         folder: &Path,
@@ -320,7 +267,30 @@ impl Editor {
         missing.pop_first().map_or(Ok(chosen), |name| Err(self.nothing_called(name, entries)))
     }
 
-    /// The folder of a trial, or its files, which edits move.
+    /// The folders or files of all trials that `name` selects, each with the trial's key (label,
+    /// user and number), which is `None` for a trial that cannot be read.
+    fn all_places<'e>(
+        &self,
+        folder: &Path,
+        entries: &'e [Entry],
+        name: &str,
+    ) -> Result<Vec<(PathBuf, Option<&'e TrialKey>)>, LibraryError> {
+        let chosen = match self.choose(folder, entries, &[name.to_string()]) {
+            Ok(chosen) => chosen,
+            Err(error) => {
+                let unreadable = unreadable(folder, name);
+                return unreadable.map(|place| vec![(place, None)]).ok_or(error);
+            }
+        };
+        let mut all = Vec::new();
+        for entry in chosen {
+            let places = self.places_of(entry)?.into_iter();
+            all.extend(places.map(|place| (place.to_path_buf(), Some(&entry.key))));
+        }
+        Ok(all)
+    }
+
+    /// The trial's folder or files, to be moved by an edit. Refuses a file in no surface's folder.
     fn places_of<'e>(&self, entry: &'e Entry) -> Result<Vec<&'e Path>, LibraryError> {
         let places = entry.places();
         match places.iter().find(|place| place.parent() == Some(&self.root)) {
@@ -347,61 +317,139 @@ impl Editor {
         LibraryError::file(&self.root, problem)
     }
 
-    /// The folder or file of a trial that cannot be read.
-    fn unreadable(&self, root: &Path, name: &str) -> Option<PathBuf> {
-        let all = places(root).into_iter();
-        let mut named =
-            all.filter(|(surface, trial)| normal(&format!("{surface}/{trial}")) == normal(name));
-        named.next().map(|(surface, trial)| root.join(surface).join(trial))
-    }
-
-    /// Writes a step into the list, and carries it out; a step that fails is undone.
+    /// Adds an edit to the list of steps, and carries it out. An edit that fails is undone.
     fn take(&mut self, what: String, moves: Vec<Move>) -> Result<Step, LibraryError> {
-        let step = Step { what, at: utc(SystemTime::now()), moves };
+        let step = Step::now(what, moves);
         if step.moves.is_empty() {
             return Ok(step);
         }
         let checked = step.moves.iter().try_for_each(|one| check(&self.root, one));
-        if let Err(error) = checked.and_then(|()| self.steps.begin(&step)) {
+        if let Err(error) = checked.and_then(|()| self.steps.add([StepLine::Began(step.clone())])) {
             tidy(&self.root, &step.moves);
             return Err(error);
         }
         self.settle(&step.moves, false)?.map_or(Ok(step), Err)
     }
 
-    /// Carries out the moves of the last step, or those that undo it. If that fails, they are
-    /// undone themselves, and the reason is returned.
-    ///
-    /// # Errors
-    /// If they can be neither carried out nor undone; the next opening tries again.
+    /// Carries out `moves`: those of the last step or, with `undoing`, those that undo the step. If
+    /// a move fails, takes all moves back, and returns the reason as `Some`. Returns an error if
+    /// the moves can be neither carried out nor taken back; then the next opening tries again.
     fn settle(
         &mut self,
         moves: &[Move],
         undoing: bool,
     ) -> Result<Option<LibraryError>, LibraryError> {
-        let finished = carry_out(&self.root, moves).and_then(|()| match undoing {
-            true => self.steps.undone(),
-            false => self.steps.done(),
-        });
-        let error = finished.err();
+        let (carried_out, taken_back) = match undoing {
+            true => (StepLine::Undone, StepLine::Done),
+            false => (StepLine::Done, StepLine::Undone),
+        };
+        let finished = carry_out(&self.root, moves);
+        let error = finished.and_then(|()| self.steps.add([carried_out])).err();
         if let Some(error) = &error {
             let back: Vec<Move> = moves.iter().rev().map(Move::reversed).collect();
-            carry_out(&self.root, &back).and_then(|()| self.steps.take_back(undoing)).map_err(
-                |again| {
-                    let problem = format!(
-                        "{error}; it could not be taken back either: {again}. The next `surfaced \
-                         library list` finishes it or takes it back"
-                    );
-                    LibraryError::file(&self.root, problem)
-                },
-            )?;
+            let done = carry_out(&self.root, &back).and_then(|()| self.steps.add([taken_back]));
+            done.map_err(|again| {
+                let problem = format!(
+                    "{error}; it could not be taken back either: {again}. The next `surfaced library \
+                     list` finishes it or takes it back"
+                );
+                LibraryError::file(&self.root, problem)
+            })?;
         }
         tidy(&self.root, moves);
         Ok(error)
     }
 }
 
+/// The folder or file called `name`, if there is one, of a trial that cannot be read.
+fn unreadable(root: &Path, name: &str) -> Option<PathBuf> {
+    let all = places(root).into_iter().map(|(surface, trial)| format!("{surface}/{trial}"));
+    let mut named = all.filter(|there| normal(there) == normal(name));
+    named.next().map(|there| root.join(there))
+}
+
+/// How long an edit waits for programs that read the library. A browser waits longer for a reply.
+const PATIENCE: Duration = Duration::from_secs(8);
+/// How long a program waits for a lock before it logs which program holds it.
+const SILENT: Duration = Duration::from_secs(1);
+/// Time between two attempts to get a lock.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// A lock on a library, held until it is dropped. Many readers or one editor may hold it at a time.
+/// The operating system releases the lock when the process ends.
+#[derive(Debug)]
+pub struct LibraryLock(#[expect(dead_code, reason = "held for its lock alone")] Option<Locked>);
+
+impl LibraryLock {
+    /// Finishes an edit that was cut short, and prevents edits until the lock is dropped. Takes no
+    /// lock where nobody can edit: in a read-only library, or without locks on the file system.
+    pub fn for_reading(library: &Path) -> Self {
+        // An unreadable list counts as finished here; the commands that need the list report it.
+        let is_left = || {
+            steps::read(library)
+                .is_ok_and(|(all, _)| all.last().is_some_and(|last| last.left().is_some()))
+        };
+        if is_left()
+            // Opening an editor finishes the edit.
+            && let Err(error) = Editor::open(library, &Scene::lmt108()).map(drop)
+        {
+            tracing::warn!(
+                "{}: an edit of it was cut short, and cannot be finished now: {error}. Until then \
+                 some trials may stand under a wrong label; `surfaced library list` tries again",
+                library.display()
+            );
+        }
+        Self(open_lock(library).ok().filter(|file| wait(file, library, None)).map(Locked))
+    }
+
+    /// Waits until no program reads the library, and keeps readers out until the lock is dropped.
+    ///
+    /// # Errors
+    /// If other programs read the library all the time.
+    pub fn for_editing(library: &Path) -> Result<Self, LibraryError> {
+        let file = open_lock(library).map_err(|error| LibraryError::io(library, error))?;
+        if !wait(&file, library, Some(PATIENCE)) {
+            let who = lock_holder(&file).unwrap_or_else(|| "another program".into());
+            let problem = format!(
+                "{who} is reading it, and has not stopped in time; try again when it has ended"
+            );
+            return Err(LibraryError::file(library, problem));
+        }
+        Ok(Self(Some(Locked(file))))
+    }
+}
+
+/// Waits for the lock: an editor at most for `patience`; a reader, with `None`, for any time.
+/// Returns false if the patience ends, or if the file system has no locks for a reader.
+fn wait(file: &File, library: &Path, patience: Option<Duration>) -> bool {
+    let (begin, mut is_said) = (Instant::now(), false);
+    loop {
+        let lock = if patience.is_some() { file.try_lock() } else { file.try_lock_shared() };
+        match lock {
+            Ok(()) => return true,
+            Err(TryLockError::WouldBlock) => {}
+            // The file system has no locks, so a reader goes on without one.
+            Err(_) if patience.is_none() => return false,
+            Err(_) => {}
+        }
+        let waited = begin.elapsed();
+        if patience.is_some_and(|patience| waited > patience) {
+            return false;
+        }
+        if waited > SILENT && !is_said {
+            is_said = true;
+            let who = lock_holder(file).unwrap_or_else(|| "another program".into());
+            let does = if patience.is_some() { "reads" } else { "edits" };
+            tracing::info!("{}: waiting for {who}, which {does} it", library.display());
+        }
+        std::thread::sleep(PAUSE);
+    }
+}
+
 #[cfg(test)]
 mod crashes;
+#[cfg(test)]
+#[path = "../../../tests/common/edited.rs"]
+mod edited;
 #[cfg(test)]
 mod tests;

@@ -1,21 +1,138 @@
-//! Carries out the moves of a step, forwards or back; a call that was cut short may be repeated.
+//! Plans how an edit moves trials, and moves them, forwards or back. Each trial gets a free path
+//! and a free number. A call that was cut short may be repeated.
 
+use std::collections::{BTreeSet, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::{Move, REMOVED, disk};
-use crate::library::recording::number_in;
-use crate::library::{ABOUT_FILE, About, LibraryError};
-use crate::record::failed;
+use super::{Move, REMOVED, disk, trial_folder, trial_name};
+use crate::library::files::number_in;
+use crate::library::files::{self, Listed};
+use crate::library::{ABOUT_FILE, About, Entry, LibraryError};
+use crate::record::{failed, folder_name};
 use crate::system::identity;
-use crate::trial::{EXPERT, TrialKey};
+use crate::trial::{EXPERT, TrialKey, normal};
 
-/// The place of a move's trial.
+/// The moves of trials that make up one edit, in order.
+pub(super) struct Plan<'a> {
+    root: &'a Path,
+    /// The surface, user and number of all trials, including removed ones.
+    taken: BTreeSet<TrialKey>,
+    /// All paths from which or to which trials are moved.
+    folders: HashSet<PathBuf>,
+    pub moves: Vec<Move>,
+}
+
+impl<'a> Plan<'a> {
+    /// An empty plan for a library, whose present and removed trials are `entries`. The trials at
+    /// the paths in `leaving` are about to move, so their names and numbers are free.
+    pub fn new(root: &'a Path, entries: [&[Entry]; 2], leaving: &HashSet<PathBuf>) -> Self {
+        let stays = |entry: &&Entry| !entry.places().iter().any(|place| leaving.contains(*place));
+        let staying = entries.into_iter().flatten().filter(stays);
+        let taken = staying.map(|entry| entry.key.clone()).collect();
+        Self { root, taken, folders: HashSet::new(), moves: Vec::new() }
+    }
+
+    /// Plans to give a folder's trial the name `wanted`, with another number if that one is taken.
+    /// A trial that is a single file goes to the folder of the wanted surface, and keeps its file
+    /// name; this fails if no folder can have the surface's name.
+    pub fn rename(
+        &mut self,
+        from: &Path,
+        was: &TrialKey,
+        wanted: &TrialKey,
+    ) -> Result<(), LibraryError> {
+        if from.is_file() {
+            let folder = self.folder_of_label(from, &wanted.surface)?;
+            let to = folder.join(from.file_name().unwrap_or_default());
+            self.add(from, to, Some(was.clone()), Some(wanted.clone()));
+            return Ok(());
+        }
+        let is = self.free_key(wanted);
+        let to = trial_folder(self.root, &is);
+        self.add(from, to, Some(was.clone()), Some(is));
+        Ok(())
+    }
+
+    /// The folder for a label: an existing folder, as it is spelt on disk, or else a new one.
+    fn folder_of_label(&self, file: &Path, label: &str) -> Result<PathBuf, LibraryError> {
+        let there = files::list(self.root)?.into_iter();
+        let same = |item: &Listed| item.is_dir && !item.is_hidden() && normal(&item.name) == label;
+        match there.filter(same).map(|item| item.path).next() {
+            Some(folder) => Ok(folder),
+            None if folder_name::is_usable(label) => Ok(self.root.join(label)),
+            None => {
+                let problem = format!(
+                    "this file takes its label from its folder, and no folder can be called \
+                     {label:?}; choose another label"
+                );
+                Err(LibraryError::file(file, problem))
+            }
+        }
+    }
+
+    /// Adds a move of a trial to the removed trials, unless the plan already moves the trial.
+    pub fn remove(&mut self, from: &Path, key: Option<&TrialKey>) {
+        if !self.folders.contains(from) {
+            let to = self.root.join(REMOVED).join(trial_name(self.root, from));
+            self.add(from, to, key.cloned(), key.cloned());
+        }
+    }
+
+    /// Adds the reverse of a move. If the former place is taken, the trial goes beside it.
+    pub fn reverse(&mut self, one: &Move) {
+        let (from, mut to) = (self.root.join(&one.to), self.root.join(&one.from));
+        let keeps = one.from.starts_with(REMOVED) || from.is_file();
+        let was = one.was.as_ref().map(|was| match keeps {
+            true => was.clone(),
+            false => self.free_key(was),
+        });
+        if let Some(key) = was.as_ref().filter(|key| Some(*key) != one.was.as_ref()) {
+            to = trial_folder(self.root, key);
+        }
+        self.add(&from, to, one.is.clone(), was);
+    }
+
+    fn free_key(&mut self, wanted: &TrialKey) -> TrialKey {
+        let mut key = wanted.clone();
+        if self.taken.contains(&key) {
+            let all = TrialKey { number: 0, ..key.clone() }..=TrialKey { number: u32::MAX, ..key };
+            let highest = self.taken.range(all).next_back().map_or(0, |key| key.number);
+            key = TrialKey { number: highest.saturating_add(1), ..wanted.clone() };
+        }
+        self.taken.insert(key.clone());
+        key
+    }
+
+    /// Adds a move of a trial to a path or, if it is taken, to a free path beside it, as `NAME-2`.
+    pub fn add(&mut self, from: &Path, to: PathBuf, was: Option<TrialKey>, is: Option<TrialKey>) {
+        let is_file = from.is_file();
+        let part = |part: Option<&std::ffi::OsStr>| {
+            part.unwrap_or_default().to_string_lossy().into_owned()
+        };
+        let (stem, end) = match to.extension().filter(|_| is_file) {
+            Some(extension) => (part(to.file_stem()), format!(".{}", part(Some(extension)))),
+            None => (part(to.file_name()), String::new()),
+        };
+        let mut free = to;
+        for n in 2.. {
+            if identity(&free).is_none() && !self.folders.contains(&free) {
+                break;
+            }
+            free.set_file_name(format!("{stem}-{n}{end}"));
+        }
+        let (to, inode) = (trial_name(self.root, &free), identity(from));
+        self.moves.push(Move { from: trial_name(self.root, from), to, was, is, inode });
+        self.folders.extend([from.to_path_buf(), free]);
+    }
+}
+
+/// The place where the trial of a move lies now: before or after the move, or gone.
 #[derive(PartialEq)]
 enum Place {
     Before,
     After,
-    /// In neither place; another trial may have taken them.
+    /// Neither at the old path nor at the new one; another trial may lie there.
     Gone,
 }
 
@@ -23,7 +140,7 @@ fn place(from: &Path, to: &Path, one: &Move) -> Place {
     match (identity(from), identity(to)) {
         (before, _) if before.is_some() && before == one.inode => Place::Before,
         (_, after) if after.is_some() && after == one.inode => Place::After,
-        // The inode is another one, for example in a copy of the library.
+        // The inode differs, for example in a copy of the library. Then the existing path decides.
         (Some(_), None) => Place::Before,
         (None, Some(_)) => Place::After,
         _ => Place::Gone,
@@ -34,8 +151,8 @@ fn unfinished(folder: &Path) -> PathBuf {
     folder.join(format!(".{ABOUT_FILE}.unfinished"))
 }
 
-/// The new text of `trial.toml` of a trial that lies at `now` and is to be `key` at `to`; `None` if
-/// it stays the same, or if the trial is a file, which has its label from its folder.
+/// The new text of the `trial.toml` in `now`, so that the trial is read as `key` once it lies at
+/// `to`. `None` if the text need not change, or if `now` is a file, which its folder's name labels.
 fn label(now: &Path, to: &Path, key: &TrialKey) -> Result<Option<String>, LibraryError> {
     if now.is_file() {
         return Ok(None);
@@ -57,7 +174,7 @@ fn label(now: &Path, to: &Path, key: &TrialKey) -> Result<Option<String>, Librar
     Ok(Some(about.to_toml()))
 }
 
-/// Creates the folder that a move goes to; refuses a move that would change a file behind a link.
+/// Creates the folder that a move leads to. Refuses to change the label in a folder behind a link.
 pub(super) fn check(root: &Path, one: &Move) -> Result<(), LibraryError> {
     let (from, to) = (root.join(&one.from), root.join(&one.to));
     let parent = to.parent().unwrap_or(root);
@@ -80,8 +197,8 @@ pub(super) fn check(root: &Path, one: &Move) -> Result<(), LibraryError> {
     Ok(())
 }
 
-/// Moves trials, and then writes their names. Skips what is done already and trials that are gone,
-/// so that a call that was cut short may be repeated.
+/// Moves trials, and then writes their new keys into `trial.toml`. Skips finished moves and missing
+/// trials, so that a call that was cut short may be repeated.
 pub(super) fn carry_out(root: &Path, moves: &[Move]) -> Result<(), LibraryError> {
     let ends = |one: &Move| (root.join(&one.from), root.join(&one.to));
     for one in moves {
@@ -104,7 +221,7 @@ pub(super) fn carry_out(root: &Path, moves: &[Move]) -> Result<(), LibraryError>
         let unfinished = unfinished(&to);
         match label(&to, &to, key)? {
             Some(text) => labels.push((unfinished, to, text)),
-            // Left by a call that was cut short.
+            // Removes a file that a call that was cut short may have left.
             None => drop(fs::remove_file(&unfinished)),
         }
     }
@@ -112,7 +229,7 @@ pub(super) fn carry_out(root: &Path, moves: &[Move]) -> Result<(), LibraryError>
         disk::write(unfinished, text.as_bytes()).map_err(|error| failed(unfinished, error))?;
     }
     if !labels.is_empty() {
-        // Otherwise a power failure might leave empty files.
+        // Waits until the disk holds the new files, so that a power failure leaves no empty ones.
         disk::sync_all(root).map_err(|error| failed(root, error))?;
     }
     for (unfinished, to, _) in &labels {
@@ -132,7 +249,7 @@ fn refused(from: &Path, to: &Path, error: std::io::Error) -> LibraryError {
     }
 }
 
-/// Makes a relative link point to the same folder from another depth.
+/// Rewrites a relative link that was moved to another depth, so that it still leads to its target.
 fn relink(one: &Move, link: &Path) -> std::io::Result<()> {
     let text = fs::read_link(link)?;
     let is_removed = |name: &str| name.starts_with(REMOVED);
@@ -147,13 +264,12 @@ fn relink(one: &Move, link: &Path) -> std::io::Result<()> {
     disk::rename(&unfinished, link)
 }
 
-/// Removes what moves may have left: labels that were not used, and the folders of surfaces without
-/// trials.
+/// Removes leftovers of moves: unfinished files for `trial.toml`, and empty folders of surfaces.
 pub(super) fn tidy(root: &Path, moves: &[Move]) {
     for name in moves.iter().flat_map(|one| [&one.from, &one.to]) {
         let folder = root.join(name);
         let _ = fs::remove_file(unfinished(&folder));
-        // A folder that holds anything stays.
+        // `remove_dir` removes only an empty folder.
         let _ = fs::remove_dir(folder.parent().unwrap_or(root));
     }
 }

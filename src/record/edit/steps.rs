@@ -1,60 +1,71 @@
-//! The steps by which a library was edited, `LIBRARY/.removed/steps.jsonl`.
+//! The list of steps (edits of a library), in the file `LIBRARY/.removed/steps.jsonl`.
 //!
 //! ```text
-//! {"began": {"what": "…", "at": "…", "moves": […]}}    before anything moves
-//! "done"                                              the disk holds all of it
-//! {"undoing": […]}                                    it is being taken back, by these moves
-//! "undone"                                            the disk holds that, too
+//! {"began": {"what": "…", "at": "…", "moves": […]}}    a step begins: nothing has moved yet
+//! "done"                                              the disk holds all moves of the step
+//! {"undoing": […]}                                    the step is being undone by these moves
+//! "undone"                                            the disk holds these moves, too
 //! ```
-//! So the last line tells what a crash left undone.
+//! So the last line tells which step a crash cut short. For a step that cannot be carried out,
+//! "undone" follows "began"; for one that cannot be undone, "done" follows "undoing".
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
 use super::{REMOVED, disk, is_plain};
 use crate::library::{LibraryError, files};
-use crate::record::failed;
-use crate::system;
+use crate::printable::json_text;
+use crate::record::{failed, utc};
+use crate::system::{self, Locked};
 use crate::trial::TrialKey;
 
-/// The list of steps in the folder of what was removed.
+/// Name of the file that lists the steps, in the folder of removed trials.
 pub(super) const STEPS: &str = "steps.jsonl";
-/// Limits in steps and bytes, at which the older half of the list is forgotten.
+/// Limits of the list of steps, in steps and in bytes. At either limit, the older half is dropped.
 const MOST_STEPS: usize = 1000;
 const MOST_BYTES: u64 = 1 << 25;
 
-/// One edit.
+/// An edit of a library.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Step {
-    /// The edit in words.
+    /// The edit in words, such as `rename oak to ash`.
     pub what: String,
-    /// When, in UTC.
+    /// When the edit began, in UTC.
     pub at: String,
-    /// The trials, and their places before and after.
+    /// The trials that the edit moves, and their places before and after.
     pub moves: Vec<Move>,
+    /// Set by undoing: the trials, `SURFACE/TRIAL`, that were missing from where the step put them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gone: Option<Vec<String>>,
 }
 
-/// A trial that went from one folder of a library to another.
+impl Step {
+    pub(super) fn now(what: String, moves: Vec<Move>) -> Self {
+        Self { what, at: utc(SystemTime::now()), moves, gone: None }
+    }
+}
+
+/// The move of a trial from one place in a library to another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Move {
-    /// The folder before, `SURFACE/TRIAL`, within the library.
+    /// The trial's folder or file before the move, within the library, such as `SURFACE/TRIAL`.
     pub from: String,
-    /// The folder after.
+    /// The trial's folder or file after the move.
     pub to: String,
-    /// Its name before; `None` for a trial that cannot be read.
+    /// The trial's label, user and number before the move; `None` if the trial cannot be read.
     pub was: Option<TrialKey>,
-    /// Its name now.
+    /// The trial's label, user and number after the move.
     pub is: Option<TrialKey>,
-    /// Its inode, which tells it from another trial that has taken its place.
+    /// The trial's inode (file number), which tells it from another trial at the same path.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) inode: Option<u64>,
 }
 
 impl Move {
-    /// The reverse move.
     pub(super) fn reversed(&self) -> Self {
         let Self { from, to, was, is, inode } = self.clone();
         Self { from: to, to: from, was: is, is: was, inode }
@@ -63,32 +74,31 @@ impl Move {
 
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum StepLine {
+pub(super) enum StepLine {
     Began(Step),
     Done,
     Undoing(Vec<Move>),
     Undone,
 }
 
-/// A step, and where its lines begin.
+/// A step, and whether it is done, unfinished, or being undone.
 pub(super) struct KnownStep {
     pub step: Step,
-    at: u64,
     is_done: bool,
-    undoing: Option<(u64, Vec<Move>)>,
+    undoing: Option<Vec<Move>>,
 }
 
 impl KnownStep {
-    /// The moves that a crash cut short, and whether they were undoing the step.
+    /// The moves that a crash cut short, if any; true if they were undoing the step.
     pub fn left(&self) -> Option<(&[Move], bool)> {
         match &self.undoing {
-            Some((_, moves)) => Some((moves, true)),
+            Some(moves) => Some((moves, true)),
             None => (!self.is_done).then_some((&self.step.moves, false)),
         }
     }
 }
 
-/// The last step that can be undone.
+/// The last step, which can be undone; `None` if there is none.
 ///
 /// # Errors
 /// If the list of steps cannot be read.
@@ -96,8 +106,8 @@ pub fn last_step(library: &Path) -> Result<Option<Step>, LibraryError> {
     Ok(read(library)?.0.pop().map(|known| known.step))
 }
 
-/// All steps, the latest last, and where the last complete line ends. A line that a crash cut short
-/// does not count, since nothing has moved yet; nor does one that leads out of the library.
+/// All steps, the latest last, and the byte where the last complete line ends. Skips a line that a
+/// crash cut short (its moves had not begun), and a line with a path outside the library.
 pub(super) fn read(library: &Path) -> Result<(Vec<KnownStep>, u64), LibraryError> {
     let path = library.join(REMOVED).join(STEPS);
     let text = match files::open(&path) {
@@ -105,47 +115,53 @@ pub(super) fn read(library: &Path) -> Result<(Vec<KnownStep>, u64), LibraryError
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok((Vec::new(), 0)),
         Err(error) => return Err(LibraryError::io(&path, error)),
     };
-    let (mut steps, mut at) = (Vec::<KnownStep>::new(), 0);
+    let (mut steps, mut at) = (Vec::new(), 0);
     for line in text.split_inclusive(|&byte| byte == b'\n').filter(|line| line.ends_with(b"\n")) {
-        // Version 0.2 wrote steps without `began`, once they were done.
-        let bare = || serde_json::from_slice(line).ok().map(|step| (step, true));
-        let known = |step, is_done| KnownStep { step, at, is_done, undoing: None };
-        match (serde_json::from_slice(line), steps.last_mut()) {
-            (Ok(StepLine::Began(step)), _) if is_within(&step.moves) => {
-                steps.push(known(step, false));
+        match serde_json::from_slice(line) {
+            Ok(StepLine::Began(Step { moves, .. }) | StepLine::Undoing(moves))
+                if !is_within(&moves) => {}
+            Ok(line) => follow(&mut steps, line),
+            // Reads a step of version 0.2, which wrote no `began`, and wrote only finished steps.
+            Err(_) => {
+                let bare: Option<Step> = serde_json::from_slice(line).ok();
+                let bare = bare.filter(|step| is_within(&step.moves));
+                steps.extend(bare.map(|step| KnownStep { step, is_done: true, undoing: None }));
             }
-            (Ok(StepLine::Done), Some(last)) => last.is_done = true,
-            (Ok(StepLine::Undoing(moves)), Some(last)) if is_within(&moves) => {
-                last.undoing = Some((at, moves));
-            }
-            (Ok(StepLine::Undone), Some(_)) => undone(&mut steps),
-            (Err(_), _) => {
-                let bare = bare().filter(|(step, _): &(Step, bool)| is_within(&step.moves));
-                steps.extend(bare.map(|(step, is_done)| known(step, is_done)));
-            }
-            _ => {}
         }
         at += line.len() as u64;
     }
     Ok((steps, at))
 }
 
-/// Takes the last step off the list. If undoing it put a trial in another place than before, notes
-/// the new place in the earlier step that had put the trial there.
+/// Updates the list of steps by the next line of its file.
+fn follow(steps: &mut Vec<KnownStep>, line: StepLine) {
+    match (line, steps.last_mut()) {
+        (StepLine::Began(step), _) => {
+            steps.push(KnownStep { step, is_done: false, undoing: None });
+        }
+        (StepLine::Done, Some(last)) => (last.is_done, last.undoing) = (true, None),
+        (StepLine::Undoing(moves), Some(last)) => last.undoing = Some(moves),
+        (StepLine::Undone, Some(_)) => undone(steps),
+        (_, None) => {}
+    }
+}
+
+/// Takes the last step, which was undone, off the list. If undoing put a trial in another place
+/// than before, corrects the place in the earlier step that had put the trial there.
 fn undone(steps: &mut Vec<KnownStep>) {
-    let Some(KnownStep { step, undoing: Some((_, moves)), .. }) = steps.pop() else { return };
+    let Some(KnownStep { step, undoing: Some(moves), .. }) = steps.pop() else { return };
     for went in &moves {
         let Some(one) = step.moves.iter().find(|one| one.to == went.from) else { continue };
         let earlier = steps.iter_mut().rev().flat_map(|known| known.step.moves.iter_mut());
         let mut touching = earlier.filter(|other| other.to == one.from || other.from == one.from);
-        // If the last that touched the place took a trial from it, this one came without a step.
+        // Only a step that put a trial there is corrected, not a step that took a trial away.
         if let Some(before) = touching.next().filter(|other| other.to == one.from) {
             (before.to, before.is) = (went.to.clone(), went.is.clone());
         }
     }
 }
 
-/// Whether moves stay within a library: `SURFACE/TRIAL`, present or removed.
+/// Whether all moves stay within a library: on paths `SURFACE/TRIAL`, present or removed.
 fn is_within(moves: &[Move]) -> bool {
     let trial = |name: &str| {
         let name = name.strip_prefix(".removed/").unwrap_or(name);
@@ -154,47 +170,49 @@ fn is_within(moves: &[Move]) -> bool {
     moves.iter().all(|one| trial(&one.from) && trial(&one.to))
 }
 
-/// Opens the list to be written, and cut: Windows cuts no file that is opened to append.
+/// Opens the list for writing. Append mode is avoided, since Windows cannot shorten a file in it.
 fn open(path: &Path) -> std::io::Result<File> {
     OpenOptions::new().write(true).create(true).truncate(false).open(path)
 }
 
-/// The list, open for one program alone.
+/// The list of steps, open for one program alone.
 pub(super) struct Steps {
     path: PathBuf,
     file: File,
     end: u64,
     known: Vec<KnownStep>,
-    _lock: File,
+    _lock: Locked,
 }
 
 impl Steps {
-    /// Opens the list, once nobody else has it open.
+    /// Waits until no other program has the list of steps open, and opens it.
     pub fn open(library: &Path) -> Result<Self, LibraryError> {
         let folder = library.join(REMOVED);
         let path = folder.join(STEPS);
         let fail = |error| failed(&path, error);
         disk::create_folder(&folder).map_err(fail)?;
         let lock = system::open_lock(&folder).map_err(fail)?;
-        // Without locks, nobody is kept off.
+        // A failure is ignored: some file systems have no locks to keep other programs out.
         let _ = lock.lock();
         let (known, end) = read(library)?;
         let file = open(&path).map_err(fail)?;
-        Ok(Self { path: path.clone(), file, end, known, _lock: lock })
+        Ok(Self { path: path.clone(), file, end, known, _lock: Locked(lock) })
     }
 
     pub fn last(&self) -> Option<&KnownStep> {
         self.known.last()
     }
 
-    fn add(&mut self, lines: &[&StepLine]) -> Result<u64, LibraryError> {
+    /// Adds lines to the list of steps: all of them or, after an error, none.
+    pub fn add(&mut self, lines: impl IntoIterator<Item = StepLine>) -> Result<(), LibraryError> {
+        let lines: Vec<StepLine> = lines.into_iter().collect();
+        let is_new = matches!(lines[..], [StepLine::Began(_), ..]);
+        if is_new && (self.known.len() >= MOST_STEPS || self.end > MOST_BYTES) {
+            self.forget()?;
+        }
         let at = self.end;
-        let text = lines.iter().map(|line| {
-            // Plain structs, numbers and text: nothing here that JSON cannot express.
-            serde_json::to_string(line).unwrap_or_default() + "\n"
-        });
-        let text: String = text.collect();
-        // A crash, or a full disk, may have left half a line.
+        let text: String = lines.iter().map(|line| json_text(line) + "\n").collect();
+        // Cuts off half a line, which a crash or a full disk may have left.
         let mut append = || {
             if self.file.metadata()?.len() > at {
                 disk::cut(&self.file, at)?;
@@ -202,76 +220,23 @@ impl Steps {
             disk::append(&mut self.file, text.as_bytes())
         };
         if let Err(error) = append() {
-            // The line does not count. Best effort, since the next line cuts it off, too.
+            // Cuts the new lines off again. Errors are ignored, since the next call cuts, too.
             let _ = disk::cut(&self.file, at);
             return Err(failed(&self.path, error));
         }
         self.end += text.len() as u64;
-        Ok(at)
-    }
-
-    /// Notes that a step begins.
-    pub fn begin(&mut self, step: &Step) -> Result<(), LibraryError> {
-        if self.known.len() >= MOST_STEPS || self.end > MOST_BYTES {
-            self.forget()?;
-        }
-        let at = self.add(&[&StepLine::Began(step.clone())])?;
-        self.known.push(KnownStep { step: step.clone(), at, is_done: false, undoing: None });
+        lines.into_iter().for_each(|line| follow(&mut self.known, line));
         Ok(())
     }
 
-    /// Notes that the step that was begun last is done.
-    pub fn done(&mut self) -> Result<(), LibraryError> {
-        self.add(&[&StepLine::Done])?;
-        self.known.iter_mut().last().into_iter().for_each(|last| last.is_done = true);
-        Ok(())
-    }
-
-    /// Notes a step that is complete already.
-    pub fn note(&mut self, step: Step) -> Result<(), LibraryError> {
-        self.add(&[&StepLine::Began(step), &StepLine::Done]).map(drop)
-    }
-
-    /// Notes that the last step is being undone, by these moves.
-    pub fn undo(&mut self, moves: Vec<Move>) -> Result<(), LibraryError> {
-        let at = self.add(&[&StepLine::Undoing(moves.clone())])?;
-        self.known.iter_mut().last().into_iter().for_each(|last| {
-            last.undoing = Some((at, moves.clone()));
-        });
-        Ok(())
-    }
-
-    /// Strikes the last step, or the undoing of it, off the list.
-    pub fn take_back(&mut self, undoing: bool) -> Result<(), LibraryError> {
-        let Some(last) = self.known.last_mut() else { return Ok(()) };
-        let at = last.undoing.as_ref().filter(|_| undoing).map_or(last.at, |(at, _)| *at);
-        disk::cut(&self.file, at).map_err(|error| failed(&self.path, error))?;
-        self.end = at;
-        match undoing {
-            true => last.undoing = None,
-            false => drop(self.known.pop()),
-        }
-        Ok(())
-    }
-
-    /// Notes that the last step is undone.
-    pub fn undone(&mut self) -> Result<(), LibraryError> {
-        self.add(&[&StepLine::Undone])?;
-        undone(&mut self.known);
-        Ok(())
-    }
-
-    /// Writes the list anew with the newer half of its steps.
+    /// Drops the older half of the steps, and writes the list anew.
     fn forget(&mut self) -> Result<(), LibraryError> {
         self.known.drain(..self.known.len().div_ceil(2));
-        let (before, mut text) = (std::mem::take(&mut self.known), String::new());
-        for mut known in before {
-            known.at = text.len() as u64;
-            for line in [StepLine::Began(known.step.clone()), StepLine::Done] {
-                text += &(serde_json::to_string(&line).unwrap_or_default() + "\n");
-            }
-            self.known.push(known);
-        }
+        let lines = |known: &KnownStep| {
+            let lines = [StepLine::Began(known.step.clone()), StepLine::Done];
+            lines.map(|line| json_text(&line) + "\n").concat()
+        };
+        let text: String = self.known.iter().map(lines).collect();
         let folder = self.path.parent().unwrap_or(&self.path);
         let replace = || {
             let mut file = super::super::unfinished(".steps.").tempfile_in(folder)?;

@@ -2,9 +2,14 @@ use std::collections::BTreeMap;
 
 use super::*;
 use crate::dataset::synth;
+use crate::station::config::StationConfig;
 use crate::trial::Signal;
 
 const RATE_HZ: f64 = 10_000.0;
+
+fn detector() -> Detector {
+    Detector::new(StationConfig::embedded().detection.detector)
+}
 
 /// Pseudo-random noise of this amplitude, determined by its seed.
 fn noise(frames: usize, amplitude: f32, seed: &mut u32) -> Vec<f32> {
@@ -15,15 +20,14 @@ fn noise(frames: usize, amplitude: f32, seed: &mut u32) -> Vec<f32> {
     (0..frames).map(|_| next()).collect()
 }
 
-/// Levels of a stream, and what a detector finds in them.
+/// The levels of a stream, and the events that a detector finds in these levels.
 fn find(
     kind: SensorKind,
     channels: usize,
     rate_hz: f64,
     samples: &[f32],
 ) -> (Vec<f64>, Vec<DetectorEvent>) {
-    let (mut level, mut detector) =
-        (StreamLevel::new(kind, channels, rate_hz), Detector::new(DetectorConfig::default()));
+    let (mut level, mut detector) = (StreamLevel::new(kind, channels, rate_hz), detector());
     let (mut levels, mut found) = (Vec::new(), Vec::new());
     for part in samples.chunks(channels * 37) {
         let held = detector.in_contact();
@@ -48,11 +52,11 @@ fn synthetic(source: &str, entry: usize) -> (f64, Vec<f32>) {
     }
 }
 
-/// Sound of silence, tap, silence, drag, silence; the times in s of tap, drag and the drag's end.
+/// The rate, the sound (silence, tap, silence, drag, silence), and the times in s of tap, drag and end.
 fn joined(entry: usize) -> (f64, Vec<f32>, [f64; 3]) {
     let (rate_hz, tap) = synthetic("mi1", entry);
     let (_, drag) = synthetic("mi2", entry);
-    // The recording's own room noise, before the stylus touches.
+    // The level of the recording's room noise, before the stylus touches the surface.
     let quiet = (tap[..800].iter().map(|x| x * x).sum::<f32>() / 800.0).sqrt();
     let seed = &mut 7;
     let mut silence = |seconds: f64| noise((seconds * rate_hz) as usize, quiet * 1.7, seed);
@@ -115,11 +119,11 @@ fn a_pause_within_the_drag_does_not_end_it_and_a_long_one_does() {
     let level = |hop: u64| match hop {
         100..=109 => 20.0,
         200..=399 | 440..=599 => 10.0,
-        // between the limits: neither begins nor ends anything
+        // between the limits, so this level neither begins nor ends a contact
         600..=649 => 4.0,
         _ => 1.0,
     };
-    let mut detector = Detector::new(DetectorConfig::default());
+    let mut detector = detector();
     let found: Vec<_> = (0..1000).filter_map(|hop| detector.hop(level(hop))).collect();
     assert_eq!(
         found,
@@ -133,7 +137,7 @@ fn a_pause_within_the_drag_does_not_end_it_and_a_long_one_does() {
 #[test]
 fn a_tap_long_ago_belongs_to_no_drag_and_the_last_of_two_taps_does() {
     let run = |taps: [u64; 2], drag: u64| {
-        let mut detector = Detector::new(DetectorConfig::default());
+        let mut detector = detector();
         let on = |hop: u64| taps.iter().any(|t| (*t..t + 8).contains(&hop)) || hop >= drag;
         let found: Vec<_> = (0..drag + 100)
             .filter_map(|hop| detector.hop(if on(hop) { 9.0 } else { 0.0 }))

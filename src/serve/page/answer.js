@@ -2,7 +2,7 @@
 
 import { damageLines, percent, plainLine, times } from "./dom.js";
 
-// The name, or the state in its place.
+// The surface that an answer names, or words such as "unknown" if it names none.
 export function nameOf(answer) {
   if (answer.state === "unknown") return "unknown";
   if (answer.state === "unnamed") return "not named";
@@ -10,9 +10,9 @@ export function nameOf(answer) {
   return `${answer.state}: ${answer.surface}`;
 }
 
-// The probability of each ranked surface, if the method gives probabilities. Scores are inverse
-// probabilities before the doubt that the library leaves; that doubt is spread evenly over all
-// surfaces.
+// The probability of each ranked surface; null if the method gives no probabilities. Scores are
+// inverse probabilities without the doubt that the library's size leaves; this doubt is spread
+// evenly over all surfaces.
 export function probabilities({ ranked, confidence }) {
   if (confidence === null || ranked.length === 0) return null;
   const [first, even] = [1 / ranked[0].score, 1 / ranked.length];
@@ -20,23 +20,23 @@ export function probabilities({ ranked, confidence }) {
   return ranked.map(({ score }) => (1 - doubt) / score + doubt * even);
 }
 
-// How sure an answer is: its probability, or else by how much the nearest surface is more alike.
+// How sure an answer is: its probability, or the similarity ratio of first and second surface.
 export function sureness(answer) {
   if (answer.state === "unknown" || answer.state === "unnamed") return "";
   return answer.confidence !== null ? percent(answer.confidence) : times(Math.exp(answer.margin));
 }
 
-// Damage of a scan, a line each; older answers hold only the reasons why they are spoiled.
+// The damage of a scan, a line each. Older answers list only the reasons why they are spoiled.
 export const damageOf = (answer) => (answer.damage ? damageLines(answer.damage) : answer.spoiled);
 
-// The reasons for doubt, except damage, which is shown by itself.
+// The reasons for doubt, without damage, which is shown separately.
 function doubts(answer) {
   const known = (reason) => answer.spoiled.includes(reason) || answer.remarks.includes(reason)
     || (answer.damage ?? []).some(({ source }) => source && reason.startsWith(`${source} is left out`));
   return answer.reasons.filter((reason) => !known(reason)).map(plainLine);
 }
 
-// An answer as a sentence: how sure, or what is closest, and the reasons for doubt.
+// An answer as a sentence: how sure it is, or the closest surface, then the reasons for doubt.
 export function certainty(answer) {
   const parts = [];
   if (answer.state === "unknown") parts.push(`closest: ${answer.ranked[0]?.surface ?? "nothing"}`);
@@ -44,13 +44,13 @@ export function certainty(answer) {
   else if (answer.confidence === null) {
     parts.push(answer.margin < 0.05 ? "no more alike than the next" : `${sureness(answer)} more alike than the next`);
   } else parts.push(`${sureness(answer)} sure`);
-  // The reasons of an unknown surface say why it is unknown: these are no doubts.
+  // For an unknown surface, the reasons explain the state; they are not doubts.
   if (answer.state !== "unknown") parts.push(...doubts(answer));
   if (answer.truth) parts.push(answer.truth === answer.surface ? "right" : `it was ${answer.truth}`);
   return parts.join(" · ");
 }
 
-// The correction of a scan.
+// The correction of a scan in words; empty if there is none.
 export function corrected(scan) {
   if (!scan.correction) return "";
   const { was, surface } = scan.correction;

@@ -2,12 +2,12 @@
 
 import { make, plain, sourceName } from "./dom.js";
 
-// A camera without a picture for this long is shown as stalled; some cameras are slow.
+// A camera is shown as stalled after this long without a picture; some cameras are slow.
 const STALLED_MS = 3500;
-// At most two pictures a second.
+// The shortest time between two pictures: at most two a second are shown.
 const LEAST_MS = 500;
 const cameras = new Map();
-// The view of the station's own camera: its source, the region that is compared, its light.
+// The station's own camera: its source, the compared region, its light. Null if there is none.
 let own = null;
 
 function box(place, source) {
@@ -37,7 +37,7 @@ function box(place, source) {
 
 const share = (part) => `${(part * 100).toFixed(2)}%`;
 
-// Whether to show the whole picture, of which only a region is compared.
+// Whether the whole picture is shown because only a region of it is compared.
 const isWhole = (camera) => own?.source === camera.source && own.region !== null;
 
 function describe(camera) {
@@ -52,8 +52,8 @@ function describe(camera) {
   camera.light.dataset.flash = flash;
 }
 
-// Takes in that a camera has a new picture: shows at most two a second, and the next one only once
-// the last one has loaded.
+// Called when a camera has a new picture. Shows at most two pictures a second, and loads each only
+// after the previous one.
 export function picture(place, source) {
   const camera = cameras.get(source) ?? box(place, source);
   camera.arrived = performance.now();
@@ -64,7 +64,7 @@ export function picture(place, source) {
   camera.image.src = `/api/v1/pictures/${isWhole(camera) ? "whole-" : ""}${source}.jpg?at=${Math.round(camera.arrived)}`;
 }
 
-// Takes in the view of the station's camera; null if it has none.
+// Sets the view of the station's own camera; null if it has none.
 export function view(camera) {
   own = camera;
   const shown = own && cameras.get(own.source);

@@ -1,4 +1,4 @@
-// Draws a whole scan with the nearest trial of the library: traces with traces, spectra with
+// Draws a whole scan together with the nearest trial of the library: their traces, and their
 // spectra.
 
 import { make } from "./dom.js";
@@ -45,7 +45,7 @@ function band(pen, view, channel, [left, right], y) {
   pen.stroke();
 }
 
-// Draws each channel in a lane of its own; scan and trial share the scales of time and value.
+// Draws each channel in a separate lane. Scan and trial share the scales of time and value.
 export function traces(source, own, nearest) {
   const views = [own, nearest].filter(Boolean);
   const seconds = Math.max(...views.map((view) => view.duration_s));

@@ -2,15 +2,15 @@
 
 export const $ = (id) => document.getElementById(id);
 
-// Characters that act without being seen, for example by reversing the text (as in printable.rs).
+// Invisible characters that change how text is shown, such as reversing it (see printable.rs).
 const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]|[\u{e0000}-\u{e007f}]/gu;
 export const printable = (text) => String(text).replace(UNSEEN, (c) => `\\u{${c.codePointAt(0).toString(16)}}`);
 
-// The places where a long name may break: after `_` and `/`, and before capital letters that join
-// words. The browser itself breaks at hyphens and spaces.
+// Where a long name may break: after `_` and `/`, and before capital letters within a word. The
+// browser already breaks at hyphens and spaces.
 const JOINTS = /(?<=[\p{L}\p{N}][_/])(?=[\p{L}\p{N}])|(?<=\p{Ll}{2})(?=\p{Lu}\p{Ll})/u;
 
-// The parts of a name that must not be broken.
+// The parts of a name between these places.
 export const parts = (text) => printable(text).split(JOINTS);
 
 function write(element, text) {
@@ -24,13 +24,13 @@ export function make(tag, text, className) {
   return element;
 }
 
-// Rounded down near 1, so that nothing looks more certain than it is.
+// A share in per cent. Values near 1 are rounded down, so that none looks like certainty.
 export const percent = (share) =>
   `${share > 0.995 && share < 1 ? (Math.floor(share * 1000) / 10).toFixed(1) : (share * 100).toFixed(0)}\u00a0%`;
 export const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
 export const clock = (ms) => new Date(ms).toLocaleTimeString("en-GB");
 
-// Fills a place with a list of elements, but only if that changes what it shows.
+// Shows a list of elements in a place; does nothing if the place shows the same already.
 export function fill(id, elements) {
   const place = $(id);
   const text = elements.map((element) => element.outerHTML).join("");
@@ -54,22 +54,22 @@ const SOURCES = {
   sound: "microphone", ca1: "picture", ca2: "picture with flash",
 };
 
-// The plain name of a source; `plainLine` replaces the one that a line begins with.
+// The plain name of a source. `plainLine` replaces the source at the start of a line by this name.
 export const plain = (source) => SOURCES[source] ?? source;
 export const plainLine = (line) => line.replace(/^[a-z]+\d?(?=[: ])/, plain);
 
-// A source by its plain name, with its name in files and programs in small letters.
+// An element with the plain name of a source, and its id in small letters.
 export function sourceName(source, tag = "strong") {
   const element = make(tag, plain(source));
   if (plain(source) !== source) element.append(" ", make("small", source));
   return element;
 }
 
-// Damage as lines in plain words.
+// Damage as lines of plain words.
 export const damageLines = (damage) =>
   damage.map(({ source, text }) => (source ? `${plain(source)}: ${text}` : text));
 
-// A button that does one thing.
+// A button that runs `act`.
 export function button(text, act, className) {
   const element = make("button", text, className);
   element.type = "button";
@@ -77,7 +77,7 @@ export function button(text, act, className) {
   return element;
 }
 
-// Sends a request and returns the station's answer; null, with the reason shown, if refused.
+// Sends a request and returns the station's answer; if it is refused, shows why and returns null.
 export async function ask(path, body) {
   let problem = "";
   let said = null;

@@ -1,16 +1,16 @@
-// Draws the signals: the last seconds of each stream, or its spectrum.
+// Draws the streams: the last seconds of each as a trace, or as a spectrum.
 
 import { picture } from "./camera.js";
 import { plain, sourceName } from "./dom.js";
 
 const WINDOW_S = 6;
-// A stream without data for this long is shown as stalled.
+// A stream is shown as stalled after this long without data.
 const STALLED_MS = 700;
-// Columns of a spectrogram, five a second.
+// Number of columns of a spectrogram; five columns a second are added.
 const COLUMNS = 60;
 const TICKS_HZ = [10, 100, 1000, 10000];
 const streams = new Map();
-// Devices that are missing.
+// The names of missing devices.
 let gone = new Set();
 let view = "traces";
 let colours = {};
@@ -47,14 +47,14 @@ function stream(source) {
   known = { source, box, canvas, note, lost, bins: [], bin_s: 0.005, spectrum: null, columns: [], fresh: false, range: null,
     arrived: performance.now(), stalled: false };
   streams.set(source, known);
-  // In order of names, whichever came first.
+  // Boxes are sorted by name, in whatever order the streams arrive.
   const after = [...place.children].find((other) =>
     other.classList.contains("camera") || other.dataset.source > source);
   place.insertBefore(box, after ?? null);
   return known;
 }
 
-// Takes in an event of type `trace`.
+// Handles an event of type `trace`.
 export function trace(event) {
   for (const { source, bin_s, start_s, min, max, clipped } of event.streams) {
     const s = stream(source);
@@ -85,11 +85,11 @@ function revive(s) {
   s.canvas.setAttribute("aria-label", `signal of ${plain(s.source)}`);
 }
 
-// A stalled stream is grey, with the time since its last sample: no old trace looks alive.
+// Draws stalled streams in grey, with the time since the last sample: no old trace looks live.
 function findStalled() {
   const now = performance.now();
   for (const s of streams.values()) {
-    // The tap of a recording comes rarely: a stream is stalled only if its whole device is silent.
+    // Some streams of a replay have pauses, so a stream is stalled only if its device is silent.
     const device = [...streams.values()].filter((other) => other.device === s.device);
     const silent_ms = now - Math.max(...device.map((other) => other.arrived));
     if (silent_ms < STALLED_MS && !gone.has(s.device)) {
@@ -110,13 +110,13 @@ function findStalled() {
 }
 setInterval(findStalled, 250);
 
-// Takes in the states of the devices: streams of a lost device turn grey at once.
+// Handles the states of the devices: streams of a missing device turn grey at once.
 export function devices(list) {
   gone = new Set(list.filter(({ state }) => state === "lost" || state === "absent").map(({ device }) => device));
   findStalled();
 }
 
-// Takes in an event of type `spectrum`.
+// Handles an event of type `spectrum`.
 export function spectrum(event) {
   for (const bands of event.streams) {
     const s = stream(bands.source);
@@ -129,7 +129,7 @@ export function spectrum(event) {
   if (view === "spectra") ask();
 }
 
-// Shows how much each stream has lost.
+// Shows how many samples each stream has lost.
 export function losses(list) {
   for (const { source, device, lost } of list) {
     const s = streams.get(source);
@@ -140,7 +140,7 @@ export function losses(list) {
   }
 }
 
-// Switches between traces and spectra.
+// Switches the view between traces and spectra.
 export function show(wanted) {
   view = wanted;
   for (const s of streams.values()) s.fresh = true;
@@ -174,8 +174,8 @@ function draw(s) {
   else drawSpectrum(s, pen, w, h, ratio);
 }
 
-// The bins of a stream, merged to at most one a pixel. The same neighbours are always merged, so
-// that nothing shimmers as they move. An entry without `min` is a gap.
+// The bins of a stream, merged to at most one for each pixel. The same bins are always merged, so
+// that the picture does not flicker as it moves. An entry without `min` is a gap.
 function columns(s, w) {
   const wide = Math.max(1, Math.floor(WINDOW_S / s.bin_s / w));
   const all = [];
@@ -208,7 +208,7 @@ function drawTrace(s, pen, w, h, ratio) {
   if (channels === 0) return;
   const flat = Math.max(high - low, 1e-6 * Math.max(Math.abs(high), Math.abs(low)), 1e-9);
   const middle = (low + high) / 2;
-  // The scale widens at once and narrows slowly, so that it does not flicker.
+  // The scale widens at once but narrows slowly, so that the picture does not flicker.
   const wanted = { low: middle - flat * 0.56, high: middle + flat * 0.56 };
   const was = s.range ?? wanted;
   const ease = (from, to) => from + (to - from) * 0.06;
@@ -236,7 +236,7 @@ function drawTrace(s, pen, w, h, ratio) {
     }
     pen.stroke();
   }
-  // A mark above where a channel runs into its limit.
+  // Marks at the top where a channel is clipped.
   const clipped = bins.filter((bin) => bin.clipped);
   pen.fillStyle = colours.bad;
   for (const bin of clipped) pen.fillRect(x(bin.at), 0, Math.max(w * s.bin_s / WINDOW_S, 2 * ratio), 4 * ratio);
@@ -245,8 +245,8 @@ function drawTrace(s, pen, w, h, ratio) {
   if (!s.stalled) s.note.textContent = (clipped.length ? "clipped · " : "") + range(s.source, low, high);
 }
 
-// Draws the present spectrum at the right, and those of the last seconds at the left, with time
-// running to the right and frequency upwards.
+// Draws the current spectrum at the right, and the spectra of the last seconds at the left; there,
+// time runs to the right and frequency upwards.
 function drawSpectrum(s, pen, whole, h, ratio) {
   if (!s.spectrum) return;
   const left = Math.round(whole * 0.4);
@@ -278,7 +278,7 @@ function drawBands(s, pen, w, h, ratio) {
   for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
     pen.fillRect(x(hz), 0, ratio, h);
   }
-  // Down to 60 dB below the strongest recent band; silence stays empty. Labels stand above.
+  // The scale ends 60 dB below the strongest recent band: silence stays empty. Labels are on top.
   const strongest = Math.max(...db, -60);
   s.top = Math.max(strongest, (s.top ?? strongest) - 0.5);
   const y = (value) => h - (h - 17 * ratio) * Math.max(0, value - (s.top - 60)) / 60;
@@ -292,7 +292,7 @@ function drawBands(s, pen, w, h, ratio) {
   for (const hz of TICKS_HZ.filter((hz) => hz > from_hz && hz < to_hz)) {
     const text = hz < 1000 ? `${hz} Hz` : `${hz / 1000} kHz`;
     const room = w - x(hz) > pen.measureText(text).width + 4 * ratio;
-    // No label overlaps the one before.
+    // Labels must not overlap.
     if (!room || x(hz) < free) continue;
     pen.fillText(text, x(hz) + 3 * ratio, 12 * ratio);
     free = x(hz) + pen.measureText(text).width + 8 * ratio;
@@ -300,10 +300,10 @@ function drawBands(s, pen, w, h, ratio) {
   if (!s.stalled) s.note.textContent = `loudest ${Math.round(s.top)} dB`;
 }
 
-// Microphones give shares of full scale; other sources the unit of their recordings.
+// The range of values as text. Microphones give shares of full scale, other sources their own unit.
 function range(source, low, high) {
   const unit = /^(mi\d|sound)$/.test(source) ? " of full scale" : "";
-  // Force and metal rest at zero.
+  // Force and metal must not rest at exactly zero.
   if (low === 0 && high === 0 && !/^(fr|me)$/.test(source)) return "at zero: check the cable";
   if (low === high) return `${short(low)}${unit}`;
   return `${short(low)} to ${short(high)}${unit}`;

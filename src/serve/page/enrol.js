@@ -1,10 +1,10 @@
-// Enrolment: how many trials are kept so far, which ones, and what was refused.
+// Enrolment: how many trials have been kept, the newest ones, and the last refusal.
 
 import { $, ask, button, hide, make, many, plainLine, printable, say } from "./dom.js";
 
 let newest = [];
 
-// Takes in that a scan was kept or refused.
+// Handles a scan that was kept or refused.
 export const add = (enrolled) => (newest = [enrolled, ...newest].slice(0, 3));
 
 export function show({ enrolling, enrolls }) {
@@ -23,7 +23,7 @@ export function show({ enrolling, enrolls }) {
   showNewest();
 }
 
-// The newest scans; a trial that was kept can be removed again.
+// Shows the newest scans; a kept trial can be removed again.
 function showNewest() {
   const text = JSON.stringify(newest);
   if ($("enrolled").dataset.text === text) return;

@@ -1,24 +1,24 @@
-// The list of past scans, the newest first, and how many of the reviewed answers were right.
+// The list of past scans, the newest first, and the share of reviewed answers that were right.
 
 import { corrected, damageOf, nameOf, sureness } from "./answer.js";
 import { $, ask, button, clock, hide, make, many, percent, printable, say } from "./dom.js";
 import { go } from "./route.js";
 
-// Scans that are loaded at a time.
+// How many scans are loaded at a time.
 const PAGE = 300;
 let most = PAGE;
 let scans = [];
-// Whether older scans can be loaded.
+// Whether there are older scans to load.
 let more = false;
 let changed = () => {};
 let shown = "";
 
-// Sets a function that is called whenever the list has changed.
+// Sets a function that is called after each change of the list.
 export function onChange(act) {
   changed = act;
 }
 
-// Loads the list anew.
+// Loads the list again.
 export async function load() {
   const said = await ask(`scans?limit=${PAGE}`);
   if (said) [scans, most, more] = [said.scans, PAGE, said.scans.length === PAGE];
@@ -26,7 +26,7 @@ export async function load() {
   loadPrecision();
 }
 
-// Loads scans older than those shown.
+// Loads scans that are older than the list.
 export async function older() {
   const last = scans[scans.length - 1];
   const said = last && (await ask(`scans?limit=${PAGE}&before=${encodeURIComponent(last.id)}`));
@@ -39,14 +39,14 @@ export async function older() {
 // The newest scan; null if there is none.
 export const newest = () => scans[0] ?? null;
 
-// Takes in a scan that was answered, or could not be named.
+// Handles a new answer, named or not.
 export function add(answer) {
   if (scans.some((scan) => scan.id === answer.id)) return;
   scans = [{ ...answer, correction: null, became: null, kept: null }, ...scans];
   if (scans.length > most) [scans, more] = [scans.slice(0, most), true];
 }
 
-// Takes in a scan that was corrected, or became a trial.
+// Handles a scan that was corrected, or became a trial.
 export function change(scan) {
   scans = scans.map((other) => (other.id === scan.id ? scan : other));
   loadPrecision();
@@ -82,7 +82,7 @@ function row(scan) {
   return line;
 }
 
-// Shows the list, if it has changed.
+// Shows the list if it has changed.
 export function render(counts) {
   const only = $("unknown-only").checked;
   const wanted = scans.filter((scan) => !only || ["unknown", "unsure", "unnamed"].includes(scan.state));
@@ -111,7 +111,7 @@ function precisionRow({ surface, corrected, right, precision, precision_low, pre
   return line;
 }
 
-// Loads how many answers were right; without corrections there is nothing to show.
+// Loads how many answers were right. Without corrections, nothing is shown.
 async function loadPrecision() {
   const said = await ask("history");
   if (!said) return;

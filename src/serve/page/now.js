@@ -1,5 +1,5 @@
-// The state of the station, readable from three metres: its colour, word and sign, and below these
-// the name, how sure it is, and what is damaged.
+// The state of the station, readable from three metres: colour, word and sign; below them the name,
+// its probability, and any damage.
 
 import { certainty, damageOf, probabilities } from "./answer.js";
 import { $, clock, damageLines, fill, hide, make, many, parts, percent, printable, say, times } from "./dom.js";
@@ -13,7 +13,7 @@ function disconnected({ advice, devices }) {
   return { kind: "disconnected", word: advice.text, sure: `for ${lasts}, since ${clock(since)}` };
 }
 
-// A scan in progress: what to do, and its name if it ended now.
+// A scan in progress: what to do, and the name it would have if it ended now.
 function dragging({ advice, scan, guess: last, enrolling }) {
   const guess = last?.scan === scan ? last : null;
   const lift = advice.do === "lift";
@@ -52,7 +52,7 @@ function idle({ advice, reading }) {
   return { kind: "idle", word, name: word === "Ready" ? "tap, then drag" : "" };
 }
 
-// Whether a station has too few surfaces to name anything.
+// Whether a station has too few surfaces to name any scan.
 export function isEmpty({ library, enrolls, enrolling, advice, devices }) {
   const lost = devices.some(({ device, state }) => device === advice.device && state === "lost");
   return enrolls && !enrolling && !lost && library?.problem && library.surfaces.length < 2;
@@ -62,11 +62,11 @@ const steps = ({ devices }) => ({
   kind: "idle", word: "Three steps", steps: { plugged: devices.some(({ state }) => state === "streaming") },
 });
 
-// The last scan in progress: it is shown until its answer is there, but at most this long.
+// The last scan in progress stays on screen until its answer arrives, but at most this long.
 const ANSWER_WITHIN_MS = 1500;
 let last = null;
 
-// What to show; `answer` is the last one of this session, or null.
+// What to show; `answer` is the last answer of this session, or null.
 function stateOf(state, answer) {
   if (state.phase !== null) {
     const { scan } = state;
@@ -103,7 +103,7 @@ export function showNow(state, answer) {
   say("word", word);
   say("name", name);
   $("name").dataset.faint = String(Boolean(now.faint));
-  // Sets the size so that the longest word fits the line.
+  // Chooses the font size so that the longest word fits on one line.
   $("name").style.setProperty("--longest", Math.min(longest(name), 24));
   say("sure", sure);
   say("answer-label", label);
@@ -119,14 +119,14 @@ export function showNow(state, answer) {
   $("stop").disabled = state.finished || state.phase === null;
 }
 
-// In view `kiosk` the screen stays awake, as long as the page is visible.
+// In view `kiosk`, keeps the screen awake while the page is visible.
 async function stayAwake() {
   if (document.hidden) return;
   try {
     await navigator.wakeLock.request("screen");
     document.body.dataset.awake = "true";
   } catch {
-    // The browser refuses this on a page from another machine without encryption.
+    // The browser refuses this if the page comes from another machine without encryption.
     document.body.dataset.awake = "false";
   }
 }

@@ -1,5 +1,5 @@
-// Follows the station's events and shows its state. Text from outside is inserted as text, never as
-// markup.
+// Receives the station's events and shows its state. Text from outside is inserted as text, never
+// as markup.
 
 import { certainty, nameOf } from "./answer.js";
 import * as camera from "./camera.js";
@@ -16,7 +16,7 @@ let state = null;
 let announced = "";
 let due = false;
 
-// The last scan of this session that was named, or the one after it that could not be.
+// The last answer of this session, or a later scan that could not be named.
 function lastAnswer() {
   const last = history.newest();
   const since = state.answer?.unix_ms ?? state.started_unix_ms;
@@ -70,7 +70,7 @@ function showLibrary() {
 }
 
 function showWarnings() {
-  // A station without surfaces shows three steps instead of this problem.
+  // For a station without surfaces, the page shows three steps instead of this problem.
   const known = isEmpty(state) ? state.library.problem : null;
   const warnings = state.warnings.filter(({ text }) => text !== known);
   hide("warnings-box", warnings.length === 0);
@@ -96,7 +96,7 @@ function render() {
   });
 }
 
-// Takes in a scan that was named, or could not be.
+// Handles a new answer, named or not.
 function answered(answer) {
   if (answer.state !== "unnamed") state.answer = answer;
   if (answer.state !== "named") state.counts[answer.state] += 1;
@@ -104,7 +104,7 @@ function answered(answer) {
   announce(`scan ${answer.scan}: ${nameOf(answer)}, ${certainty(answer)}`);
 }
 
-// What each type of event changes.
+// How each type of event changes the page.
 const changes = {
   state: (whole) => {
     state = whole;
@@ -160,7 +160,7 @@ function follow() {
       render();
     });
   }
-  // A page that is left closes its connection: a browser has only six for each station.
+  // A browser allows only six connections to a station, so a page closes its own when it is left.
   window.addEventListener("pagehide", () => events.close(), { once: true });
   events.addEventListener("trace", ({ data }) => trace(JSON.parse(data)));
   events.addEventListener("spectrum", ({ data }) => spectrum(JSON.parse(data)));
@@ -205,5 +205,5 @@ document.addEventListener("keydown", (event) => {
 window.addEventListener("pageshow", ({ persisted }) => persisted && follow());
 follow();
 followAddress();
-// Keeps the time since which a device is disconnected up to date.
+// Updates the time since which a device has been disconnected.
 setInterval(() => state?.advice.device && render(), 1000);

@@ -1,9 +1,9 @@
-// Dialogues have addresses: a link opens one, Esc and the back button close it.
+// Dialogues have addresses: a link opens a dialogue, and Esc or the back button closes it.
 
 const routes = [];
 
-// Opens `dialog` with `show(rest)` at the address `#name=rest` or `#name`. When it closes, the
-// focus returns to where it was, or, if that is gone, to the element that `ended` gives.
+// Opens `dialog` by `show(rest)` at the address `#name=rest` or `#name`. After closing, the focus
+// returns to its old element; if that is gone, to the element that `ended` returns.
 export function route(name, dialog, show, ended) {
   const one = { name, dialog, show, before: null };
   routes.push(one);
@@ -12,7 +12,7 @@ export function route(name, dialog, show, ended) {
     const other = ended?.();
     one.before = null;
     if (isAt(one)) {
-      // Goes back if the page itself set the address; cuts off the end of an address from outside.
+      // Goes back if the page set this address; otherwise (an outside link) shortens the address.
       if (history.state?.inside) history.back();
       else history.replaceState(null, "", location.pathname + location.search);
     }
@@ -22,13 +22,13 @@ export function route(name, dialog, show, ended) {
 
 const isAt = ({ name }) => location.hash === `#${name}` || location.hash.startsWith(`#${name}=`);
 
-// Opens a dialogue as a new step in the browser's history.
+// Opens a dialogue as a new entry in the browser's history.
 export function go(address) {
   history.pushState({ inside: true }, "", `#${address}`);
   follow();
 }
 
-// Shows a dialogue once its content is there.
+// Shows a dialogue when its content is ready.
 export function opened(dialog) {
   if (dialog.open) return;
   const one = routes.find((other) => other.dialog === dialog);

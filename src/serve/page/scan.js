@@ -1,4 +1,4 @@
-// One open scan: its signals, why it was named so, and the form that says what it was.
+// The dialogue of one scan: its signals, the reasons for its name, and a form to correct the name.
 
 import { certainty, corrected, damageOf, nameOf, probabilities } from "./answer.js";
 import { spectra, traces } from "./chart.js";
@@ -14,7 +14,7 @@ function heading(text) {
   return make("h3", text);
 }
 
-// The vote of a source: a bar to the left for the winner, or to the right for the runner-up.
+// The vote of a source, as a bar: to the left for the winner, to the right for the runner-up.
 function says(source, most) {
   const item = make("li");
   const bar = make("div", undefined, "weigh");
@@ -28,7 +28,7 @@ function says(source, most) {
   return item;
 }
 
-// From these odds on, as a natural logarithm, a source counts as a vote: 1.6 to 1.
+// Least evidence of a source that counts as a vote: natural logarithm of odds of 1.6 to 1.
 const SPEAKS = 0.5;
 
 function list(sources, ending) {
@@ -37,7 +37,7 @@ function list(sources, ending) {
   return `${all} ${names.length > 1 ? ending : `${ending}s`}`;
 }
 
-// The votes of the sources as a sentence.
+// The votes of all sources as a sentence.
 function votes({ winner, runner_up, sources }) {
   const speaks = (least) => sources.filter(({ for_winner: by }) => by !== null && (least > 0 ? by >= least : by <= least));
   const [pro, contra] = [speaks(SPEAKS), speaks(-SPEAKS)];
@@ -49,7 +49,7 @@ function votes({ winner, runner_up, sources }) {
   return `${text[0].toUpperCase()}${text.slice(1)}.`;
 }
 
-// How well the scan fits its surface, compared with the library's left-out trials.
+// How well the scan fits its surface, compared with left-out trials of the library.
 function fit({ winner, p_value: p, threshold, threshold_trials: trials }, unknown) {
   if (threshold === null) return "Unknown surfaces are not detected: the library has too few trials.";
   if (p === null) return "It is too short, or lacks a source, to tell a known surface from an unknown one.";
@@ -150,7 +150,7 @@ function signals(scan, { scan: own, nearest }) {
   return box;
 }
 
-// Shows what the scan was, and the forms to say so.
+// Shows the correction of a scan, and the forms to change it.
 function showCorrection(scan) {
   const spoiled = scan.spoiled.length > 0;
   const parts = [scan.correction ? corrected(scan) : "Not reviewed yet."];
@@ -173,7 +173,7 @@ function showHead(scan) {
 async function load(id) {
   const wanted = location.hash;
   const scan = await ask(`scans/${encodeURIComponent(id)}`);
-  // The dialogue was closed meanwhile, or shows another scan.
+  // Stops if the dialogue was closed in the meantime, or now shows another scan.
   if (!scan || location.hash !== wanted) return;
   if (open?.id !== scan.id) $("was").value = "";
   open = scan;
@@ -187,7 +187,7 @@ async function load(id) {
   }
   const notes = await ask(`scans/${scan.id}/why`);
   if (open !== scan) return;
-  // Scans just before the station's end, or in quick succession, have no notes.
+  // Scans just before the station's end, or in quick succession, have no explanation.
   if (!notes) {
     body.append(ranking(scan));
     return;
@@ -204,7 +204,7 @@ async function correct(was, step = "correct") {
 }
 
 route("scan", dialog, load, () => {
-  // A correction draws the row anew, so that it must be found again.
+  // A correction draws the row again, so the button must be looked up.
   const row = open && `#scans tr[data-id="${CSS.escape(open.id)}"] button`;
   open = null;
   delete dialog.dataset.shown;

@@ -1,4 +1,4 @@
-// The open library: its trials, their names when left out, and edits that can be undone.
+// The dialogue of the library: its trials, their names when left out, and edits that can be undone.
 
 import { $, ask, button, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
 import { go, opened, route } from "./route.js";
@@ -22,7 +22,7 @@ async function begin() {
   render();
 }
 
-// Makes an edit, and repeats the check if there was one.
+// Makes an edit, and repeats the check if one was made before.
 async function edit(what, body) {
   const step = await ask(`library/${what}`, body);
   if (!step) return;
@@ -42,7 +42,7 @@ function verdict(of) {
   if (!of) return cell;
   if (of.verdict === "untested") cell.append(make("span", "only one", "soft"));
   else {
-    // The ratio of likeness to that of the next surface.
+    // The similarity of the first surface divided by the similarity of the second.
     const by = times(Math.exp(of.margin));
     const wrong = of.verdict !== "right";
     cell.append(make("span", wrong ? `wrong: ${of.named ?? "not named"}, by ${by}` : `right, by ${by}`, wrong ? "wrong" : undefined));
@@ -71,7 +71,7 @@ function row(trial, of) {
   return line;
 }
 
-// The table of a surface and its trials.
+// A table with a surface and its trials.
 function group(surface, trials, of) {
   const body = make("tbody");
   const head = make("tr", undefined, "group");
@@ -167,7 +167,7 @@ function render() {
   dialog.dataset.check = check.state;
 }
 
-// What the small form for a new label does with it.
+// The function that receives the label entered in the small form.
 let relabel = null;
 
 function startForm(title, act) {
@@ -202,7 +202,7 @@ $("shelf-close").addEventListener("click", () => dialog.close());
 $("undo").addEventListener("click", () => edit("undo", {}));
 $("check").addEventListener("click", begin);
 
-// Takes in that the check has ended, or that the library was read anew.
+// Handles the end of a check, or a new reading of the library.
 export function checked(view) {
   check = view;
   render();

@@ -1,4 +1,4 @@
-//! A station's configuration file as it is written, laid over the defaults.
+//! The configuration file of a station, as it is written, merged with the defaults.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -11,6 +11,7 @@ use toml::de::{DeTable, DeValue, Deserializer, Error};
 
 use crate::device::lines::Column;
 use crate::device::serial::Value;
+use crate::scan::detect::SensorKind;
 use crate::scene::config::SourceBlock;
 
 #[derive(Deserialize)]
@@ -89,17 +90,10 @@ pub(super) struct CameraBlock {
     pub flash_settle_ms: Spanned<u64>,
 }
 
-#[derive(Clone, Copy, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum SensorKindName {
-    Force,
-    Vibration,
-}
-
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct DetectionBlock {
-    pub listen: BTreeMap<String, Spanned<SensorKindName>>,
+    pub listen: BTreeMap<String, Spanned<SensorKind>>,
     pub onset: Spanned<f64>,
     pub quiet: Spanned<f64>,
     pub tap_hold_s: Spanned<f64>,
@@ -133,18 +127,17 @@ pub(super) struct OutputsBlock {
     pub key: Option<Spanned<PathBuf>>,
 }
 
-/// The file that holds the defaults.
 pub(super) const DEFAULTS: &str = include_str!("../../../configs/stylus.toml");
 
-/// The span given to default values, which stand nowhere in the file.
+/// The span of default values, since they have no place in the file.
 const NOWHERE: Range<usize> = 0..0;
 
-/// Reads `text`, and takes from `defaults` what it leaves out. The tables of the file itself (such
-/// as `[stylus]`) are overlaid key by key; any other value replaces the default as a whole.
-/// `format` has no default. Spans are those of `text`.
+/// Parses `text`, and fills in missing keys from `defaults`. Tables at the top level (such as
+/// `[stylus]`) are merged key by key; any other value replaces its default as a whole. `format` has
+/// no default. Spans refer to `text`.
 ///
 /// # Errors
-/// If `text` is not TOML, or not of the form of `T`.
+/// If `text` is not TOML, or does not have the form of `T`.
 pub(super) fn merged<T: DeserializeOwned>(text: &str, defaults: &str) -> Result<T, Error> {
     let mut all = DeTable::parse(defaults)?.into_inner();
     all.remove("format");
@@ -168,7 +161,6 @@ pub(super) fn merged<T: DeserializeOwned>(text: &str, defaults: &str) -> Result<
     })
 }
 
-/// Whether a value is a default.
 pub(super) fn is_default<T>(value: &Spanned<T>) -> bool {
     value.span() == NOWHERE
 }

@@ -1,17 +1,15 @@
-//! `[[lines]]`: sensors that print lines of numbers.
-
-use std::collections::BTreeMap;
+//! `[[lines]]`: sensors that send lines of numbers as text.
 
 use toml::Spanned;
 
 use super::LinesConfig;
 use super::file::{LinesBlock, StationFile};
-use super::resolve::{Mistake, known, mistake, positive};
+use super::mistake::{Mistake, mistake, no_stray, parsed, positive, source_of};
 use crate::device::lines::{Column, Count, LinesAddress, LinesStream, Survey};
 use crate::scene::{Scene, SourceId};
 
-/// Gives each source of a `[[lines]]` block a description if the file has none, and as many channels
-/// as it has columns unless the file says how many.
+/// Adds a description for each source of a `[[lines]]` block that has none. A source has one
+/// channel for each of its columns, unless the file gives the number.
 pub(super) fn describe(file: &mut StationFile) {
     for (name, columns) in file.lines.iter().flat_map(|lines| &lines.sources) {
         let of = || Spanned::new(columns.span(), Default::default());
@@ -20,13 +18,9 @@ pub(super) fn describe(file: &mut StationFile) {
     }
 }
 
-/// One sensor of the file.
 pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mistake> {
     let LinesBlock { port, rate_hz, counter, time_us, sources, scale } = block;
-    let address = match port.get_ref().parse() {
-        Ok(address) => address,
-        Err(problem) => return mistake(port, format!("port: {problem}")),
-    };
+    let address = parsed("port", port)?;
     let rate_hz = rate_hz.as_ref().map(|rate_hz| positive("rate_hz", rate_hz)).transpose()?;
     let count = match (counter, time_us) {
         (Some(_), Some(time)) => {
@@ -39,16 +33,10 @@ pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mi
         let problem = "it makes no source; expected for example [lines.sources] sensor = [1, 2, 3]";
         return mistake(port, problem);
     }
-    stray(scale, sources)?;
+    no_stray(scale, sources, "[lines.sources]")?;
     let mut streams = Vec::new();
     for (name, columns) in sources {
-        let id = known(name, columns, scene)?;
-        let expected = scene.get(name).map_or(0, |spec| spec.channels);
-        let found = columns.get_ref().len();
-        if found != expected {
-            let problem = format!("{name}: columns: {found}, but the source has {expected}");
-            return mistake(columns, problem);
-        }
+        let id = source_of(name, "columns", columns, scene)?;
         for column in columns.get_ref() {
             place(column).or_else(|problem| mistake(columns, format!("{name}: {problem}")))?;
         }
@@ -56,16 +44,6 @@ pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mi
         streams.push(LinesStream { id, columns: columns.get_ref().clone(), scale });
     }
     Ok(LinesConfig { address, rate_hz, count, streams })
-}
-
-fn stray(
-    scale: &BTreeMap<String, Spanned<f64>>,
-    sources: &BTreeMap<String, Spanned<Vec<Column>>>,
-) -> Result<(), Mistake> {
-    match scale.iter().find(|(name, _)| !sources.contains_key(*name)) {
-        Some((name, value)) => mistake(value, format!("`{name}` is no source of [lines.sources]")),
-        None => Ok(()),
-    }
 }
 
 fn place(column: &Column) -> Result<(), String> {
@@ -80,15 +58,15 @@ fn checked(column: &Spanned<Column>) -> Result<&Column, Mistake> {
     Ok(column.get_ref())
 }
 
-/// Name of the source that all measuring columns make, where nobody has named any.
+/// The name given to the source of all measuring columns, if the user named no source.
 const SENSOR: &str = "sensor";
 
-/// The configuration of a station that has this sensor alone, as a survey found it.
+/// The configuration text for a station with only this sensor, from a survey of its lines.
 ///
 /// # Errors
-/// If its rate cannot be measured, or nothing measures; why, and what to do.
+/// If the sensor's rate cannot be measured, or no column measures. The text says what to do.
 pub fn fitting(address: &LinesAddress, survey: &Survey) -> Result<String, String> {
-    // Letters alone.
+    // The name consists of letters only, so it is a valid id.
     let id = SourceId::new(SENSOR).expect("letters name a source");
     let Some(stream) = survey.stream(id) else {
         return Err("no column measures: each only counts, or holds no numbers".into());
@@ -159,41 +137,5 @@ mod tests {
         let (cut, group) = (&config.detection.cuts[0], &config.detection.groups[0]);
         assert_eq!((cut.source.as_str(), cut.channels), (SENSOR, 2));
         assert_eq!(group[0].0.as_str(), SENSOR);
-    }
-
-    #[test]
-    fn a_known_source_and_what_shows_contact_can_be_said() {
-        let config = parse(
-            "format = 1\n[stylus]\npresent = false\n[[lines]]\nport = \"udp://0.0.0.0:5005\"\ntime_us = \"t\"\n\
-             [lines.sources]\nac = [\"ax\", \"ay\"]\nload = [4]\n\
-             [[lines]]\nport = \"COM3\"\n[lines.sources]\ntilt = [1]\n\
-             [detection]\nlisten = { load = \"force\" }\n[sources.ac]\nband_hz = [5, 100]\n",
-        )
-        .unwrap();
-        assert_eq!(config.scene.get("ac").unwrap().channels, 2);
-        assert_eq!(config.scene.get("ac").unwrap().domain.band_hz(), Some((5.0, 100.0)));
-        let groups: Vec<_> = config.detection.groups.iter().map(|group| group.len()).collect();
-        // Where something is said of a sensor, only that shows contact.
-        assert_eq!((groups, config.lines.len()), (vec![1, 1], 2));
-    }
-
-    #[test]
-    fn mistakes_are_refused_with_their_line() {
-        for (lines, part) in [
-            ("port = \"auto\"", "line 3: port: `auto`"),
-            ("port = \"-\"", "line 3: it makes no source"),
-            ("port = \"-\"\nrate_hz = 0\nsources = { a = [1] }", "line 4: rate_hz = 0"),
-            ("port = \"-\"\nsources = { a = [0] }", "counted from 1"),
-            ("port = \"-\"\nsources = { a = [] }", "line 4: source `a`: channels = 0"),
-            ("port = \"-\"\ncounter = 1\ntime_us = 2\nsources = { a = [3] }", "one of them"),
-            (
-                "port = \"-\"\nsources = { a = [1] }\nscale = { b = 1.0 }",
-                "line 5: `b` is no source",
-            ),
-            ("port = \"-\"\nspeed = 1", "unknown field `speed`"),
-        ] {
-            let refused = parse(&format!("format = 1\n[[lines]]\n{lines}\n")).unwrap_err();
-            assert!(refused.contains(part), "{lines}: {refused}");
-        }
     }
 }

@@ -1,183 +1,164 @@
-//! The configuration of a station, in two steps: a file laid over the defaults, and the objects
+//! The configuration of a station, in two steps: a file merged with the defaults, then the objects
 //! that the program works with.
 
 mod file;
 mod lines;
-mod only;
+mod mistake;
 mod output_address;
 mod resolve;
 
-use file::DEFAULTS;
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::device::camera::{FlashControl, Turn};
-use crate::device::lines::{Count, LinesAddress, LinesStream};
+pub use crate::device::lines::LinesConfig;
 use crate::device::microphone::Pick;
-use crate::device::serial::{Selector, Wanted};
+pub use crate::device::serial::StylusConfig;
 use crate::scan::Detection;
-use crate::scene::{Scene, SceneError, SourceId};
+use crate::scene::{Scene, SourceId};
+
+use file::DEFAULTS;
 
 pub(crate) use lines::fitting;
 pub use output_address::{HttpAddress, MqttAddress, OutputsConfig, TlsFiles};
 pub(crate) use output_address::{is_segment, machine_name};
 
 impl StationConfig {
-    /// The defaults.
     pub fn embedded() -> Self {
-        // A test parses the embedded file.
+        // A test parses the embedded file, so this cannot fail.
         Self::parse(DEFAULTS, Path::new("configs/stylus.toml")).expect("the defaults parse")
     }
 
-    /// Reads a file, and takes the defaults where it says nothing.
+    /// Reads a file, and uses the defaults for missing keys.
     ///
     /// # Errors
-    /// With the line, if the file cannot be read, is not TOML, has an unknown key, or a value that
-    /// is impossible.
+    /// If the file cannot be read, is not TOML, has an unknown key, or has an impossible value;
+    /// the error states the line if it is known.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path)
-            .map_err(|error| ConfigError::Io { path: path.to_path_buf(), error })?;
+            .map_err(|error| ConfigError(format!("{}: {error}", path.display())))?;
         Self::parse(&text, path)
-    }
-
-    /// The same for the text of a file, which lies (or would lie) at `path`.
-    ///
-    /// # Errors
-    /// As [`StationConfig::read`].
-    pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        resolve::resolve(text, path)
     }
 }
 
 #[cfg(test)]
 mod tests;
 
-/// Errors of a configuration.
+/// A mistake in a configuration. The text names the file, the line if known, and what was expected.
 #[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// the file cannot be read
-    #[error("{}: {error}", path.display())]
-    Io {
-        /// which file
-        path: PathBuf,
-        /// what the system said
-        error: std::io::Error,
-    },
-    /// not TOML, an unknown key, a wrong type
-    #[error("{}: {error}", path.display())]
-    Toml {
-        /// which file
-        path: PathBuf,
-        /// what, and where
-        error: Box<toml::de::Error>,
-    },
-    /// an impossible description of a source
-    #[error("{}: {error}", path.display())]
-    Scene {
-        /// which file
-        path: PathBuf,
-        /// what, and where
-        error: Box<SceneError>,
-    },
-    /// an impossible value
-    #[error("{}, line {line}: {problem}", path.display())]
-    Value {
-        /// which file
-        path: PathBuf,
-        /// line, counted from 1
-        line: usize,
-        /// the mistake, and the expected value
-        problem: String,
-    },
-}
+#[error("{0}")]
+pub struct ConfigError(String);
 
-/// A station, as its configuration describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StationConfig {
-    /// The library, if one is named.
     pub library: Option<PathBuf>,
-    /// The address of the page, unless the command line names another one.
+    /// The address of the page. The command line may override it.
     pub serve: SocketAddr,
-    /// The sources.
     pub scene: Scene,
-    /// The stylus, if the station has one.
     pub stylus: Option<StylusConfig>,
-    /// Sensors that print lines of numbers.
     pub lines: Vec<LinesConfig>,
-    /// The microphone, if there is to be one.
     pub microphone: Option<MicrophoneConfig>,
-    /// The camera, if the station has one.
     pub camera: Option<CameraConfig>,
-    /// How scans are detected, and which sources are cut from which streams.
     pub detection: Detection,
-    /// Sources of which a good trial must hold enough independent samples, by T*.
+    /// A good trial must hold enough independent samples of each of these sources, judged by T*.
     pub by_t_star: Vec<SourceId>,
-    /// Number of trials that `enroll` records of a surface.
     pub trials: u32,
-    /// Space for past scans beside the library, in millions of bytes; 0 keeps none.
+    /// Disk space for past scans, in millions of bytes; with 0, no scans are kept.
     pub keep_mb: u32,
-    /// The programs that answers go to.
     pub outputs: OutputsConfig,
 }
 
-/// The stylus.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StylusConfig {
-    /// Its port.
-    pub port: Selector,
-    /// Its rate in Hz.
-    pub rate_hz: u32,
-    /// Its streams, which are sources.
-    pub streams: Vec<Wanted>,
-}
-
-/// A sensor that prints lines of numbers.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LinesConfig {
-    /// The place that its lines come from.
-    pub address: LinesAddress,
-    /// Its rate in Hz; measured where it is not given.
-    pub rate_hz: Option<f64>,
-    /// The column that counts, if there is one.
-    pub count: Option<Count>,
-    /// Its streams, which are sources.
-    pub streams: Vec<LinesStream>,
-}
-
-/// The microphone, one stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MicrophoneConfig {
-    /// Its name.
     pub device: String,
-    /// The channel to use.
     pub pick: Pick,
-    /// The stream.
     pub stream: SourceId,
 }
 
-/// The camera, one stream or two.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraConfig {
-    /// Its name.
     pub device: String,
-    /// How it is turned.
     pub turn: Turn,
-    /// Time between two pictures.
     pub every: Duration,
-    /// The source of its pictures.
     pub source: SourceId,
-    /// Pictures with flash, if there are any.
     pub flash: Option<FlashConfig>,
 }
 
-/// Pictures with flash.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlashConfig {
-    /// The source of these pictures.
     pub source: SourceId,
-    /// The camera's control that switches the light; without it, the stylus does.
+    /// The camera control that switches the light; `None` if the stylus switches it.
     pub control: Option<FlashControl>,
-    /// Time until pictures show a change of the light.
+    /// Time from switching the light until pictures show the change.
     pub settle: Duration,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum DevicePart {
+    Stylus,
+    Lines(usize),
+    Microphone,
+    Camera,
+    Flash,
+}
+
+impl StationConfig {
+    /// Reduces this station to the devices and cuts that scans of `sources` need. Scans are
+    /// detected by a device that shows contact. If no kept device does, one is added (the stylus
+    /// first, then lines, then the microphone).
+    pub fn only(mut self, sources: &[SourceId]) -> Self {
+        self.detection.cuts.retain(|cut| sources.contains(&cut.source));
+        let cuts = &self.detection.cuts;
+        let mut parts: BTreeSet<DevicePart> =
+            cuts.iter().filter_map(|cut| self.part_of(&cut.stream)).collect();
+        if parts.contains(&DevicePart::Flash) {
+            parts.insert(DevicePart::Camera);
+            // If the camera cannot switch the light, the stylus does, so the stylus is kept, too.
+            let flash = self.camera.as_ref().and_then(|camera| camera.flash.as_ref());
+            if flash.is_some_and(|flash| flash.control.is_none()) && self.stylus.is_some() {
+                parts.insert(DevicePart::Stylus);
+            }
+        }
+        let groups = self.detection.groups.iter().flatten();
+        let contact: BTreeSet<DevicePart> =
+            groups.filter_map(|(stream, _)| self.part_of(stream)).collect();
+        if parts.is_disjoint(&contact) {
+            // The first part in the order stylus, lines, microphone is added.
+            parts.extend(contact.first());
+        }
+        let mut groups = std::mem::take(&mut self.detection.groups);
+        let kept = |stream: &SourceId| self.part_of(stream).is_some_and(|p| parts.contains(&p));
+        groups.retain(|group| group.iter().all(|(stream, _)| kept(stream)));
+        self.detection.groups = groups;
+        self.stylus = self.stylus.filter(|_| parts.contains(&DevicePart::Stylus));
+        let mut number = 0..;
+        self.lines.retain(|_| number.next().is_some_and(|n| parts.contains(&DevicePart::Lines(n))));
+        self.microphone = self.microphone.filter(|_| parts.contains(&DevicePart::Microphone));
+        self.camera = self.camera.filter(|_| parts.contains(&DevicePart::Camera));
+        if let Some(camera) = &mut self.camera {
+            camera.flash = camera.flash.take().filter(|_| parts.contains(&DevicePart::Flash));
+        }
+        self.by_t_star.retain(|source| sources.contains(source));
+        self
+    }
+
+    fn part_of(&self, stream: &SourceId) -> Option<DevicePart> {
+        let camera = self.camera.as_ref();
+        let flash = camera.and_then(|camera| camera.flash.as_ref());
+        let of_stylus = |of: &StylusConfig| of.streams.iter().any(|w| w.id == *stream);
+        let of_lines = |of: &LinesConfig| of.streams.iter().any(|s| s.id == *stream);
+        if self.stylus.as_ref().is_some_and(of_stylus) {
+            Some(DevicePart::Stylus)
+        } else if let Some(number) = self.lines.iter().position(of_lines) {
+            Some(DevicePart::Lines(number))
+        } else if self.microphone.as_ref().is_some_and(|of| of.stream == *stream) {
+            Some(DevicePart::Microphone)
+        } else if camera.is_some_and(|of| of.source == *stream) {
+            Some(DevicePart::Camera)
+        } else {
+            flash.is_some_and(|of| of.source == *stream).then_some(DevicePart::Flash)
+        }
+    }
 }

@@ -1,17 +1,17 @@
-//! Turns a file laid over the defaults into the objects that the program works with.
+//! Turns a merged file into the objects that the program works with.
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use toml::Spanned;
 
 use super::file::{
-    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, OutputsBlock,
-    SensorKindName, StationFile, StylusBlock, is_default, merged,
+    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, OutputsBlock, StationFile,
+    StylusBlock, is_default, merged,
 };
+use super::mistake::{Mistake, known, mistake, no_stray, parsed, positive, source_of};
 use super::output_address::{is_segment, machine_name};
 use super::{
     CameraConfig, ConfigError, FlashConfig, LinesConfig, MicrophoneConfig, MqttAddress,
@@ -25,30 +25,26 @@ use crate::scan::{CutFrom, Detection};
 use crate::scene::config::{line_of, scene};
 use crate::scene::{Phase, Scene, SourceId};
 
-/// Name of the microphone's stream, from which several sources are cut.
+/// Name of the microphone's stream. Several sources are cut from it.
 const SOUND: &str = "sound";
 
-/// A mistake in a value, and its place in the file.
-pub(super) struct Mistake {
-    at: Range<usize>,
-    problem: String,
-}
-
-pub(super) fn mistake<T, S>(at: &Spanned<S>, problem: impl Into<String>) -> Result<T, Mistake> {
-    Err(Mistake { at: at.span(), problem: problem.into() })
-}
-
-pub(super) fn resolve(text: &str, path: &Path) -> Result<StationConfig, ConfigError> {
-    let toml = |error| ConfigError::Toml { path: path.to_path_buf(), error: Box::new(error) };
-    let mut file: StationFile = merged(text, DEFAULTS).map_err(toml)?;
-    lines::describe(&mut file);
-    let defaults = Scene::lmt108();
-    let described = scene(String::new(), std::mem::take(&mut file.sources), text, Some(&defaults))
-        .map_err(|error| ConfigError::Scene { path: path.to_path_buf(), error: Box::new(error) })?;
-    station(file, defaults.with(described), path).map_err(|Mistake { at, problem }| {
-        let line = line_of(text, at.start);
-        ConfigError::Value { path: path.to_path_buf(), line, problem }
-    })
+impl StationConfig {
+    /// Parses the text of a configuration; `path` is where the file is, or would be.
+    ///
+    /// # Errors
+    /// Those of [`StationConfig::read`].
+    pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
+        let toml = |error| ConfigError(format!("{}: {error}", path.display()));
+        let mut file: StationFile = merged(text, DEFAULTS).map_err(toml)?;
+        lines::describe(&mut file);
+        let (sources, defaults) = (std::mem::take(&mut file.sources), Scene::lmt108());
+        let described = scene(String::new(), sources, text, Some(&defaults))
+            .map_err(|error| ConfigError(format!("{}: {error}", path.display())))?;
+        station(file, defaults.with(described), path).map_err(|Mistake { at, problem }| {
+            let line = line_of(text, at.start);
+            ConfigError(format!("{}, line {line}: {problem}", path.display()))
+        })
+    }
 }
 
 fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig, Mistake> {
@@ -68,12 +64,22 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     let lines = lines.collect::<Result<Vec<_>, _>>()?;
     let microphone = microphone(file.microphone)?;
     let camera = camera(file.camera, &scene)?;
-    let cuts = StreamCuts { scene: &scene, cuts: Vec::new() }
-        .stylus(stylus.as_ref())
-        .lines(&lines)
-        .microphone(microphone.as_ref(), &sound)?
-        .camera(camera.as_ref())
-        .checked(&file.format)?;
+    let of_lines = lines.iter().flat_map(|lines| lines.streams.iter().map(|stream| &stream.id));
+    let own = stylus.iter().flat_map(|stylus| stylus.streams.iter().map(|stream| &stream.id));
+    let mut cuts: Vec<_> = own.chain(of_lines).map(|id| cut(id, id, &scene)).collect();
+    if let Some(microphone) = &microphone {
+        for name in &sound {
+            cuts.push(cut(&known(name.get_ref(), name, &scene)?, &microphone.stream, &scene));
+        }
+    }
+    if let Some(camera) = &camera {
+        let sources = [&camera.source].into_iter().chain(camera.flash.as_ref().map(|f| &f.source));
+        cuts.extend(sources.map(|id| cut(id, id, &scene)));
+    }
+    let mut seen = BTreeSet::new();
+    if let Some(twice) = cuts.iter().find(|cut| !seen.insert(&cut.source)) {
+        return mistake(&file.format, format!("two devices make the source {}", twice.source));
+    }
     let detection = detection(&file.detection, (stylus.as_ref(), &lines), cuts, &scene)?;
     let by_t_star = file
         .enroll
@@ -102,7 +108,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     })
 }
 
-/// The outputs; files of certificates are found from the configuration's own folder.
+/// Resolves the outputs. Paths of certificates are relative to the configuration's folder.
 fn outputs(block: OutputsBlock, path: &Path) -> Result<OutputsConfig, Mistake> {
     let OutputsBlock { http, mqtt, station, ca, certificate, key } = block;
     let name = match &station {
@@ -115,7 +121,8 @@ fn outputs(block: OutputsBlock, path: &Path) -> Result<OutputsConfig, Mistake> {
     };
     let file =
         |path_in: &Spanned<PathBuf>| path.parent().unwrap_or(Path::new("")).join(path_in.get_ref());
-    let mut address: Option<MqttAddress> = output("mqtt", mqtt.as_ref())?;
+    let mqtt = mqtt.as_ref().map(|mqtt| parsed::<MqttAddress>("mqtt", mqtt));
+    let mut address = mqtt.transpose()?;
     let client = match (&certificate, &key) {
         (Some(certificate), Some(key)) => Some((file(certificate), file(key))),
         (None, None) => None,
@@ -134,71 +141,21 @@ fn outputs(block: OutputsBlock, path: &Path) -> Result<OutputsConfig, Mistake> {
         }
         (None, None) => {}
     }
-    Ok(OutputsConfig { station: name, http: output("http", http.as_ref())?, mqtt: address })
-}
-
-/// An address of `[outputs]`.
-fn output<A: std::str::FromStr<Err = String>>(
-    key: &str,
-    value: Option<&Spanned<String>>,
-) -> Result<Option<A>, Mistake> {
-    let Some(value) = value else { return Ok(None) };
-    match value.get_ref().parse() {
-        Ok(address) => Ok(Some(address)),
-        Err(problem) => mistake(value, format!("{key}: {problem}")),
-    }
-}
-
-/// A finite number above 0.
-pub(super) fn positive<T>(key: &str, value: &Spanned<T>) -> Result<T, Mistake>
-where
-    T: Copy + Default + PartialOrd + std::fmt::Display + std::ops::Mul<Output = T>,
-{
-    let number = *value.get_ref();
-    // Infinity times 0 is not a number.
-    let finite = number * T::default() == T::default();
-    match number > T::default() && finite {
-        true => Ok(number),
-        false => mistake(value, format!("{key} = {number}; expected more than 0")),
-    }
-}
-
-/// The source of the scene called `name`, which stands at `at`.
-pub(super) fn known<S>(name: &str, at: &Spanned<S>, scene: &Scene) -> Result<SourceId, Mistake> {
-    if let Some(spec) = scene.get(name) {
-        return Ok(spec.id.clone());
-    }
-    let known: Vec<_> = scene.sources().map(|spec| spec.id.as_str()).collect();
-    let problem = format!(
-        "no source is called `{name}`; there are {}; describe others in [sources.{name}]",
-        known.join(", ")
-    );
-    mistake(at, problem)
+    let http = http.as_ref().map(|http| parsed("http", http)).transpose()?;
+    Ok(OutputsConfig { station: name, http, mqtt: address })
 }
 
 fn stylus(block: StylusBlock, scene: &Scene) -> Result<Option<StylusConfig>, Mistake> {
-    let StylusBlock { present, port: name, rate_hz, sources, values } = block;
-    let port = match name.get_ref().parse() {
-        Ok(port) => port,
-        Err(problem) => return mistake(&name, format!("port: {problem}")),
-    };
+    let StylusBlock { present, port, rate_hz, sources, values } = block;
+    let port = parsed("port", &port)?;
     let rate_hz = positive("rate_hz", &rate_hz)?;
-    let stray = values.iter().find(|(name, v)| !is_default(v) && !sources.contains_key(*name));
-    if let Some((name, value)) = stray {
-        return mistake(value, format!("`{name}` is no source of [stylus.sources]"));
-    }
+    no_stray(&values, &sources, "[stylus.sources]")?;
     if !present {
         return Ok(None);
     }
     let mut streams = Vec::new();
     for (name, channels) in sources {
-        let id = known(&name, &channels, scene)?;
-        let (expected, found) =
-            (scene.get(&name).map_or(0, |spec| spec.channels), channels.get_ref().len());
-        if found != expected {
-            let problem = format!("{name}: channels: {found}, but the source has {expected}");
-            return mistake(&channels, problem);
-        }
+        let id = source_of(&name, "channels", &channels, scene)?;
         let value = values.get(&name).map(|value| *value.get_ref()).unwrap_or_default();
         streams.push(Wanted { id, channels: channels.into_inner(), value });
     }
@@ -214,7 +171,7 @@ fn microphone(block: MicrophoneBlock) -> Result<Option<MicrophoneConfig>, Mistak
             None => return mistake(&channel, "channel = 0; channels are counted from 1"),
         },
     };
-    // The name has letters only.
+    // The name consists of letters only, so it is a valid id.
     let stream = SourceId::new(SOUND).expect("letters name a source");
     Ok(present.then_some(MicrophoneConfig { device, pick, stream }))
 }
@@ -249,64 +206,10 @@ fn camera(block: CameraBlock, scene: &Scene) -> Result<Option<CameraConfig>, Mis
     Ok(block.present.then_some(camera))
 }
 
-/// Collects the sources that are cut from each stream.
-struct StreamCuts<'a> {
-    scene: &'a Scene,
-    cuts: Vec<CutFrom>,
-}
-
-impl StreamCuts<'_> {
-    fn add(&mut self, source: &SourceId, stream: &SourceId) {
-        let spec = self.scene.get(source.as_str());
-        let (phase, channels) = spec.map_or((Phase::Drag, 1), |spec| (spec.phase, spec.channels));
-        let (source, stream) = (source.clone(), stream.clone());
-        self.cuts.push(CutFrom { source, stream, phase, channels });
-    }
-
-    fn stylus(mut self, stylus: Option<&StylusConfig>) -> Self {
-        for stream in stylus.into_iter().flat_map(|stylus| &stylus.streams) {
-            self.add(&stream.id, &stream.id);
-        }
-        self
-    }
-
-    fn lines(mut self, lines: &[LinesConfig]) -> Self {
-        for stream in lines.iter().flat_map(|lines| &lines.streams) {
-            self.add(&stream.id, &stream.id);
-        }
-        self
-    }
-
-    fn microphone(
-        mut self,
-        microphone: Option<&MicrophoneConfig>,
-        sources: &[Spanned<String>],
-    ) -> Result<Self, Mistake> {
-        if let Some(microphone) = microphone {
-            for name in sources {
-                let source = known(name.get_ref(), name, self.scene)?;
-                self.add(&source, &microphone.stream);
-            }
-        }
-        Ok(self)
-    }
-
-    fn camera(mut self, camera: Option<&CameraConfig>) -> Self {
-        if let Some(camera) = camera {
-            self.add(&camera.source, &camera.source);
-            camera.flash.iter().for_each(|flash| self.add(&flash.source, &flash.source));
-        }
-        self
-    }
-
-    /// The cuts, if each source occurs once; an error points at the line of `file`.
-    fn checked<S>(self, file: &Spanned<S>) -> Result<Vec<CutFrom>, Mistake> {
-        let mut seen = BTreeSet::new();
-        match self.cuts.iter().find(|cut| !seen.insert(cut.source.clone())) {
-            Some(twice) => mistake(file, format!("two devices make the source {}", twice.source)),
-            None => Ok(self.cuts),
-        }
-    }
+fn cut(source: &SourceId, stream: &SourceId, scene: &Scene) -> CutFrom {
+    let spec = scene.get(source.as_str());
+    let (phase, channels) = spec.map_or((Phase::Drag, 1), |spec| (spec.phase, spec.channels));
+    CutFrom { source: source.clone(), stream: stream.clone(), phase, channels }
 }
 
 fn detection(
@@ -315,39 +218,35 @@ fn detection(
     cuts: Vec<CutFrom>,
     scene: &Scene,
 ) -> Result<Detection, Mistake> {
-    // The stylus leads where there is one, so its group comes first; then lines, each by themselves.
-    let (mut of_stylus, mut others) = (Vec::new(), Vec::<(SourceId, SensorKind)>::new());
-    let mut of_lines = vec![Vec::new(); lines.len()];
+    // Lists groups of streams that show contact. The stylus is preferred, then each sensor
+    // of lines by itself, and then all others.
     let in_lines = |id: &SourceId| lines.iter().position(|l| l.streams.iter().any(|s| s.id == *id));
+    let in_stylus =
+        |id: &SourceId| stylus.is_some_and(|stylus| stylus.streams.iter().any(|w| w.id == *id));
+    let mut groups = vec![Vec::<(SourceId, SensorKind)>::new(); lines.len() + 2];
     for (name, kind) in &block.listen {
         let Some(cut) = cuts.iter().find(|cut| cut.source.as_str() == name) else {
-            // A source of a device that this station does not have.
+            // The source belongs to a device that this station does not have, so it cannot show contact.
             known(name, kind, scene)?;
             continue;
         };
         if cut.phase == Phase::Still {
             return mistake(kind, format!("{name} is a picture, which shows no contact"));
         }
-        let kind = match kind.get_ref() {
-            SensorKindName::Force => SensorKind::Force,
-            SensorKindName::Vibration => SensorKind::Vibration,
-        };
-        let in_stylus = stylus.is_some_and(|s| s.streams.iter().any(|w| w.id == cut.stream));
         let group = match in_lines(&cut.stream) {
-            Some(number) => &mut of_lines[number],
-            None if in_stylus => &mut of_stylus,
-            None => &mut others,
+            Some(number) => &mut groups[1 + number],
+            None if in_stylus(&cut.stream) => &mut groups[0],
+            None => &mut groups[1 + lines.len()],
         };
         if !group.iter().any(|(stream, _)| *stream == cut.stream) {
-            group.push((cut.stream.clone(), kind));
+            group.push((cut.stream.clone(), *kind.get_ref()));
         }
     }
-    // Whatever moves shows contact, where nothing is said of a sensor.
-    for (group, lines) in of_lines.iter_mut().zip(lines).filter(|(group, _)| group.is_empty()) {
+    // If the file names no source of a sensor as a sign of contact, any vibration of the sensor is one.
+    for (group, lines) in groups[1..].iter_mut().zip(lines).filter(|(group, _)| group.is_empty()) {
         group.extend(lines.streams.iter().map(|s| (s.id.clone(), SensorKind::Vibration)));
     }
-    let groups = [vec![of_stylus], of_lines, vec![others]].into_iter().flatten();
-    let groups = groups.filter(|group| !group.is_empty()).collect();
+    groups.retain(|group| !group.is_empty());
     let detector = DetectorConfig {
         onset: positive("onset", &block.onset)?,
         quiet: positive("quiet", &block.quiet)?,

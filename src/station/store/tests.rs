@@ -1,14 +1,15 @@
 use std::time::Instant;
 
+use super::super::orders::Keep;
 use super::*;
-use crate::library::recording;
+use crate::dataset;
 use crate::trial::{Series, Signal};
 
 fn scan(number: u32) -> Box<Scan> {
     scan_at(number, 0.0)
 }
 
-/// A scan whose sources all begin at this level.
+/// A scan in which every source starts at `level`.
 fn scan_at(number: u32, level: f32) -> Box<Scan> {
     let signal = |channels: usize| {
         let samples = (0..100 * channels).map(|x| level + x as f32 / 1024.0).collect();
@@ -20,7 +21,8 @@ fn scan_at(number: u32, level: f32) -> Box<Scan> {
 }
 
 fn enrolment() -> Enrolment {
-    Enrolment { order: 0, surface: "oak".into(), user: "anna".into(), good_only: false }
+    let (surface, user) = ("oak".into(), "anna".into());
+    Enrolment { order: 0, keep: Keep { surface, user, trials: None, good_only: false } }
 }
 
 #[test]
@@ -41,7 +43,7 @@ fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
     assert_eq!(outcomes(2), [(1, Waiting), (2, Waiting)]);
     std::fs::remove_file(&folder).unwrap();
     assert_eq!(outcomes(2), [(1, Kept), (2, Kept)]);
-    assert_eq!(recording::open(&folder, &Scene::lmt108()).unwrap().entries.len(), 2);
+    assert_eq!(dataset::open(&folder, &Scene::lmt108()).unwrap().entries.len(), 2);
     std::fs::remove_dir_all(&folder).unwrap();
     std::fs::write(&folder, "").unwrap();
     thread.store(scan(3), enrolment(), None);
@@ -70,7 +72,7 @@ fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
         let last = thread.finish(None);
         assert!(last.iter().all(|stored| stored.enrolled.outcome == EnrolledOutcome::Kept));
     }
-    let library = recording::open(dir.path(), &Scene::lmt108()).unwrap();
+    let library = dataset::open(dir.path(), &Scene::lmt108()).unwrap();
     assert_eq!(library.entries.len(), 16);
     let level = |signal: &Signal| match signal {
         Signal::Series(series) => series.samples()[0],
@@ -113,7 +115,8 @@ fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
     let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
     let mut writer = StoreWriter::new(store, send, ending);
     drop(working);
-    writer.accept((scan(1), enrolment(), None));
+    let (scan, enrolment, remarks) = (scan(1), enrolment(), Vec::new());
+    writer.accept(WaitingScan { scan, enrolment, by: None, remarks });
     // The library holds no trial and would give number 1, but it is not read at the end.
     let Enrolled { trial, outcome, .. } = stored.recv().unwrap().enrolled;
     assert_eq!((trial, outcome), (Some(8), EnrolledOutcome::Kept));
@@ -125,7 +128,7 @@ fn a_scan_that_was_refused_is_kept_once_somebody_says_so() {
     let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
     let mut thread = RecordingThread::start(store).unwrap();
     let stored = thread.stored.clone();
-    let strict = Enrolment { good_only: true, ..enrolment() };
+    let strict = Enrolment { order: 0, keep: Keep { good_only: true, ..enrolment().keep } };
     thread.store(scan(1), strict.clone(), None);
     let refused = stored.recv().unwrap().enrolled;
     assert_eq!(refused.outcome, EnrolledOutcome::Refused);
@@ -133,7 +136,7 @@ fn a_scan_that_was_refused_is_kept_once_somebody_says_so() {
     thread.keep_refused(1, strict);
     let kept = stored.recv().unwrap().enrolled;
     assert_eq!((kept.scan, kept.outcome, kept.trial), (1, EnrolledOutcome::Kept, Some(1)));
-    assert_eq!(recording::open(dir.path(), &Scene::lmt108()).unwrap().entries.len(), 1);
+    assert_eq!(dataset::open(dir.path(), &Scene::lmt108()).unwrap().entries.len(), 1);
 }
 
 #[test]

@@ -9,6 +9,9 @@
 
 #![no_main]
 
+#[path = "../requests.rs"]
+mod requests;
+
 use libfuzzer_sys::fuzz_target;
 
-fuzz_target!(|bytes: &[u8]| surfaced::serve::fuzz::send(bytes));
+fuzz_target!(|bytes: &[u8]| requests::send(bytes));

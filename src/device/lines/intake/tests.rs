@@ -11,7 +11,7 @@ fn named(id: &str, columns: &[&str]) -> LinesStream {
     LinesStream { columns, ..stream(id, &[]) }
 }
 
-/// What comes out: samples of each stream, missing ones as NaN.
+/// Feeds bytes, and appends the samples of each stream to `out`, with NaN for missing frames.
 fn take(intake: &mut LinesIntake, bytes: &[u8], now_s: f64, out: &mut [Vec<f32>]) {
     let widths: Vec<_> = intake.streams.iter().map(|stream| stream.columns.len()).collect();
     intake.feed(bytes, now_s, |event| match event {
@@ -24,14 +24,14 @@ fn take(intake: &mut LinesIntake, bytes: &[u8], now_s: f64, out: &mut [Vec<f32>]
     });
 }
 
-/// The one stream of one column that comes of these texts, one each millisecond.
+/// Samples and counts of a stream of one column that gets one of `texts` each millisecond.
 fn alone(count: Option<Count>, texts: &[&str]) -> (Vec<f32>, LineCounts) {
     let mut intake = LinesIntake::new(vec![stream("x", &[1])], count, 1000.0);
     let mut out = vec![Vec::new()];
     for (at, text) in texts.iter().enumerate() {
         take(&mut intake, text.as_bytes(), at as f64 * 1e-3, &mut out);
     }
-    (out.remove(0), intake.take_counts())
+    (out.remove(0), intake.counts)
 }
 
 fn missing(samples: &[f32]) -> usize {
@@ -44,13 +44,13 @@ fn columns_become_channels_by_place_and_by_name() {
     let mut intake = LinesIntake::new(wanted, None, 1000.0);
     let mut out = vec![Vec::new(); 2];
     take(&mut intake, b"1,2,3\n", 0.0, &mut out);
-    assert!(intake.refused().unwrap().contains("no header"), "{:?}", intake.refused());
+    assert!(intake.refused.as_ref().unwrap().contains("no header"), "{:?}", intake.refused);
     take(&mut intake, b"ax,ay,az\n1,2,3\n4,5,6\n", 0.1, &mut out);
     assert_eq!(out, [vec![1.5, 0.5, 3.0, 2.0], vec![1.0, 2.5]]);
-    assert_eq!(intake.refused(), None);
-    // Named in another order, they stay what they are.
+    assert_eq!(intake.refused, None);
+    // The names give each stream its columns, even in another order.
     take(&mut intake, b"ay,ax,az\n7,8,9\n", 0.2, &mut out);
-    assert_eq!((&out[1][..], intake.take_counts().rows), (&[1.0, 2.5, 3.5][..], 3));
+    assert_eq!((&out[1][..], intake.rows), (&[1.0, 2.5, 3.5][..], 3));
 }
 
 #[test]
@@ -59,8 +59,8 @@ fn a_line_that_cannot_be_used_is_a_missing_frame_and_has_a_count() {
     let texts = ["1,1\n", "\u{1}\u{2}?\n", "2,2\n", "nan,2\n", &long, "3\n", "4,4\n"];
     let (samples, counts) = alone(None, &texts);
     assert_eq!((samples.len(), missing(&samples)), (7, 4), "{samples:?}");
-    let LineCounts { rows, garbage, too_long, other_width, not_numbers, .. } = counts;
-    assert_eq!([rows, garbage, too_long, other_width, not_numbers], [3, 1, 1, 1, 1]);
+    let LineCounts { garbage, too_long, other_width, not_numbers, .. } = counts;
+    assert_eq!([garbage, too_long, other_width, not_numbers], [1; 4]);
 }
 
 #[test]
@@ -69,19 +69,19 @@ fn a_counter_shows_losses_exactly_even_where_it_begins_again() {
     let (samples, counts) = alone(rows(2), &["1,7\n", "2,8\n", "3,11\n", "x,12\n", "4,13\n"]);
     assert_eq!((samples.len(), missing(&samples)), (7, 3), "{samples:?}");
     assert_eq!((counts.gaps, counts.missing, counts.restarts), (2, 2, 0));
-    // 8 bits, with one lost at the wrap.
+    // A counter of 8 bits, with one row lost where the counter starts again from 0.
     let (samples, counts) = alone(rows(2), &["1,254\n", "2,255\n", "3,1\n", "4,2\n"]);
     assert_eq!((missing(&samples), counts.restarts), (1, 0), "{samples:?}");
     let (samples, counts) = alone(rows(2), &["1,5000\n", "2,5001\n", "3,0\n", "4,1\n"]);
     assert_eq!(counts.restarts, 1);
-    // No scan bridges a restart.
+    // The gap at a restart is too long for a scan to bridge.
     assert!(missing(&samples) >= 2, "{samples:?}");
 }
 
 #[test]
 fn microseconds_show_losses_whatever_their_jitter() {
     let micros = Some(Count::Micros(Column::Place(2)));
-    // A row each 1000 µs, two lost, and the end of 32 bits.
+    // One row per 1000 µs: two rows are lost, and the counter of 32 bits starts again.
     let times = [4_294_964_296_u64, 4_294_965_290, 4_294_966_310, 2_000, 3_010];
     let texts: Vec<String> = times.iter().map(|t| format!("1,{t}\n")).collect();
     let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
@@ -98,7 +98,7 @@ fn without_a_counter_a_silence_is_counted_by_the_clock_and_a_delay_is_not() {
     take(&mut intake, b"1\n", 0.0, &mut out);
     take(&mut intake, b"2\n", 0.3, &mut out);
     assert_eq!(missing(&out[0]), 0);
-    // Two seconds, of which half a second was only late.
+    // After two seconds of silence, half a second of rows arrives late, and the rest is lost.
     take(&mut intake, "3\n".repeat(500).as_bytes(), 2.3, &mut out);
     assert_eq!((missing(&out[0]), out[0].len()), (1500, 2002));
     intake.reopened(false);
@@ -110,15 +110,15 @@ fn without_a_counter_a_silence_is_counted_by_the_clock_and_a_delay_is_not() {
 fn columns_that_change_for_good_are_followed() {
     let texts = [vec!["1,2\n"; 3], vec!["3,4,5\n"; 30]].concat();
     let (samples, counts) = alone(None, &texts);
-    assert_eq!((counts.rows, counts.changes, counts.other_width), (14, 1, 19));
+    assert_eq!((counts.changes, counts.other_width), (1, 19));
     assert_eq!((samples.len(), samples.last()), (33, Some(&1.5)));
-    // Too few columns for the stream: refused, and taken again once they are back.
+    // Rows with too few columns are refused until the columns are back.
     let mut intake = LinesIntake::new(vec![stream("x", &[2])], None, 1000.0);
     let mut out = vec![Vec::new()];
     take(&mut intake, "1\n".repeat(30).as_bytes(), 0.0, &mut out);
-    assert!(intake.refused().unwrap().contains("wants number 2"));
+    assert!(intake.refused.as_ref().unwrap().contains("wants number 2"));
     take(&mut intake, b"1,2\n", 0.1, &mut out);
-    assert_eq!((intake.refused(), &out[0][..]), (None, &[1.0][..]));
+    assert_eq!((&intake.refused, &out[0][..]), (&None, &[1.0][..]));
 }
 
 proptest! {

@@ -20,7 +20,7 @@ pub fn gain(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_sample(trial, setting, analog, |x, _, factor| factor * x);
 }
 
-/// A hand that presses harder by a factor: loads grow by it, vibrations less, reflectance not.
+/// Presses harder: loads grow by a factor, vibrations less, and reflectance stays the same.
 pub fn force(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |spec, series, _, factor| {
         let gain = match spec.id.as_str() {
@@ -37,7 +37,7 @@ pub fn offset(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_sample(trial, setting, analog, |x, spread, level| x + level * spread.deviation);
 }
 
-/// Cuts off each channel at a distance from its mean: a share of peak − |mean|.
+/// Clips each channel at a distance from its mean: level · (peak − |mean|).
 pub fn saturation(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_sample(trial, setting, analog, |x, spread, share| {
         let limit = share * (spread.peak - spread.mean.abs()).max(spread.deviation);
@@ -53,15 +53,13 @@ pub fn quantisation(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Rate of slips.
 const SLIPS_HZ: f64 = 5.0;
-/// Length of a lift-off in s.
 const LIFT_S: f64 = 0.1;
 /// Factor on every signal while the stylus is in the air.
 const IN_THE_AIR: f64 = 0.02;
 
-/// The stylus sticks and slips five times a second: every signal of the drag drops at each slip by
-/// a share of its strength, the level, and then swells again.
+/// The stylus sticks and slips five times a second: at each slip, every signal of the drag loses a
+/// share of its strength, which is the level, and then swells again.
 pub fn stick_slip(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, drag, |spec, series, _, depth| {
         if spec.sigma.is_some() {
@@ -76,14 +74,10 @@ pub fn stick_slip(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// The stylus leaves the surface for 100 ms at a time, in about a share of the drag, and in all
-/// sources at once.
+/// The stylus leaves the surface for 100 ms at a time, in all sources at once. The level is the mean
+/// share of the drag in the air.
 pub fn lift_offs(trial: &mut Trial, setting: &mut Setting<'_>) {
-    let seconds = trial.signals.values().map(|signal| match signal {
-        crate::trial::Signal::Series(series) => series.duration_s(),
-        crate::trial::Signal::Image(_) => 0.0,
-    });
-    let pieces = (seconds.fold(0.0, f64::max) / LIFT_S).ceil() as usize;
+    let pieces = (trial.longest_s(|_| true).unwrap_or(0.0) / LIFT_S).ceil() as usize;
     let up: Vec<bool> = (0..pieces).map(|_| uniform(&mut setting.rng) < setting.level).collect();
     each_series(trial, setting, drag, |_, series, _, _| {
         let rate_hz = series.rate_hz();
@@ -96,7 +90,7 @@ pub fn lift_offs(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A number of sensors are dead: their series are zeros, their pictures black.
+/// Makes sensors dead, as many as the level says: series become zeros, and pictures black.
 pub fn dead(trial: &mut Trial, setting: &mut Setting<'_>) {
     for signal in picked(trial, setting, sensed) {
         match signal {
@@ -111,7 +105,7 @@ pub fn dead(trial: &mut Trial, setting: &mut Setting<'_>) {
     }
 }
 
-/// A number of sensors are stuck: they hold their first value.
+/// Makes sensors stuck, as many as the level says: a series repeats its first value.
 pub fn stuck(trial: &mut Trial, setting: &mut Setting<'_>) {
     for signal in picked(trial, setting, analog) {
         if let Signal::Series(series) = signal {
@@ -121,7 +115,7 @@ pub fn stuck(trial: &mut Trial, setting: &mut Setting<'_>) {
     }
 }
 
-/// Rotates the channels: by 1, the second takes the place of the first, and so on.
+/// Rotates the channels by the level: if it is 1, the second takes the place of the first, and so on.
 pub fn swapped(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, many_channels, |_, series, _, by| {
         for mut row in series.view_mut().rows_mut() {
@@ -150,7 +144,6 @@ fn picked<'t>(
     signals.into_iter().map(|(_, signal)| signal).collect()
 }
 
-/// Length of a gap in the data, in s.
 const GAP_S: f64 = 0.05;
 
 /// Drops exactly a share of the frames, at random places; later frames move up.
@@ -171,7 +164,7 @@ pub fn dropped(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Gaps of 50 ms in about a share of the time, during which the last value is held.
+/// Holds the last value during gaps of 50 ms; the level is the mean share of time in gaps.
 pub fn gaps(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, drag, |_, series, rng, share| {
         let (channels, piece) = (series.channels(), (GAP_S * series.rate_hz()).ceil() as usize);
@@ -189,14 +182,14 @@ pub fn gaps(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A clock that is wrong by the level, in percent, so that pitch and length change.
+/// Makes the clock wrong by the level, in percent, so that pitch and length change.
 pub fn clock(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, analog, |_, series, _, percent| {
         stretch(series, 1.0 + percent / 100.0);
     });
 }
 
-/// Keeps only the first seconds of the drag, the level.
+/// Keeps only the first seconds of the drag; the level is their number.
 pub fn short(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, drag, |_, series, _, seconds| {
         let frames = (seconds * series.rate_hz()).round() as usize;
@@ -204,8 +197,8 @@ pub fn short(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// A hand that moves slower by a factor, the level, in a scan of the same length, so that
-/// neighbouring samples are closer than T* by that factor.
+/// Moves the hand slower by a factor, the level, in a scan of the same length. So the time between
+/// independent samples is longer than T* by that factor.
 pub fn slow(trial: &mut Trial, setting: &mut Setting<'_>) {
     each_series(trial, setting, in_time, |_, series, _, factor| {
         let frames = series.frames();
@@ -236,11 +229,11 @@ pub(super) fn stretch(series: &mut Series, pace: f64) {
 
 /// Corner frequency of red noise in Hz, above which its amplitude falls as 1/f.
 const CORNER_HZ: f64 = 50.0;
-/// Rate at which room noise swells and fades, about that of syllables.
+/// Rate, in Hz, at which room noise swells and fades, chosen near the rate of syllables.
 const SYLLABLES_HZ: f64 = 4.0;
 /// Frequencies of the mains hum in Hz.
 const HUM_HZ: [f64; 3] = [50.0, 100.0, 150.0];
-/// Power of the hum, relative to that of the red noise.
+/// Power of the hum, relative to the power of the red noise.
 const HUM_SHARE: f64 = 0.2;
 
 /// Adds white noise; the level is the ratio of the signal's deviation to the noise's, in dB.
@@ -288,7 +281,7 @@ fn room_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
     noise
 }
 
-/// Adds separate noise to each channel, whose deviation is `db` below the channel's.
+/// Adds noise to each channel. The deviation of the noise is `db` dB below that of the channel.
 fn add(
     series: &mut Series,
     db: f64,
@@ -306,13 +299,13 @@ fn add(
     }
 }
 
-/// Darkens pictures by a factor; dark areas lose gradation to rounding.
+/// Darkens pictures by a factor; dark areas lose detail to rounding.
 pub fn dark(trial: &mut Trial, setting: &mut Setting<'_>) {
     let factor = setting.level;
     each_picture(trial, |rgb| rgb.iter().map(|&x| (f64::from(x) * factor).round() as u8).collect());
 }
 
-/// Warmer light: the ratio of red to blue grows by a factor.
+/// Makes the light warmer, in that the ratio of red to blue grows by a factor.
 pub fn tint(trial: &mut Trial, setting: &mut Setting<'_>) {
     let root = setting.level.sqrt();
     let gains = [root, 1.0, 1.0 / root];
@@ -338,7 +331,7 @@ pub fn shift(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Blurs pictures by means over squares that extend the level, in pixels, to each side.
+/// Blurs pictures. A pixel becomes the mean over a square that extends `level` pixels to each side.
 pub fn blur(trial: &mut Trial, setting: &mut Setting<'_>) {
     let radius = setting.level as usize;
     each_picture(trial, |rgb| {
@@ -347,8 +340,8 @@ pub fn blur(trial: &mut Trial, setting: &mut Setting<'_>) {
     });
 }
 
-/// Running means along `lines` lines, `line_step` bytes apart, each of `len` pixels, `step` bytes
-/// apart.
+/// Takes running means along `lines` lines, which begin `line_step` bytes apart. Each has `len` pixels,
+/// `step` bytes apart.
 fn blur_lines(
     rgb: &[u8],
     lines: usize,

@@ -1,23 +1,23 @@
-//! The answer to how long a scan must last, or why that is not known.
+//! How long a scan must last, or why no scan time is known.
 
 use crate::recognise::follow::FollowOptions;
 
-/// How accurately scans are to be named.
+/// The accuracy that a scan time must reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Goal {
-    /// This share of scans named right.
+    /// This share of scans is named right.
     Accuracy(f64),
-    /// The accuracy of whole scans, less this share.
+    /// The accuracy may be lower than the accuracy of whole scans by at most this share.
     Loss(f64),
 }
 
 impl Goal {
-    /// The given accuracy; without one, at most one percentage point lost against whole scans.
+    /// The given accuracy; if `None`, a loss of at most one percentage point against whole scans.
     pub fn wanted(accuracy: Option<f64>) -> Self {
         accuracy.map_or(Self::Loss(FollowOptions::default().loss), Self::Accuracy)
     }
 
-    /// The share that the trials must be able to show if all of them are named right.
+    /// Accuracy that the trials must be able to prove if all of them are named right.
     pub(super) fn to_show(self) -> f64 {
         match self {
             Self::Accuracy(share) => share,
@@ -26,81 +26,78 @@ impl Goal {
     }
 }
 
-/// The share of left-out trials that are named right by a scan time.
+/// The share of left-out trials that are named right after a given scan time.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct AccuracyAt {
     /// Scan time in seconds.
     pub scan_s: f64,
-    /// The share.
+    /// Share of trials named right, from 0 to 1.
     pub accuracy: f64,
-    /// Lower end of its 95 % interval.
+    /// Lower end of the 95 % interval of `accuracy`.
     pub accuracy_low: f64,
-    /// Upper end.
+    /// Upper end of this interval.
     pub accuracy_high: f64,
 }
 
-/// Why no scan time is shown.
+/// Why no scan time, or only the length of whole trials, can be given.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shortfall {
     /// No trial can be left out.
     NothingLeftOut {
-        /// the surfaces with too few trials, and how many each lacks
+        /// the surfaces with too few trials, and how many trials each lacks
         lacking: Vec<(String, usize)>,
     },
-    /// Too few trials to show the share even if all were right; scans should last as long.
+    /// There are too few trials to show the share even if all are right; scan for their whole length.
     TooFewTrials {
-        /// the share to be shown
+        /// the share to be shown, from 0 to 1
         share: f64,
         /// about how many trials to record
         more: usize,
     },
-    /// Not even whole trials reach the target.
+    /// Not even whole trials reach the wanted accuracy.
     NotReached,
-    /// The trials cannot be compared with each other: why.
+    /// The trials cannot be compared with each other, for this reason.
     NoModel(String),
 }
 
-/// How long a scan must last, or why that cannot be said.
+/// How long a scan must last, or why no scan time can be given.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 #[serde(into = "ScanTimeDocument")]
 pub struct ScanTime {
-    /// The share that is to be named right.
+    /// The wanted accuracy: the share of scans to be named right.
     pub target: f64,
-    /// How long to drag, and the share that is named right by then.
+    /// How long to drag, and the accuracy by then.
     pub enough: Option<AccuracyAt>,
-    /// The share that is named right by the whole length of the trials.
+    /// The accuracy after the whole length of the trials.
     pub whole: Option<AccuracyAt>,
-    /// Number of left-out trials that the answer rests on.
+    /// Number of left-out trials that the answer is based on.
     pub trials: usize,
-    /// People in the library.
+    /// Number of people in the library.
     pub people: usize,
-    /// Whether the accuracy holds for other people: each person was left out in turn.
+    /// True if each person was left out in turn, so that the accuracy holds for other people too.
     pub across_people: bool,
-    /// Why `enough` is `None` or the whole length, if it is.
+    /// Why `enough` is `None` or the length of whole trials; `None` if `enough` is a shorter time.
     pub shortfall: Option<Shortfall>,
 }
 
-/// The JSON form of [`ScanTime`].
 #[derive(serde::Serialize)]
 struct ScanTimeDocument {
-    /// The share that is to be named right.
     target: f64,
-    /// How long to drag, in seconds; null, or the whole length, where `reason` says why.
+    /// How long to drag, in seconds. If it is null or the whole length, `reason` says why.
     scan_s: Option<f64>,
-    /// The share that is named right by then, and its 95 % interval.
+    /// Share of scans that are named right by then, and its 95 % interval.
     accuracy: Option<f64>,
     accuracy_low: Option<f64>,
     accuracy_high: Option<f64>,
-    /// Median length of the library's trials, and the share named right by their whole length.
+    /// Median length of the library's trials, and the share named right after their whole length.
     whole_s: Option<f64>,
     accuracy_whole: Option<f64>,
-    /// Number of left-out trials that the answer rests on.
     trials: usize,
-    /// People in the library, and whether each was left out in turn.
+    /// Number of people in the library, and whether each was left out in turn.
     people: usize,
     across_people: bool,
     reason: Option<String>,
-    /// About how many trials to record, if too few are the reason.
+    /// About how many trials to record, if `reason` is that there are too few.
     more_trials: Option<usize>,
 }
 
@@ -125,18 +122,16 @@ impl From<ScanTime> for ScanTimeDocument {
 }
 
 impl ScanTime {
-    /// How long to drag, in seconds, where that is known.
+    /// How long to drag, in seconds; `None` if no scan time is known.
     pub fn scan_s(&self) -> Option<f64> {
         self.enough.map(|at| at.scan_s)
     }
 
     /// The answer in one line.
     pub fn line(&self) -> String {
-        let (at, why) = match (self.enough, self.reason()) {
-            (None, why) => {
-                return format!("how long to drag is not known: {}", why.unwrap_or_default());
-            }
-            (Some(at), why) => (at, why),
+        let why = self.reason();
+        let Some(at) = self.enough else {
+            return format!("how long to drag is not known: {}", why.unwrap_or_default());
         };
         if let Some(why) = why {
             return format!("drag for {:.1} s, as long as your trials: {why}", at.scan_s);
@@ -157,13 +152,13 @@ impl ScanTime {
         self.whole.map_or_else(String::new, |whole| percent(whole.accuracy))
     }
 
-    /// Why no scan time is shown.
+    /// Why there is no scan time shorter than whole trials; `None` if there is one.
     pub fn reason(&self) -> Option<String> {
         self.shortfall.as_ref().map(|shortfall| self.why(shortfall))
     }
 
-    /// How many trials to record, if too few are the reason.
-    pub fn more_trials(&self) -> Option<usize> {
+    /// About how many trials to record, if `reason` is that there are too few.
+    fn more_trials(&self) -> Option<usize> {
         match self.shortfall.as_ref()? {
             Shortfall::NothingLeftOut { lacking } => Some(lacking.iter().map(|(_, n)| n).sum()),
             Shortfall::TooFewTrials { more, .. } => Some(*more),

@@ -1,113 +1,103 @@
-//! Finds how long a scan must last: the earliest time from which on left-out library trials are
-//! named as accurately as wanted.
+//! Finds how long a scan must last: the earliest time such that left-out library trials are named as
+//! accurately as wanted at this and all later times.
 //!
-//! Every trial is left out in turn, together with all others of its person if the library has
-//! several people, and is named after each of a list of scan times. [`LeftOutAccuracy`] holds the
-//! share named right by each time, from which [`LeftOutAccuracy::scan_time`] reads the answer.
-//! `surfaced duration`, `plan`, `replay`, `run` and the countdowns all use this one number. It is
-//! never shorter than the first time by which enough trials could be tested for an unknown surface,
-//! since a shorter scan has no full answer. If there are too few trials to show the accuracy, it is
-//! their whole length.
+//! Trials are left out one at a time; if the library has several people, all trials of one person are
+//! left out together. Each left-out trial is named after each of a list of scan times.
+//! [`LeftOutAccuracy`] holds the share named right at each time, and [`LeftOutAccuracy::scan_time`]
+//! derives the answer. `surfaced duration`, `plan`, `replay`, `run` and the countdowns all use this
+//! answer. The scan time is never shorter than the first time at which enough trials can be tested for
+//! an unknown surface, since the answer to a shorter scan is not complete. If there are too few trials
+//! to show the wanted accuracy, the scan time is the whole length of the trials.
 //!
-//! The accuracy would be flattered if the trials that choose the time also stated it. So it is
-//! cross-fitted: for each group of trials, all other groups choose the time at which the group is
-//! counted. While that misses the goal, all these times move later, one step at a time. With
-//! several people, a group is a person, and the interval is over people, not trials.
+//! The stated accuracy would be too high if the same trials chose the time and measured the accuracy.
+//! It is therefore cross-fitted: the accuracy of each group of trials is measured at a time that all
+//! other groups chose. If the result misses the goal, all these times move later, one step at a time.
+//! With several people, a group is a person, and the interval is over people, not trials.
 
 mod answer;
 
 pub use answer::{AccuracyAt, Goal, ScanTime, Shortfall};
 
 use super::interval::{can_show, wilson, wilson_of_groups};
+use super::settle::{FollowedTrial, looks_in};
 use crate::recognise::follow::LOOK_S;
 
-/// Largest ratio of successive scan times; the first ones are one look (0.1 s) apart.
+/// Largest ratio of successive scan times. The first times are one look (0.1 s) apart.
 const RATIO: f64 = 1.15;
 
-/// The looks (steps of 0.1 s, counted from 1) after which a trial of `scan_s` seconds is named.
+/// The looks (steps of 0.1 s, counted from 1) at which a trial of `scan_s` seconds is named.
 pub fn looked_after(scan_s: f64) -> impl Iterator<Item = usize> {
-    let last = (scan_s / LOOK_S + 1e-9).floor() as usize;
+    let last = looks_in(scan_s);
     let next = |&look: &usize| Some((look + 1).max((look as f64 * RATIO) as usize));
     std::iter::successors(Some(1), next).take_while(move |look| *look <= last)
 }
 
-/// A left-out trial.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LeftOutScan {
-    /// The group that it was left out with.
-    pub group: usize,
-    /// How long its drag lasts, in seconds.
-    pub scan_s: f64,
-    /// Whether it was named correctly after each time of [`looked_after`].
-    pub right: Vec<bool>,
-    /// Whether it could be tested for an unknown surface after each time of [`looked_after`].
-    pub judged: Vec<bool>,
-    /// Whether it was named right by its whole length.
-    pub right_whole: bool,
-}
-
-/// The people and surfaces of a library: for whom the accuracy holds, and what is lacking.
+/// The people and surfaces of a library.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LibraryCounts {
     pub people: usize,
-    /// Whether each person was left out in turn.
+    /// Whether all trials of each person were left out together, one person at a time.
     pub across_people: bool,
-    /// Its surfaces, with the number of trials of each.
+    /// Each surface with its number of trials.
     pub surfaces: Vec<(String, usize)>,
 }
 
-/// Trials that were left out together: how many there are, and how many are named right by each
-/// time, the last time being their whole length.
+/// Trials that were left out together: their number, and how many of them are named right at each scan
+/// time. The last scan time is the whole length of the trials.
 #[derive(Clone, Debug, PartialEq)]
 struct LeftOutGroup {
     trials: usize,
     right: Vec<usize>,
 }
 
-/// How many left-out trials are named right by each scan time.
+/// How many left-out trials are named right after each scan time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LeftOutAccuracy {
-    /// Scan times in seconds, rising; the median length of the trials comes last and stands for
+    /// Scan times in seconds, ascending. The last is the median length of the trials, and stands for
     /// their whole length.
     times: Vec<f64>,
-    /// Trials with a full answer by each time: a name, and a test for an unknown surface.
+    /// For each time, how many trials have a full answer: a name, and a test for an unknown surface.
     measured: Vec<usize>,
     groups: Vec<LeftOutGroup>,
     library: LibraryCounts,
 }
 
 impl LeftOutAccuracy {
-    /// Counts the trials named right by each time; a trial shorter than that, by its whole length.
-    pub(crate) fn new(scans: &[LeftOutScan], library: LibraryCounts) -> Self {
-        let mut lengths: Vec<f64> = scans.iter().map(|scan| scan.scan_s).collect();
+    /// Counts the trials named right at each time. A trial shorter than the time counts as a whole.
+    pub(crate) fn new(trials: &[FollowedTrial], library: LibraryCounts) -> Self {
+        let mut lengths: Vec<f64> = trials.iter().map(|trial| trial.drag_s).collect();
         lengths.sort_by(f64::total_cmp);
         let Some(&whole_s) = lengths.get(lengths.len() / 2) else {
             return Self { library, ..Self::default() };
         };
-        let mut times: Vec<f64> = looked_after(whole_s).map(|look| look as f64 * LOOK_S).collect();
-        times.retain(|time| *time < whole_s - 1e-9);
-        let shorter = times.len();
-        times.push(whole_s);
-        let count = scans.iter().map(|scan| scan.group + 1).max().unwrap_or(0);
-        let mut groups = vec![LeftOutGroup { trials: 0, right: vec![0; times.len()] }; count];
-        // If no trial can be tested for an unknown surface, nobody waits for such a test.
-        let judges = scans.iter().any(|scan| scan.judged.contains(&true));
-        let is_measured = |scan: &LeftOutScan, at: usize| {
-            let judged = scan.judged.get(at).filter(|_| judges && at < shorter);
-            judged.copied().unwrap_or(true)
+        let shorter = |look: &usize| (*look as f64 * LOOK_S) < whole_s - 1e-9;
+        let steps: Vec<usize> = looked_after(whole_s).filter(shorter).collect();
+        let times: Vec<f64> =
+            steps.iter().map(|&look| look as f64 * LOOK_S).chain([whole_s]).collect();
+        // If no trial can be tested for an unknown surface, no scan time needs to wait for the test.
+        let judged = |trial: &FollowedTrial, step: usize| trial.looks[step - 1].p_value.is_some();
+        let judges = trials.iter().any(|t| looked_after(t.drag_s).any(|step| judged(t, step)));
+        let is_measured = |trial: &FollowedTrial, at: usize| {
+            let look = steps.get(at).and_then(|step| trial.looks.get(step - 1));
+            !judges || look.is_none_or(|look| look.p_value.is_some())
         };
-        let measured = |at| scans.iter().filter(|scan| is_measured(scan, at)).count();
-        let measured = (0..times.len()).map(measured).collect();
-        for scan in scans {
-            let group = &mut groups[scan.group];
-            group.trials += 1;
-            let by = |at: usize| scan.right.get(at).filter(|_| at < shorter);
-            for (at, right) in group.right.iter_mut().enumerate() {
-                *right += usize::from(*by(at).unwrap_or(&scan.right_whole));
-            }
+        let is_right = |trial: &FollowedTrial, at: usize| {
+            let look = steps.get(at).and_then(|step| trial.looks.get(step - 1));
+            look.map_or(trial.whole, |look| look.class) == trial.truth
+        };
+        let measured = |at| trials.iter().filter(|trial| is_measured(trial, at)).count();
+        let count = trials.iter().map(|trial| trial.group + 1).max().unwrap_or(0);
+        let of_group = |group: usize| {
+            let own = || trials.iter().filter(|trial| trial.group == group);
+            let right = |at| own().filter(|trial| is_right(trial, at)).count();
+            LeftOutGroup { trials: own().count(), right: (0..times.len()).map(right).collect() }
+        };
+        Self {
+            measured: (0..times.len()).map(measured).collect(),
+            groups: (0..count).map(of_group).filter(|group| group.trials > 0).collect(),
+            times,
+            library,
         }
-        groups.retain(|group| group.trials > 0);
-        Self { times, measured, groups, library }
     }
 
     /// Number of left-out trials.
@@ -115,17 +105,12 @@ impl LeftOutAccuracy {
         self.groups.iter().map(|group| group.trials).sum()
     }
 
-    /// Median length of the trials, in seconds.
-    pub fn whole_s(&self) -> Option<f64> {
-        self.times.last().copied()
-    }
-
     /// Accuracy by each time; the last is that by the whole length.
     pub fn points(&self) -> Vec<AccuracyAt> {
         (0..self.times.len()).map(|at| self.point(self.times[at], |_| at)).collect()
     }
 
-    /// Accuracy where group g is counted at the time with index `at(g)`.
+    /// Accuracy if group g is measured at the scan time with index `at(g)`.
     fn point(&self, scan_s: f64, at: impl Fn(usize) -> usize) -> AccuracyAt {
         let counts: Vec<(usize, usize)> = self
             .groups
@@ -141,8 +126,8 @@ impl LeftOutAccuracy {
         AccuracyAt { scan_s, accuracy: share, accuracy_low, accuracy_high }
     }
 
-    /// Index of the earliest time from which on the groups except `without` reach the goal and
-    /// enough trials have a full answer; `None` if even their whole length misses the goal.
+    /// Index of the earliest time such that, then and at all later times, all groups except `without`
+    /// reach the goal and enough trials have a full answer; `None` if even whole trials miss the goal.
     fn earliest(&self, goal: Goal, without: Option<usize>) -> Option<usize> {
         let kept = || self.groups.iter().enumerate().filter(|(g, _)| Some(*g) != without);
         let trials: usize = kept().map(|(_, group)| group.trials).sum();
@@ -158,7 +143,7 @@ impl LeftOutAccuracy {
         (0..self.times.len()).rev().take_while(enough).last()
     }
 
-    /// The answer for a goal.
+    /// How long a scan must last to reach a goal.
     pub fn scan_time(&self, goal: Goal) -> ScanTime {
         let whole = self.points().last().copied();
         let trials = self.trials();
@@ -192,8 +177,8 @@ impl LeftOutAccuracy {
         answer
     }
 
-    /// The earliest time, from index `at` on, whose cross-fitted accuracy reaches the target; at
-    /// the latest the whole length.
+    /// The earliest time, from index `at` on, with a cross-fitted accuracy that reaches the target; if
+    /// there is none, the whole length.
     fn cross_fitted(&self, goal: Goal, at: usize, target: f64) -> AccuracyAt {
         let last = self.times.len() - 1;
         let without = |g: usize| self.earliest(goal, Some(g)).unwrap_or(last);
@@ -204,7 +189,7 @@ impl LeftOutAccuracy {
         (0..last).map(later).find(reaches).unwrap_or_else(|| later(last))
     }
 
-    /// Surfaces that have too few trials for one to be left out, with the number that they lack.
+    /// Surfaces with too few trials to leave one out, and the number of trials that each lacks.
     fn lacking(&self) -> Vec<(String, usize)> {
         let lacks = |(surface, trials): &(String, usize)| {
             (surface.clone(), 2_usize.saturating_sub(*trials))
@@ -214,7 +199,7 @@ impl LeftOutAccuracy {
 }
 
 impl ScanTime {
-    /// The answer for trials that cannot be compared with each other.
+    /// The answer if the trials cannot be compared with each other, because of `why`.
     pub(crate) fn without_model(goal: Goal, why: String) -> Self {
         let shortfall = Some(Shortfall::NoModel(why));
         Self { shortfall, ..LeftOutAccuracy::default().scan_time(goal) }
@@ -224,19 +209,33 @@ impl ScanTime {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recognise::decide::settle::LeftOutLook;
+
+    /// A trial that is named right at each look where `right` is true, and is tested for an unknown
+    /// surface from the look `judged_from` on.
+    fn trial(
+        group: usize,
+        drag_s: f64,
+        right: impl Fn(usize) -> bool,
+        judged_from: usize,
+        right_whole: bool,
+    ) -> FollowedTrial {
+        let look = |look: usize| LeftOutLook {
+            class: usize::from(!right(look)),
+            probability: 1.0,
+            p_value: (look >= judged_from).then_some(0.5),
+        };
+        let looks = (1..=looks_in(drag_s)).map(look).collect();
+        FollowedTrial { group, truth: 0, whole: usize::from(!right_whole), drag_s, looks }
+    }
 
     /// `trials` trials of 2 s in ten groups; trial i is named right from `right_from(i)` s on.
     fn accuracy(trials: usize, right_from: impl Fn(usize) -> f64) -> LeftOutAccuracy {
-        let scan = |i: usize| LeftOutScan {
-            group: i % 10,
-            scan_s: 2.0,
-            right: looked_after(2.0)
-                .map(|look| look as f64 * LOOK_S >= right_from(i) - 1e-9)
-                .collect(),
-            judged: vec![true; looked_after(2.0).count()],
-            right_whole: right_from(i) <= 2.0,
+        let scan = |i: usize| {
+            let right = |look: usize| look as f64 * LOOK_S >= right_from(i) - 1e-9;
+            trial(i % 10, 2.0, right, 1, right_from(i) <= 2.0)
         };
-        let scans: Vec<LeftOutScan> = (0..trials).map(scan).collect();
+        let scans: Vec<FollowedTrial> = (0..trials).map(scan).collect();
         let surfaces = vec![("ash".into(), trials / 2), ("oak".into(), trials / 2)];
         LeftOutAccuracy::new(&scans, LibraryCounts { people: 1, across_people: false, surfaces })
     }
@@ -257,7 +256,7 @@ mod tests {
         assert!((found(Goal::Accuracy(0.95)).scan_s - 0.5).abs() < 1e-9);
         let all = found(Goal::Loss(0.01));
         assert!((all.scan_s - 1.0).abs() < 1e-9 && all.accuracy == 1.0 && all.accuracy_low < 1.0);
-        // Right at 0.5 s, but wrong again at 0.8 s: the scan must last longer than that.
+        // Right at 0.5 s, but wrong again at 0.8 s: the scan must last longer than 0.8 s.
         let mut relapse = mostly;
         relapse.groups.iter_mut().for_each(|group| group.right[7] = 0);
         let found = relapse.scan_time(Goal::Accuracy(0.95)).enough.unwrap();
@@ -266,25 +265,18 @@ mod tests {
 
     #[test]
     fn the_stated_accuracy_is_of_trials_that_did_not_choose_the_time() {
-        // Only one group needs longer: without it, the others choose a time at which it is wrong.
+        // Only one group needs longer; the other groups choose a time at which it is still wrong.
         let late = accuracy(200, |i| if i % 10 == 3 { 1.5 } else { 0.5 });
         let lenient = late.scan_time(Goal::Accuracy(0.9)).enough.unwrap();
         assert!((lenient.scan_s - 0.5).abs() < 1e-9 && lenient.accuracy == 0.9, "{lenient:?}");
-        // Times chosen like that lose a tenth, so all move later until that group is right, too.
+        // At these times a tenth is lost, so all times move later until this group is right too.
         let found = late.scan_time(Goal::Loss(0.01)).enough.unwrap();
         assert!(found.scan_s == 2.0 && found.accuracy == 1.0, "{found:?}");
     }
 
     #[test]
     fn a_scan_is_never_shorter_than_one_that_can_be_told_from_an_unknown_surface() {
-        let scan = |i: usize| LeftOutScan {
-            group: i % 10,
-            scan_s: 2.0,
-            right: vec![true; looked_after(2.0).count()],
-            judged: looked_after(2.0).map(|look| look >= 7).collect(),
-            right_whole: true,
-        };
-        let scans: Vec<LeftOutScan> = (0..200).map(scan).collect();
+        let scans: Vec<_> = (0..200).map(|i| trial(i % 10, 2.0, |_| true, 7, true)).collect();
         let found = LeftOutAccuracy::new(&scans, LibraryCounts::default());
         let found = found.scan_time(Goal::Loss(0.01)).enough.unwrap();
         assert!((found.scan_s - 0.7).abs() < 1e-9, "{found:?}");
@@ -316,13 +308,7 @@ mod tests {
 
     #[test]
     fn short_trials_count_by_their_whole_length() {
-        let scan = |scan_s: f64, right: bool| LeftOutScan {
-            group: 0,
-            scan_s,
-            right: looked_after(scan_s).map(|_| !right).collect(),
-            judged: looked_after(scan_s).map(|_| true).collect(),
-            right_whole: right,
-        };
+        let scan = |scan_s: f64, right: bool| trial(0, scan_s, |_| !right, 1, right);
         let scans = [scan(0.3, true), scan(1.0, false), scan(1.0, false)];
         let points = LeftOutAccuracy::new(&scans, LibraryCounts::default()).points();
         assert!((points[0].accuracy - 2.0 / 3.0).abs() < 1e-9, "{points:?}");

@@ -1,8 +1,10 @@
-//! Properties of every scene.
+//! Synthetic scenes: repeatable, in range, and as difficult as they are said to be.
 
 use rayon::prelude::*;
-
-use super::*;
+use surfaced::dataset::synth::{Difficulty, Parameters, embedded, library};
+use surfaced::library::Entry;
+use surfaced::scene::{Scene, SourceId};
+use surfaced::trial::{EXPERT, Image, Series, Signal, Trial};
 
 fn small() -> Parameters {
     Parameters { surfaces: 10, trials: 3, users: 2, drag_seconds: 0.3, ..Parameters::default() }
@@ -163,31 +165,10 @@ fn surfaces_differ_more_than_trials_of_one_surface() {
     }
 }
 
-/// Prints how long it takes to generate a full scene. Run with
-/// `cargo test --release --lib dataset::synth -- --ignored --nocapture`.
-#[test]
-#[ignore = "a measurement, not a check"]
-fn time_to_generate_a_full_scene() {
-    let library = library(&Parameters::default());
-    let start = std::time::Instant::now();
-    let frames: usize = library
-        .entries
-        .par_iter()
-        .map(|entry| series(&entry.load().unwrap(), "mi2").frames())
-        .sum();
-    let seconds = start.elapsed().as_secs_f64();
-    let trials = library.entries.len();
-    println!(
-        "{trials} trials ({frames} sound samples) in {seconds:.1} s on {} threads: {:.1} ms each",
-        rayon::current_num_threads(),
-        1e3 * seconds / trials as f64
-    );
-}
-
 /// Accuracy of the method `reference`, with few samples, on one source of 20 surfaces.
 fn accuracy(source: &str, shift: bool, difficulty: Difficulty) -> f64 {
-    use crate::evaluate::{Evaluation, Protocol, folds};
-    use crate::recognise::{Reference, ReferenceOptions};
+    use surfaced::evaluate::{Evaluation, Protocol, folds};
+    use surfaced::recognise::{Reference, ReferenceOptions};
 
     let scene = Scene::lmt108().only(&[SourceId::new(source).unwrap()]).unwrap();
     let scene = scene.changed(|spec| spec.align_mean &= shift);

@@ -1,0 +1,156 @@
+//! Classifiers built from parts of smartcore: Gaussian naive Bayes, a random forest and AdaBoost.
+
+use ndarray::{Array2, ArrayView1, Axis};
+use rand::Rng;
+use rayon::prelude::*;
+use smartcore::ensemble::random_forest_classifier::{
+    RandomForestClassifier, RandomForestClassifierParameters,
+};
+use smartcore::linalg::basic::matrix::DenseMatrix;
+use smartcore::naive_bayes::gaussian::{GaussianNB, GaussianNBParameters};
+use smartcore::tree::decision_tree_classifier::{
+    DecisionTreeClassifier, DecisionTreeClassifierParameters,
+};
+
+use super::{Scorer, Scores, TrainingSet, negative_log_softmax};
+use crate::seed;
+
+/// Added to every variance, in units of the library's variance. The 1e-9 of scikit-learn is too little
+/// if a surface has only a few trials.
+const SMOOTHING: f64 = 1e-2;
+const TREES: u64 = 200;
+const ROUNDS: u64 = 50;
+/// Levels that a boosted tree may have beyond those needed for one leaf per surface.
+const SPARE_LEVELS: u32 = 2;
+/// Lower limit of a tree's weighted error, so that the weight of a perfect tree is finite.
+const PERFECT: f64 = 1e-10;
+
+type FeatureMatrix = DenseMatrix<f64>;
+/// A forest of one tree. Smartcore gives the winner of a forest, but not how many trees chose it.
+type RandomTree = RandomForestClassifier<f64, u32, FeatureMatrix, Vec<u32>>;
+type Tree = DecisionTreeClassifier<f64, u32, FeatureMatrix, Vec<u32>>;
+
+/// Converts trials to smartcore's form.
+fn matrix(features: &Array2<f64>, class: &[usize]) -> (FeatureMatrix, Vec<u32>) {
+    let (rows, columns) = features.dim();
+    let matrix = DenseMatrix::new(rows, columns, features.iter().copied().collect(), false);
+    let classes = class.iter().map(|&class| class as u32).collect();
+    // Fails only if the number of values is not rows × columns.
+    (matrix.expect("as many values as places"), classes)
+}
+
+/// Converts a query to smartcore's form.
+fn row(query: ArrayView1<'_, f64>) -> FeatureMatrix {
+    let values = query.to_vec();
+    // Fails only if the number of values is not rows × columns.
+    DenseMatrix::new(1, values.len(), values, false).expect("one row")
+}
+
+/// Converts votes to scores: −ln of each surface's share. One extra vote, divided equally among the
+/// surfaces, keeps every share above 0.
+fn shares(votes: &[f64]) -> Scores {
+    let each = 1.0 / votes.len() as f64;
+    let total: f64 = votes.iter().sum::<f64>() + 1.0;
+    Scores::Surfaces(votes.iter().map(|votes| -((votes + each) / total).ln()).collect())
+}
+
+/// Each score is −ln of the surface's posterior probability.
+pub(super) fn naive_bayes(training: &TrainingSet) -> Scorer {
+    let (x, y) = matrix(&training.features, &training.class);
+    // Fails only for an empty library or a class without trials; a library has neither.
+    let fitted = GaussianNB::fit(&x, &y, GaussianNBParameters::default())
+        .expect("a row for every class and a class for every row");
+    // Mean and variance of each feature, for each surface.
+    let (means, variances) = (fitted.theta().clone(), fitted.var().clone());
+    Box::new(move |query: ArrayView1<'_, f64>| {
+        let log_likelihood = |(mean, variance): (&Vec<f64>, &Vec<f64>)| -> f64 {
+            let terms = query.iter().zip(mean).zip(variance).map(|((x, mean), variance)| {
+                let variance = variance + SMOOTHING;
+                -0.5 * ((x - mean).powi(2) / variance + variance.ln())
+            });
+            terms.sum()
+        };
+        let logits: Vec<f64> = means.iter().zip(&variances).map(log_likelihood).collect();
+        Scores::Surfaces(negative_log_softmax(&logits))
+    })
+}
+
+/// Each score is −ln of the share of trees that vote for the surface.
+pub(super) fn forest(training: &TrainingSet, seed: u64) -> Scorer {
+    let (x, y) = matrix(&training.features, &training.class);
+    let tree = |number: u64| {
+        let key: [&[u8]; 3] = [b"tree", &seed.to_le_bytes(), &number.to_le_bytes()];
+        let parameters = RandomForestClassifierParameters::default()
+            .with_n_trees(1)
+            .with_seed(seed::stable_hash(&key));
+        // No tree grows if a bootstrap holds only one surface.
+        RandomForestClassifier::fit(&x, &y, parameters).ok()
+    };
+    let trees: Vec<RandomTree> = (0..TREES).into_par_iter().filter_map(tree).collect();
+    let surfaces = training.surfaces.len();
+    Box::new(move |query: ArrayView1<'_, f64>| {
+        let query = row(query);
+        let mut votes = vec![0.0; surfaces];
+        for class in trees.iter().filter_map(|tree| tree.predict(&query).ok()) {
+            votes[class[0] as usize] += 1.0;
+        }
+        shares(&votes)
+    })
+}
+
+pub(super) fn boosted(training: &TrainingSet, seed: u64) -> Scorer {
+    let TrainingSet { features, class, surfaces, .. } = training;
+    let (n, surfaces) = (class.len(), surfaces.len());
+    let (x, _) = matrix(features, class);
+    let levels = surfaces.next_power_of_two().ilog2() + SPARE_LEVELS;
+    let mut weights = vec![1.0 / n as f64; n];
+    let mut trees: Vec<(f64, Tree)> = Vec::new();
+    for round in 0..ROUNDS {
+        let mut rng = seed::rng(seed, &[b"adaboost", &round.to_le_bytes()]);
+        let drawn = draw(&weights, &mut rng);
+        let of_drawn: Vec<usize> = drawn.iter().map(|&i| class[i]).collect();
+        let (drawn_x, drawn_y) = matrix(&features.select(Axis(0), &drawn), &of_drawn);
+        let parameters = DecisionTreeClassifierParameters::default().with_max_depth(levels as u16);
+        // No tree grows if the drawn trials are all of one surface.
+        let Ok(tree) = DecisionTreeClassifier::fit(&drawn_x, &drawn_y, parameters) else {
+            continue;
+        };
+        let Ok(named) = tree.predict(&x) else { continue };
+        let wrong = |i: usize| named[i] as usize != class[i];
+        let error: f64 = (0..n).filter(|&i| wrong(i)).map(|i| weights[i]).sum();
+        if error >= 1.0 - 1.0 / surfaces as f64 {
+            continue;
+        }
+        let error = error.max(PERFECT);
+        let alpha = ((1.0 - error) / error).ln() + (surfaces as f64 - 1.0).ln();
+        (0..n).filter(|&i| wrong(i)).for_each(|i| weights[i] *= alpha.exp());
+        let total: f64 = weights.iter().sum();
+        weights.iter_mut().for_each(|weight| *weight /= total);
+        trees.push((alpha, tree));
+    }
+    Box::new(move |query: ArrayView1<'_, f64>| {
+        let query = row(query);
+        let mut votes = vec![0.0; surfaces];
+        for (alpha, tree) in &trees {
+            if let Ok(class) = tree.predict(&query) {
+                votes[class[0] as usize] += alpha;
+            }
+        }
+        shares(&votes)
+    })
+}
+
+/// Draws indices in proportion to `weights`, as many as there are weights.
+fn draw(weights: &[f64], rng: &mut impl Rng) -> Vec<usize> {
+    let add = |sum: &mut f64, weight: &f64| {
+        *sum += weight;
+        Some(*sum)
+    };
+    let cumulative: Vec<f64> = weights.iter().scan(0.0, add).collect();
+    let last = weights.len() - 1;
+    let one = |_| {
+        let at = seed::uniform(rng) * cumulative[last];
+        cumulative.partition_point(|&c| c <= at).min(last)
+    };
+    (0..weights.len()).map(one).collect()
+}

@@ -1,0 +1,165 @@
+//! The configuration of a station: what it says, what it leaves out, and its mistakes.
+
+use std::path::{Path, PathBuf};
+
+use surfaced::device::lines::LinesAddress;
+use surfaced::device::serial::Selector;
+use surfaced::scene::SourceId;
+use surfaced::station::config::{HttpAddress, MqttAddress, StationConfig, TlsFiles};
+
+fn parse(text: &str) -> Result<StationConfig, String> {
+    StationConfig::parse(text, Path::new("here/stylus.toml")).map_err(|error| error.to_string())
+}
+
+#[test]
+fn what_a_file_leaves_out_is_the_default_and_what_it_says_holds() {
+    let embedded = StationConfig::embedded();
+    assert_eq!(parse("format = 1").unwrap(), embedded);
+    let text = "format = 1\nlibrary = \"mine\"\n[stylus]\nport = \"/dev/ttyACM0\"\n[camera]\npresent = false\n";
+    let config = parse(text).unwrap();
+    assert_eq!(config.library, Some(PathBuf::from("here/mine")));
+    assert_eq!(config.stylus.as_ref().unwrap().port, Selector::Path("/dev/ttyACM0".into()));
+    assert_eq!(config.stylus.unwrap().streams, embedded.stylus.unwrap().streams);
+    assert!(config.camera.is_none() && config.detection.cuts.len() == 6);
+    // A table within a block replaces the default table as a whole.
+    let one = parse("format = 1\n[stylus.sources]\nir = [\"ir\"]\n").unwrap().stylus.unwrap();
+    assert_eq!(one.streams.len(), 1);
+    assert!(parse("[stylus]\npresent = false\n").unwrap_err().contains("format"));
+    let without = parse("format = 1\n[stylus]\npresent = false\n").unwrap();
+    assert_eq!(without.detection.groups.len(), 1, "the microphone leads");
+}
+
+#[test]
+fn the_page_has_one_default_address() {
+    assert_eq!(StationConfig::embedded().serve, surfaced::serve::Settings::default().address);
+}
+
+#[test]
+fn mistakes_are_reported_with_their_line() {
+    let refused = |text: &str, parts: &[&str]| {
+        let error = parse(&format!("format = 1\n{text}")).unwrap_err();
+        for part in [&["here/stylus.toml"], parts].concat() {
+            assert!(error.contains(part), "expected `{part}` in: {error}");
+        }
+    };
+    refused("[stylus]\nprot = \"auto\"", &["line 3", "unknown field `prot`", "port"]);
+    refused("[stylus]\nport = \"usb:zz\"", &["line 3", "usb:0403:6014"]);
+    refused("[stylus]\nrate_hz = 0", &["line 3", "rate_hz = 0; expected more than 0"]);
+    refused("[stylus.sources]\nac = [\"acc_x\"]", &["line 3", "channels: 1", "has 3"]);
+    refused("[stylus.sources]\npac = [\"acc_x\"]", &["line 3", "`pac`", "[sources.pac]"]);
+    refused("[camera]\nturn = 45", &["line 3", "0, 90, 180 or 270"]);
+    refused("[microphone]\nchannel = 0", &["line 3", "counted from 1"]);
+    refused("[microphone]\nsources = [\"mi9\"]", &["line 3", "`mi9`", "mi1, mi2"]);
+    refused("[detection]\nlisten = { xy = \"force\" }", &["line 3", "`xy`"]);
+    refused("[detection]\nonset = 2.0\nquiet = 3.0", &["line 4", "at most onset = 2"]);
+    refused("[detection]\nonset = 2.0", &["line 3", "at most onset = 2"]);
+    refused("[stylus]\nport = 3", &["line 3", "string"]);
+    refused("stylus = 3", &["line 2"]);
+    refused("serve = \"here\"", &["line 2", "127.0.0.1:8080"]);
+    refused("[sources.pac]\ndomain = \"spectrum\"", &["line 2", "band_hz"]);
+    let future = parse("format = 2").unwrap_err();
+    assert!(future.contains("line 1") && future.contains("format = 1"), "{future}");
+}
+
+fn only(names: &[&str]) -> StationConfig {
+    let sources: Vec<SourceId> = names.iter().map(|name| SourceId::new(name).unwrap()).collect();
+    StationConfig::embedded().only(&sources)
+}
+
+fn devices(config: &StationConfig) -> [bool; 3] {
+    [config.stylus.is_some(), config.microphone.is_some(), config.camera.is_some()]
+}
+
+#[test]
+fn no_device_is_opened_that_is_not_needed() {
+    let sound = only(&["mi1", "mi2"]);
+    assert_eq!(devices(&sound), [false, true, false], "the sound itself shows contact");
+    assert_eq!(sound.detection.groups.len(), 1);
+    assert_eq!(sound.detection.cuts.len(), 2);
+    let forces = only(&["fr"]);
+    assert_eq!(devices(&forces), [true, false, false]);
+    assert_eq!(forces.detection.cuts.len(), 1);
+    let picture = only(&["ca1"]);
+    assert_eq!(devices(&picture), [true, false, true], "the stylus shows contact");
+    assert!(picture.camera.unwrap().flash.is_none());
+    let flash = only(&["ca2", "mi2"]);
+    assert_eq!(devices(&flash), [true, true, true], "the stylus switches the light");
+}
+
+#[test]
+fn all_sources_need_the_whole_station() {
+    let all = StationConfig::embedded();
+    let sources: Vec<_> = all.detection.cuts.iter().map(|cut| cut.source.clone()).collect();
+    assert_eq!(all.clone().only(&sources), all);
+}
+
+#[test]
+fn a_known_source_and_what_shows_contact_can_be_said() {
+    let config = parse(
+        "format = 1\n[stylus]\npresent = false\n[[lines]]\nport = \"udp://0.0.0.0:5005\"\ntime_us = \"t\"\n\
+         [lines.sources]\nac = [\"ax\", \"ay\"]\nload = [4]\n\
+         [[lines]]\nport = \"COM3\"\n[lines.sources]\ntilt = [1]\n\
+         [detection]\nlisten = { load = \"force\" }\n[sources.ac]\nband_hz = [5, 100]\n",
+    )
+    .unwrap();
+    assert_eq!(config.scene.get("ac").unwrap().channels, 2);
+    assert_eq!(config.scene.get("ac").unwrap().domain.band_hz(), Some((5.0, 100.0)));
+    let groups: Vec<_> = config.detection.groups.iter().map(|group| group.len()).collect();
+    // If the file names a source as sign of contact, no other source of its sensor is one.
+    assert_eq!((groups, config.lines.len()), (vec![1, 1], 2));
+}
+
+#[test]
+fn mistakes_are_refused_with_their_line() {
+    for (lines, part) in [
+        ("port = \"auto\"", "line 3: port: `auto`"),
+        ("port = \"-\"", "line 3: it makes no source"),
+        ("port = \"-\"\nrate_hz = 0\nsources = { a = [1] }", "line 4: rate_hz = 0"),
+        ("port = \"-\"\nsources = { a = [0] }", "counted from 1"),
+        ("port = \"-\"\nsources = { a = [] }", "line 4: source `a`: channels = 0"),
+        ("port = \"-\"\ncounter = 1\ntime_us = 2\nsources = { a = [3] }", "one of them"),
+        ("port = \"-\"\nsources = { a = [1] }\nscale = { b = 1.0 }", "line 5: `b` is no source"),
+        ("port = \"-\"\nspeed = 1", "unknown field `speed`"),
+    ] {
+        let refused = parse(&format!("format = 1\n[[lines]]\n{lines}\n")).unwrap_err();
+        assert!(refused.contains(part), "{lines}: {refused}");
+    }
+}
+
+#[test]
+fn addresses_are_taken_apart_and_others_refused() {
+    let http: HttpAddress = "http://example:9000/a/b?c=d".parse().unwrap();
+    assert_eq!((http.host, http.path.as_str()), (("example".into(), 9000), "/a/b?c=d"));
+    assert_eq!("http://[::1]".parse::<HttpAddress>().unwrap().host, ("::1".into(), 80));
+    let mqtt: MqttAddress = "mqtt://me:secret@broker/plant/hall-3".parse().unwrap();
+    assert_eq!(mqtt.to_string(), "mqtt://broker:1883/plant/hall-3");
+    assert_eq!(mqtt.credentials, Some(("me".into(), "secret".into())));
+    assert!(!format!("{mqtt:?}").contains("secret"));
+    let safe: MqttAddress = "mqtts://broker".parse().unwrap();
+    assert_eq!(
+        (safe.to_string().as_str(), safe.tls),
+        ("mqtts://broker:8883/surfaced", Some(TlsFiles::default()))
+    );
+    for text in ["", "https://x/", "http:///x", "broker/x", "ftp://x"] {
+        assert!(text.parse::<HttpAddress>().is_err(), "{text}");
+    }
+    for text in
+        ["broker", "mqtt://broker/a+", "mqtt://broker/a//b", "mqtt://broker/a.b", "http://broker/a"]
+    {
+        assert!(text.parse::<MqttAddress>().is_err(), "{text}");
+    }
+}
+
+#[test]
+fn an_address_is_a_port_a_host_or_standard_input() {
+    for text in ["/dev/ttyACM0", "COM3@9600", "usb:2341:0043@115200", "tcp://robot:5000", "-"] {
+        assert_eq!(text.parse::<LinesAddress>().unwrap().to_string(), text);
+    }
+    let path = |port: &str| Selector::Path(port.into());
+    assert_eq!("COM3@9600".parse(), Ok(LinesAddress::Serial(path("COM3"), 9600)));
+    assert_eq!("udp://[::]:5000".parse(), Ok(LinesAddress::Udp("[::]:5000".into())));
+    for text in ["", "auto", "tcp://robot", "http://a:1", "udp://:x", "COM3@fast", "COM3@0"] {
+        let refused = text.parse::<LinesAddress>().unwrap_err();
+        assert!(refused.contains("tcp://HOST:PORT"), "{text}: {refused}");
+    }
+}
