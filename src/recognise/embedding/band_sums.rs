@@ -103,11 +103,11 @@ impl Counts {
     pub fn ln_mean_power(&self) -> Vec<f64> {
         let power: Vec<f64> = self.levels().map(f64::exp).collect();
         let of_channel = |counts: &[f32]| {
-            let bands = counts.chunks_exact(self.bins.max(1));
-            let sum: f64 = bands
-                .flat_map(|band| band.iter().zip(&power))
-                .map(|(n, p)| f64::from(*n) * p)
-                .sum();
+            let mut of_bins = vec![0f32; self.bins];
+            for band in counts.chunks_exact(self.bins.max(1)) {
+                of_bins.iter_mut().zip(band).for_each(|(sum, n)| *sum += n);
+            }
+            let sum: f64 = of_bins.iter().zip(&power).map(|(n, p)| f64::from(*n) * p).sum();
             (sum / (self.frames.max(1) * self.bands()) as f64).max(f64::MIN_POSITIVE).ln()
         };
         let per_channel = (self.bands() * self.bins).max(1);

@@ -17,7 +17,7 @@ use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::linear::{Residuals, cholesky, solve_lower, solve_lower_transposed};
+use super::linear::{Residuals, cholesky, matrix, solve_lower, solve_lower_transposed};
 use super::packed;
 
 /// Variance within classes counts as at least this share of all variance, since a detector that has
@@ -139,24 +139,17 @@ impl Discriminant {
         self.present[class]
     }
 
-    /// Replaces the projection onto the space of the class means by `change` of it.
-    pub fn map_projection(self, change: impl FnOnce(Array2<f32>) -> Array2<f32>) -> Self {
-        Self { projection: change(self.projection), ..self }
-    }
-
-    /// The same discriminant for vectors of `dims` features. Its own features are the given `columns`;
-    /// all other features have no weight.
+    /// The same discriminant for vectors of `dims` columns. Its own columns are the given `columns`; all
+    /// others have no weight.
     pub fn spread(self, columns: &[usize], dims: usize) -> Self {
-        self.map_projection(|projection| {
-            if columns.len() == dims {
-                return projection;
-            }
-            let mut wide = Array2::zeros((projection.nrows(), dims));
-            for (narrow, &column) in projection.columns().into_iter().zip(columns) {
-                wide.column_mut(column).assign(&narrow);
-            }
-            wide
-        })
+        if columns.len() == dims {
+            return self;
+        }
+        let mut projection = Array2::zeros((self.projection.nrows(), dims));
+        for (narrow, &column) in self.projection.columns().into_iter().zip(columns) {
+            projection.column_mut(column).assign(&narrow);
+        }
+        Self { projection, ..self }
     }
 
     /// u: the projection of a vector into the space of the class means.
@@ -181,11 +174,10 @@ impl Discriminant {
 
     /// The distances d_c of several vectors of D features, by one matrix product.
     pub fn distances_of_each(&self, vectors: &[Vec<f32>]) -> Vec<Vec<f64>> {
-        let mut rows = Array2::zeros((vectors.len(), self.projection.ncols()));
-        for (mut row, vector) in rows.rows_mut().into_iter().zip(vectors) {
-            row.assign(&ArrayView1::from(vector));
+        if vectors.is_empty() {
+            return Vec::new();
         }
-        let projected = rows.dot(&self.projection.t());
+        let projected = matrix(vectors).dot(&self.projection.t());
         let of_row = |u| self.distances_in_space(&self.less_origin(u));
         projected.rows().into_iter().map(of_row).collect()
     }

@@ -322,9 +322,7 @@ impl ScanSoFar {
             }
         };
         let parts = model.joint.stretches.iter().map(of_source);
-        let (mut vector, present) = model.joint.joined(parts);
-        model.joint.standardise(&mut vector, &present);
-        (vector, present)
+        model.joint.joined(parts)
     }
 }
 

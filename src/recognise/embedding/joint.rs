@@ -1,16 +1,19 @@
-//! Puts all sources of a trial into one vector of features, standardised by the mean and deviation of
-//! the library. The *stretch* of a source is its range of columns in the vector.
+//! Puts all sources of a trial into one vector. The features of each source are standardised by the
+//! mean and deviation of the library, and written in a basis of the directions in which the library
+//! varies. The *stretch* of a source is its range of columns in the vector.
 
 use std::ops::Range;
 use std::sync::Arc;
 
-use ndarray::ArrayView1;
+use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut1, Axis, s};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::BandSums;
-use super::copies::{Copy, copies};
+use super::copies::{COPIES, Copy, copies};
 use super::frames::{SeriesFrames, SourceFrames, TrialFrames, samples_by};
+use super::linear::{lower_gram, matrix, varying_directions};
+use super::packed;
 use super::picture::PictureEmbedder;
 use super::series::SeriesEmbedder;
 use crate::recognise::error::{RecogniseError, nothing_in_common};
@@ -20,6 +23,10 @@ use crate::trial::TrialKey;
 
 /// Standardised features are clipped to ± this value.
 const CLIP: f32 = 8.0;
+
+/// Directions are left out if no feature loses more than this share of its variance. They are drowned
+/// by the shrinkage, and would make a large library's training several times slower.
+const LEAST_VARIANCE: f64 = 0.003;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) enum SourceEmbedder {
@@ -74,10 +81,52 @@ pub(super) struct Stretch {
     pub embedder: SourceEmbedder,
     /// The first library trial that has the source, for error messages.
     first: TrialKey,
+    /// Mean of each feature over the library's whole trials.
+    mean: Vec<f32>,
+    /// 1/(standard deviation) of each feature.
+    factor: Vec<f32>,
+    /// Orthonormal directions in which the features vary, shape (columns, features).
+    #[serde(with = "packed::matrix")]
+    basis: Array2<f32>,
     pub columns: Range<usize>,
 }
 
 impl Stretch {
+    /// Number of features of the source.
+    pub fn features(&self) -> usize {
+        self.mean.len()
+    }
+
+    fn standardise(&self, mut features: ArrayViewMut1<'_, f32>) {
+        for ((x, mean), factor) in features.iter_mut().zip(&self.mean).zip(&self.factor) {
+            *x = ((*x - mean) * factor).clamp(-CLIP, CLIP);
+        }
+        debug_assert!(features.iter().all(|x| x.is_finite()));
+    }
+
+    /// The columns of the source, from rows of its features.
+    fn columns_of(&self, mut rows: Array2<f32>) -> Array2<f32> {
+        rows.rows_mut().into_iter().for_each(|row| self.standardise(row));
+        match rows.nrows() {
+            // One row is multiplied faster as a vector.
+            1 => self.basis.dot(&rows.row(0)).insert_axis(Axis(0)),
+            _ => rows.dot(&self.basis.t()),
+        }
+    }
+
+    /// Sets the mean and deviation of each feature from those of whole trials, shape (n, features).
+    fn standardise_by(&mut self, wholes: &ArrayView2<'_, f32>) {
+        let n = wholes.nrows().max(1) as f64;
+        let scale = |feature: ArrayView1<'_, f32>| {
+            let mean = feature.iter().map(|x| f64::from(*x)).sum::<f64>() / n;
+            let variance = feature.iter().map(|x| (f64::from(*x) - mean).powi(2)).sum::<f64>() / n;
+            // A feature that hardly varies is not magnified.
+            let deviation = variance.sqrt().max(1e-6 + 1e-3 * mean.abs());
+            (mean as f32, (1.0 / deviation) as f32)
+        };
+        (self.mean, self.factor) = wholes.columns().into_iter().map(scale).unzip();
+    }
+
     /// Whether a channel of the source is constant in the library and compared by its level.
     pub fn has_switch(&self) -> bool {
         matches!(&self.embedder, SourceEmbedder::Series(embedder) if embedder.has_switch())
@@ -104,46 +153,47 @@ impl Stretch {
 pub(super) struct JointEmbedder {
     /// In the order of the scene; only sources that the library has.
     pub stretches: Vec<Stretch>,
-    /// Mean of each feature over the library's whole trials.
-    mean: Vec<f32>,
-    /// 1/(standard deviation) of each feature.
-    factor: Vec<f32>,
 }
 
 /// For each source of the vector, whether a trial has it.
 pub(super) type Present = Vec<bool>;
 
 impl JointEmbedder {
-    /// Takes the scales of each source from a library; `standardise_by` sets means and deviations.
+    /// Takes the scales of each source from a library. `training_rows` sets means, deviations and
+    /// bases.
     pub fn new(scene: &Scene, library: &[Arc<TrialFrames>]) -> Self {
         let mut stretches: Vec<Stretch> = Vec::new();
-        let mut dims = 0;
         for spec in scene.sources() {
             let with = |trial: &&Arc<TrialFrames>| trial.sources.contains_key(&spec.id);
             let Some(first) = library.iter().find(with) else { continue };
             let trials: Vec<_> = library.iter().filter_map(|t| t.sources.get(&spec.id)).collect();
             let embedder = SourceEmbedder::new(spec, &trials);
-            let columns = dims..dims + embedder.dims();
-            dims = columns.end;
             stretches.push(Stretch {
                 spec: spec.clone(),
                 embedder,
                 first: first.key.clone(),
-                columns,
+                mean: Vec::new(),
+                factor: Vec::new(),
+                basis: Array2::zeros((0, 0)),
+                columns: 0..0,
             });
         }
-        Self { stretches, mean: vec![0.0; dims], factor: vec![1.0; dims] }
+        Self { stretches }
     }
 
     /// Whether a stored embedder belongs to this scene, and its parts fit each other.
     pub fn is_of(&self, scene: &Scene) -> bool {
         let mut dims = 0;
         let follows = |stretch: &Stretch| {
-            let columns = dims..dims + stretch.embedder.dims();
+            let Stretch { spec, embedder, mean, factor, basis, columns, .. } = stretch;
+            let (features, first) = (embedder.dims(), dims);
             dims = columns.end;
-            stretch.columns == columns && scene.get(stretch.spec.id.as_str()) == Some(&stretch.spec)
+            columns.start == first
+                && scene.get(spec.id.as_str()) == Some(spec)
+                && [mean.len(), factor.len()] == [features; 2]
+                && basis.dim() == (columns.len(), features)
         };
-        self.stretches.iter().all(follows) && [self.mean.len(), self.factor.len()] == [dims; 2]
+        self.stretches.iter().all(follows)
     }
 
     /// The stretch of a source; `None` if the library lacks the source.
@@ -165,81 +215,97 @@ impl JointEmbedder {
         Ok(())
     }
 
+    /// Number of columns of a vector.
     pub fn dims(&self) -> usize {
-        self.mean.len()
+        self.stretches.last().map_or(0, |stretch| stretch.columns.end)
     }
 
     pub fn present(&self, trial: &TrialFrames) -> Present {
         self.stretches.iter().map(|s| trial.sources.contains_key(&s.spec.id)).collect()
     }
 
-    /// The vector of a whole trial, or of one copy with its number, and which sources the trial has.
-    /// The vector is not standardised yet.
-    pub fn raw(&self, trial: &TrialFrames, copy: Option<(usize, &Copy)>) -> (Vec<f32>, Present) {
+    /// The features of each source of a whole trial, or of one copy with its number.
+    fn features(&self, trial: &TrialFrames, copy: Option<(usize, &Copy)>) -> Vec<Option<Vec<f32>>> {
         let of_source = |stretch: &Stretch| {
             let source = trial.sources.get(&stretch.spec.id)?;
             Some(stretch.embedder.embed(source, copy))
         };
-        let parts: Vec<_> = self.stretches.par_iter().map(of_source).collect();
-        self.joined(parts.into_iter())
+        self.stretches.par_iter().map(of_source).collect()
     }
 
-    /// Joins the columns of the sources to one vector; the columns of a missing source are 0.
-    pub fn joined(&self, parts: impl Iterator<Item = Option<Vec<f32>>>) -> (Vec<f32>, Present) {
+    /// The vector of a trial, and which sources it has.
+    pub fn embed(&self, trial: &TrialFrames) -> (Vec<f32>, Present) {
+        self.joined(self.features(trial, None).into_iter())
+    }
+
+    /// Joins the features of the sources to one vector. The columns of a missing source are 0, which is
+    /// the library's mean.
+    pub fn joined(&self, features: impl Iterator<Item = Option<Vec<f32>>>) -> (Vec<f32>, Present) {
         let mut vector = vec![0.0; self.dims()];
         let mut present = vec![false; self.stretches.len()];
-        for ((stretch, part), has) in self.stretches.iter().zip(parts).zip(&mut present) {
-            if let Some(of_source) = part {
-                vector[stretch.columns.clone()].copy_from_slice(&of_source);
+        for ((stretch, features), has) in self.stretches.iter().zip(features).zip(&mut present) {
+            if let Some(features) = features {
+                let columns = stretch.columns_of(matrix(&[features]));
+                columns.row(0).assign_to(&mut vector[stretch.columns.clone()]);
                 *has = true;
             }
         }
         (vector, present)
     }
 
-    /// The vectors of a library trial, not standardised yet: first the whole trial, then its copies,
-    /// which are drawn with `seed`.
-    pub fn training_vectors(&self, trial: &TrialFrames, seed: u64) -> Vec<Vec<f32>> {
-        let copies = copies(&trial.key, seed);
-        let copies = copies.iter().enumerate().map(|copy| self.raw(trial, Some(copy)).0);
-        std::iter::once(self.raw(trial, None).0).chain(copies).collect()
-    }
-
-    /// Sets the mean and deviation of each feature from whole trials. Each is given by its vector, not
-    /// standardised yet, and by the sources that it has.
-    pub fn standardise_by(&mut self, wholes: &[(&[f32], &Present)]) {
-        for (s, stretch) in self.stretches.iter().enumerate() {
-            let with: Vec<&[f32]> =
-                wholes.iter().filter(|(_, has)| has[s]).map(|(vector, _)| *vector).collect();
-            let n = with.len().max(1) as f64;
-            for column in stretch.columns.clone() {
-                let values = || with.iter().map(|vector| f64::from(vector[column]));
-                let mean = values().sum::<f64>() / n;
-                let variance = values().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
-                // A feature that hardly varies is not magnified.
-                let deviation = variance.sqrt().max(1e-6 + 1e-3 * mean.abs());
-                self.mean[column] = mean as f32;
-                self.factor[column] = (1.0 / deviation) as f32;
+    /// Embeds a library and the copies of its trials, drawn with `seed`, and sets the mean and deviation
+    /// of each feature, and the bases. Gives the vectors as rows: one for each whole trial, then those
+    /// of each trial's copies. `done` is called with each trial after it was embedded.
+    pub fn training_rows(
+        &mut self,
+        library: &mut [Arc<TrialFrames>],
+        seed: u64,
+        done: impl Fn(&mut Arc<TrialFrames>) + Sync,
+    ) -> Array2<f32> {
+        let embed = |trial: &mut Arc<TrialFrames>| {
+            let copies = copies(&trial.key, seed);
+            let copies = copies.iter().enumerate().map(|copy| self.features(trial, Some(copy)));
+            let all: Vec<_> = std::iter::once(self.features(trial, None)).chain(copies).collect();
+            done(trial);
+            all
+        };
+        let mut vectors: Vec<Vec<Vec<Option<Vec<f32>>>>> =
+            library.par_iter_mut().map(embed).collect();
+        let trials = vectors.len();
+        let mut columns = 0;
+        let mut of_sources = Vec::new();
+        for (source, stretch) in self.stretches.iter_mut().enumerate() {
+            let mut rows = Array2::zeros((trials * (1 + COPIES), stretch.embedder.dims()));
+            let mut has = vec![false; rows.nrows()];
+            for (row, mut values) in rows.rows_mut().into_iter().enumerate() {
+                let (trial, vector) = place(row, trials);
+                if let Some(features) = vectors[trial][vector][source].take() {
+                    values.assign(&ArrayView1::from(&features));
+                    has[row] = true;
+                }
+            }
+            let there: Vec<usize> = (0..rows.nrows()).filter(|&row| has[row]).collect();
+            let mut rows =
+                if there.len() < has.len() { rows.select(Axis(0), &there) } else { rows };
+            let whole = there.iter().filter(|&&row| row < trials).count();
+            stretch.standardise_by(&rows.slice(s![..whole, ..]));
+            rows.rows_mut().into_iter().for_each(|row| stretch.standardise(row));
+            let moments = lower_gram(&rows.view()) / rows.nrows().max(1) as f64;
+            stretch.basis = varying_directions(&moments, LEAST_VARIANCE);
+            stretch.columns = columns..columns + stretch.basis.nrows();
+            columns = stretch.columns.end;
+            of_sources.push((there, rows.dot(&stretch.basis.t())));
+        }
+        let mut all = Array2::zeros((trials * (1 + COPIES), columns));
+        for (stretch, (there, rows)) in self.stretches.iter().zip(of_sources) {
+            for (row, values) in there.into_iter().zip(rows.rows()) {
+                all.slice_mut(s![row, stretch.columns.clone()]).assign(&values);
             }
         }
+        all
     }
 
-    /// Standardises a vector. Sources that are not `present` stay 0, which is the library's mean.
-    pub fn standardise(&self, vector: &mut [f32], present: &Present) {
-        for (stretch, _) in self.stretches.iter().zip(present).filter(|(_, has)| **has) {
-            self.standardise_source(stretch, vector);
-        }
-    }
-
-    fn standardise_source(&self, stretch: &Stretch, vector: &mut [f32]) {
-        for column in stretch.columns.clone() {
-            let z = (vector[column] - self.mean[column]) * self.factor[column];
-            vector[column] = z.clamp(-CLIP, CLIP);
-        }
-        debug_assert!(vector.iter().all(|x| x.is_finite()));
-    }
-
-    /// The standardised vectors of the beginnings of a library trial's drag at each of `looks`: steps
+    /// The vectors of the beginnings of a library trial's drag at each of `looks`: steps
     /// of [`LOOK_S`], counted from 1, ascending. Sources that do not belong to the drag, or ended
     /// before, have the values of `whole`, the vector of the whole trial.
     pub fn beginnings(
@@ -257,12 +323,11 @@ impl JointEmbedder {
         };
         let parts: Vec<_> = self.stretches.par_iter().map(of_source).collect();
         let mut all = vec![whole.to_vec(); looks.len()];
-        for (stretch, part) in self.stretches.iter().zip(parts) {
-            for (vector, of_source) in all.iter_mut().zip(part.into_iter().flatten()) {
-                if let Some(of_source) = of_source {
-                    vector[stretch.columns.clone()].copy_from_slice(&of_source);
-                    self.standardise_source(stretch, vector);
-                }
+        for (stretch, features) in self.stretches.iter().zip(parts) {
+            let Some(features) = features.filter(|looks| !looks.is_empty()) else { continue };
+            let columns = stretch.columns_of(matrix(&features));
+            for (vector, values) in all.iter_mut().zip(columns.rows()) {
+                values.assign_to(&mut vector[stretch.columns.clone()]);
             }
         }
         all
@@ -294,12 +359,8 @@ pub(super) fn columns(stretches: &[Stretch], present: &Present) -> Vec<usize> {
     there.flat_map(|(stretch, _)| stretch.columns.clone()).collect()
 }
 
-/// The vectors of the beginnings of a series at each of `looks`; `None` after its end.
-fn beginnings(
-    embedder: &SeriesEmbedder,
-    series: &SeriesFrames,
-    looks: &[usize],
-) -> Vec<Option<Vec<f32>>> {
+/// The features of the beginnings of a series at each of `looks` up to its end.
+fn beginnings(embedder: &SeriesEmbedder, series: &SeriesFrames, looks: &[usize]) -> Vec<Vec<f32>> {
     let rate_hz = series.rate_hz();
     let mut sums = series.views.0.each_ref().map(|view| BandSums::new(view.channels, view.width()));
     let mut taken = [0; 2];
@@ -315,5 +376,14 @@ fn beginnings(
         filled.iter_mut().zip(&look.frames).for_each(|(sums, frame)| sums.add(&frame.values()));
         Some(embedder.vector(&filled, &look.moments, rate_hz, 0.0))
     };
-    looks.iter().map(of_look).collect()
+    looks.iter().map_while(of_look).collect()
+}
+
+/// The trial of a training row, and the index of its vector in the trial: 0 for the whole, then the
+/// copies.
+pub(super) fn place(row: usize, trials: usize) -> (usize, usize) {
+    match row.checked_sub(trials) {
+        None => (row, 0),
+        Some(copy) => (copy / COPIES, 1 + copy % COPIES),
+    }
 }

@@ -162,6 +162,12 @@ fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, 
     }
 }
 
+/// The matrix that has these rows; they are equally long.
+pub fn matrix(rows: &[Vec<f32>]) -> Array2<f32> {
+    let dims = rows.first().map_or(0, Vec::len);
+    Array2::from_shape_fn((rows.len(), dims), |(row, column)| rows[row][column])
+}
+
 /// Σ z·zᵀ over the rows of a matrix of shape (n, D). The result has shape (D, D); only its lower
 /// triangle is filled.
 pub fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
@@ -179,6 +185,39 @@ pub fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
         }
     });
     gram
+}
+
+/// An orthonormal basis, shape (k, D), of the directions in which vectors vary. `moments` holds their
+/// mean products Σ z·zᵀ/n, shape (D, D), in its lower triangle. Outside the span of the basis, no
+/// coordinate has a mean square above `tolerance`.
+///
+/// The span is that of a Cholesky factor that takes the coordinate with the largest rest first, and
+/// stops (Higham 1990, "Analysis of the Cholesky decomposition of a semi-definite matrix").
+pub fn varying_directions(moments: &Array2<f64>, tolerance: f64) -> Array2<f32> {
+    let dims = moments.nrows();
+    let mut rest = moments.diag().to_vec();
+    let mut rows: Vec<Vec<f64>> = Vec::new();
+    while rows.len() < dims {
+        let most = (0..dims).max_by(|&a, &b| rest[a].total_cmp(&rest[b])).unwrap_or(0);
+        if rest[most] <= tolerance {
+            break;
+        }
+        let mut row: Vec<f64> = (0..dims).map(|i| moments[[i.max(most), i.min(most)]]).collect();
+        for other in &rows {
+            let part = other[most];
+            row.iter_mut().zip(other).for_each(|(x, y)| *x -= part * y);
+        }
+        let root = rest[most].sqrt();
+        row.iter_mut().for_each(|x| *x /= root);
+        rest.iter_mut().zip(&row).for_each(|(rest, x)| *rest -= x * x);
+        rest[most] = 0.0;
+        rows.push(row);
+    }
+    let mut basis = Array2::from_shape_fn((rows.len(), dims), |(i, j)| rows[i][j]);
+    if let Some(factor) = cholesky(basis.dot(&basis.t())) {
+        solve_lower(&factor, &mut basis);
+    }
+    basis.mapv(|x| x as f32)
 }
 
 /// Training vectors minus the mean of their label.
@@ -338,6 +377,28 @@ mod tests {
         for ((i, j), expected) in full.indexed_iter().filter(|((i, j), _)| j <= i) {
             assert!((lower[[i, j]] - expected).abs() < 1e-5 * full[[i, i]], "{i}, {j}");
         }
+    }
+
+    #[test]
+    fn the_varying_directions_are_orthonormal_and_leave_little_over() {
+        let (n, dims) = (60, 30);
+        // Five directions, and a little of everything.
+        let value = |(i, j): (usize, usize)| {
+            let wave =
+                |k: usize| ((i * (k + 2) * 7 + k) as f64).sin() * ((j * (k + 1)) as f64).cos();
+            (0..5).map(wave).sum::<f64>() + 1e-3 * ((i * 31 + j * 17) as f64).sin()
+        };
+        let vectors = Array2::from_shape_fn((n, dims), value);
+        let moments = vectors.t().dot(&vectors) / n as f64;
+        let basis = varying_directions(&moments, 1e-4).mapv(f64::from);
+        assert_eq!(basis.nrows(), 5);
+        let off = basis.dot(&basis.t()) - Array2::<f64>::eye(5);
+        assert!(off.iter().all(|x| x.abs() < 1e-5));
+        let rest = &vectors - &vectors.dot(&basis.t()).dot(&basis);
+        for column in rest.columns() {
+            assert!(column.iter().map(|x| x * x).sum::<f64>() / (n as f64) < 1e-4);
+        }
+        assert_eq!(varying_directions(&Array2::zeros((3, 3)), 1e-4).dim(), (0, 3));
     }
 
     #[test]

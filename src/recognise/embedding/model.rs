@@ -124,9 +124,7 @@ impl EmbeddingModel {
         if !self.joint.says_something(query) {
             return Err(RecogniseError::TooLittle);
         }
-        let (mut vector, present) = self.joint.raw(query, None);
-        self.joint.standardise(&mut vector, &present);
-        Ok((vector, present))
+        Ok(self.joint.embed(query))
     }
 
     /// The discriminants for a set of sources. They are trained when first needed, and kept.

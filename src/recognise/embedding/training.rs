@@ -14,9 +14,9 @@ use serde::{Deserialize, Serialize};
 use super::copies::{COPIES, EXCERPTS};
 use super::discriminant::{Discriminant, Vectors};
 use super::frames::TrialFrames;
-use super::joint::{JointEmbedder, Present, columns};
+use super::joint::{JointEmbedder, Present, Stretch, columns, place};
 use super::labels::Labels;
-use super::linear::{Residuals, cholesky, lower_gram, solve_lower_transposed};
+use super::linear::Residuals;
 use super::packed;
 use crate::system::give_back_memory;
 
@@ -24,10 +24,6 @@ use crate::system::give_back_memory;
 const KINDS: usize = 3;
 
 const SHRINKAGE: (f64, f64) = (1e-4, 1.0);
-
-/// Added to the diagonal of the matrix of inner products, as a share of its mean. It is more than
-/// rounding in f32, and far less than the shrinkage.
-const JITTER: f64 = 1e-5;
 
 #[derive(Serialize, Deserialize)]
 pub(super) struct Training {
@@ -54,29 +50,15 @@ impl Training {
         labels: &Labels,
         seed: u64,
     ) -> Self {
-        let embed = |trial: &mut Arc<TrialFrames>| {
-            let vectors = joint.training_vectors(trial, seed);
+        let forget = |trial: &mut Arc<TrialFrames>| {
             Arc::get_mut(trial).into_iter().for_each(TrialFrames::forget_copies);
-            vectors
         };
-        let mut vectors: Vec<Vec<Vec<f32>>> = library.par_iter_mut().map(embed).collect();
-        let present: Vec<Present> = library.iter().map(|trial| joint.present(trial)).collect();
-        let wholes: Vec<(&[f32], &Present)> =
-            vectors.iter().zip(&present).map(|(v, has)| (&v[0][..], has)).collect();
-        joint.standardise_by(&wholes);
-        vectors.par_iter_mut().zip(&present).for_each(|(of_trial, present)| {
-            of_trial.iter_mut().for_each(|vector| joint.standardise(vector, present));
-        });
-        let mut rows = Array2::zeros((library.len() * (1 + COPIES), joint.dims()));
-        for (row, mut values) in rows.rows_mut().into_iter().enumerate() {
-            let (trial, vector) = place(row, library.len());
-            values.assign(&ArrayView1::from(&vectors[trial][vector]));
-        }
-        drop(vectors);
+        let rows = joint.training_rows(library, seed, forget);
+        let present = library.iter().map(|trial| joint.present(trial)).collect();
         give_back_memory();
         let mut training = Self::of(rows, present, 0.0, labels);
         training.fill_absent(joint);
-        training.shrinkage = training.measured_shrinkage();
+        training.shrinkage = training.measured_shrinkage(features(&joint.stretches, None));
         training
     }
 
@@ -127,16 +109,14 @@ impl Training {
     }
 
     /// γ = [Σ_trials Σ_{a,b of the trial} (r_a·r_b)²/N² − ‖S‖²/n] / ‖S − μI‖². The r_a are the N rows
-    /// of n trials minus the means of their labels, S = Σ r_a·r_aᵀ/N and μ = tr(S)/D. If copies
-    /// counted as separate observations, γ would be half as large.
-    fn measured_shrinkage(&self) -> f64 {
+    /// of n trials minus the means of their labels, S = Σ r_a·r_aᵀ/N and μ = tr(S)/D for D features. If
+    /// copies counted as separate observations, γ would be half as large.
+    fn measured_shrinkage(&self, features: usize) -> f64 {
         let residuals = Residuals::new(&self.rows, &self.labels);
-        let (rows, dims) = self.rows.dim();
         let trials = self.present.len();
-        let product =
-            if rows < dims { lower_gram(&residuals.rows.t()) } else { residuals.scatter() };
+        let product = residuals.scatter();
         let residuals = residuals.rows;
-        let (n, d) = (rows as f64, dims as f64);
+        let (n, d) = (self.rows.nrows() as f64, features as f64);
         let trace = product.diag().sum() / n;
         let lower = |(i, row): (usize, ArrayView1<'_, f64>)| {
             let off: f64 = row.iter().take(i).map(|x| x * x).sum();
@@ -188,11 +168,8 @@ impl Training {
             selected = self.rows.select(Axis(1), &columns);
             &selected
         };
-        let (all, without) = if rows.nrows() < columns.len() {
-            self.in_their_span(rows).unwrap_or_else(|| (None, vec![None; self.group_count]))
-        } else {
-            Discriminant::train(&self.vectors(rows), columns.len(), self.shrinkage)
-        };
+        let features = features(&joint.stretches, Some(present));
+        let (all, without) = Discriminant::train(&self.vectors(rows), features, self.shrinkage);
         let spread = |discriminant: Discriminant| discriminant.spread(&columns, joint.dims());
         let all = all.unwrap_or_else(|| Discriminant::of_means(&self.vectors(rows)));
         (spread(all), without.into_iter().map(|without| without.map(spread)).collect())
@@ -202,40 +179,10 @@ impl Training {
         let Self { labels, groups, classes, group_count, .. } = self;
         Vectors { rows, labels, groups, classes: *classes, group_count: *group_count }
     }
-
-    /// The same discriminants if there are more features than rows, in the space that the rows span.
-    /// With Z·Zᵀ = L·Lᵀ, the rows of L are the rows of Z in the orthonormal basis L⁻¹·Z. Directions
-    /// outside that space do not separate classes.
-    fn in_their_span(
-        &self,
-        vectors: &Array2<f32>,
-    ) -> Option<(Option<Discriminant>, Vec<Option<Discriminant>>)> {
-        let mut inner = lower_gram(&vectors.t());
-        let jitter = JITTER * inner.diag().sum() / vectors.nrows().max(1) as f64;
-        inner.diag_mut().map_inplace(|x| *x += jitter);
-        let mut factor = cholesky(inner)?;
-        for (i, mut row) in factor.rows_mut().into_iter().enumerate() {
-            row.slice_mut(ndarray::s![i + 1..]).fill(0.0);
-        }
-        let inside = factor.mapv(|x| x as f32);
-        let (all, without) =
-            Discriminant::train(&self.vectors(&inside), vectors.ncols(), self.shrinkage);
-        let outside = |inside: Discriminant| {
-            inside.map_projection(|projection| {
-                let mut back = projection.reversed_axes().mapv(f64::from);
-                solve_lower_transposed(&factor, &mut back);
-                back.t().mapv(|x| x as f32).dot(vectors)
-            })
-        };
-        let without = without.into_par_iter().map(|without| without.map(outside));
-        Some((all.map(outside), without.collect()))
-    }
 }
 
-/// The trial of a row, and the index of its vector in the trial: 0 for the whole, then the copies.
-fn place(row: usize, trials: usize) -> (usize, usize) {
-    match row.checked_sub(trials) {
-        None => (row, 0),
-        Some(copy) => (copy / COPIES, 1 + copy % COPIES),
-    }
+/// Number of features of the sources that are `present`, or of all.
+fn features(stretches: &[Stretch], present: Option<&Present>) -> usize {
+    let is_present = |source: &usize| present.is_none_or(|present| present[*source]);
+    (0..stretches.len()).filter(is_present).map(|source| stretches[source].features()).sum()
 }
