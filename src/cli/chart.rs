@@ -9,7 +9,8 @@ use super::figure::{FigureArgs, is_earlier, json, write};
 use super::method::{at_least_one, options_of};
 use super::show::quoted;
 use super::{Done, Failure, bad_files, show};
-use crate::evaluate::chart::{Chart, Charting, brief, charted, drag_s, figure, measure};
+use crate::evaluate::Evaluation;
+use crate::evaluate::chart::{Chart, charted, drag_s, figure, measure};
 use crate::library::Library;
 use crate::scene::SourceId;
 
@@ -89,9 +90,8 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
 /// Measures one setting after the other, and writes the results after each one. They remain if a
 /// later setting fails or the run is interrupted.
 fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
-    let drag_s = chart.drag_s;
-    let all = if args.brief { brief(&choice.scene) } else { charted(&choice.scene, drag_s) };
-    let on = Charting { entries: &choice.entries, protocol: choice.protocol, folds: &choice.folds };
+    let all = charted(&choice.scene, chart.drag_s, args.brief);
+    let on = Evaluation::new(&choice.scene, &choice.entries, &choice.folds);
     let (start, mut warned) = (Instant::now(), BTreeSet::new());
     for (done, one) in all.iter().enumerate() {
         let so_far_s = start.elapsed().as_secs_f64();
@@ -105,7 +105,7 @@ fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
         let options = one.method.as_ref().map(options_of).unwrap_or_default();
         let name = one.control.clone().unwrap_or(options);
         say!("{}/{}  {name}{left}", done + 1, all.len());
-        let (measured, left_out) = measure(on, one, &name)?;
+        let (measured, left_out) = measure(on, choice.protocol, one, &name)?;
         for line in show::left_out(&left_out) {
             if warned.insert(line.clone()) {
                 say!("warning: {line}");

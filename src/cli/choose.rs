@@ -43,7 +43,8 @@ pub(super) fn split(
     keys: &[TrialKey],
     named: Option<Protocol>,
 ) -> Result<(Protocol, Vec<Fold>), EvaluateError> {
-    let protocol = named.unwrap_or_else(|| Protocol::natural(keys));
+    let fitting = || Protocol::fitting(keys).unwrap_or(Protocol::LeaveOneTrialOut);
+    let protocol = named.unwrap_or_else(fitting);
     let folds = evaluate::folds(protocol, keys)?;
     if named.is_none() {
         say!("protocol: {}, which fits these data", protocol.name());

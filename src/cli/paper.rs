@@ -120,7 +120,7 @@ fn print(report: &PaperReport) {
     let mut rows = Vec::new();
     let mut head = String::new();
     for row in &measured {
-        let of_row = format!("{} · {}", row.place, row.protocol);
+        let of_row = format!("{} · {}", row.row.place, row.row.protocol.name());
         if of_row != head {
             rows.push(vec![of_row.clone()]);
             head = of_row;
@@ -146,14 +146,15 @@ fn add_cells(row: &ReportRow, rows: &mut Vec<Vec<String>>) {
         Some(mean) => figure(mean * 100.0, row.accuracy_std.map(|std| std * 100.0)),
         None => "no queries".into(),
     };
-    let paper = row.published.map_or(String::new(), |p| figure(p.accuracy, p.std));
+    let published = row.row.published;
+    let paper = published.map_or(String::new(), |p| figure(p.accuracy, p.std));
     let points = row.difference_points.map_or(String::new(), |points| format!("{points:+.1}"));
     let lacks = match row.missing.as_slice() {
         [] => String::new(),
         missing => format!("without {}, which the data lack", missing.join(", ")),
     };
-    rows.push(vec![format!("  {}", row.name), ours, paper, points, lacks]);
-    if let Some(precision) = row.published.and_then(|published| published.precision) {
+    rows.push(vec![format!("  {}", row.row.name), ours, paper, points, lacks]);
+    if let Some(precision) = published.and_then(|published| published.precision) {
         let ours = row.precision_mean.map_or(String::new(), |p| figure(p * 100.0, None));
         rows.push(vec!["    its precision".into(), ours, figure(precision, None)]);
     }

@@ -36,7 +36,7 @@ pub use evaluation::{
 pub use fold::{Fold, Protocol, folds};
 pub(crate) use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, Share};
-pub(crate) use outcome::{interval_over_users, is_over_users};
+pub(crate) use outcome::{interval_over_users, is_over_users, percentile};
 pub(crate) use plain::better_plain;
 pub use settled::SettledOutcome;
 pub use unknown::UnknownOutcome;
