@@ -9,15 +9,13 @@ use super::choose::{Choice, choose, within};
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
 use super::method::{Comparing, ComparingArgs};
-use super::outputs::{Page, send_answers};
-use super::serve::ServeArgs;
+use super::serve::{Page, ServeArgs};
 use super::show::{self, quoted};
 use super::tally::Tally;
 use super::{Done, Failure, bad_files, live, say};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
-use crate::history;
 use crate::library::{Entry, Unreadable, unreadable};
 use crate::recognise::{
     LOOK_S, Method, MethodName, Model, ReadyModel, RecogniseError, ready_model,
@@ -202,15 +200,13 @@ fn play(
     }
     // Without a library, past scans and unsent answers are kept here only until the program ends.
     let until_end = tempfile::tempdir()?;
-    let config = super::config(args.config.as_deref())?;
-    if args.serve.is_wanted() {
-        let folder = library.map_or(until_end.path(), PathBuf::as_path).join(history::FOLDER);
-        let sources = (&stage.scene, BTreeMap::new());
-        (station, settings.history) = live::keep_scans(station, &folder, config.keep_mb, sources)?;
+    let mut config = super::config(args.config.as_deref())?;
+    if !args.serve.is_wanted() {
+        config.keep_mb = 0;
     }
     let (page, folder) = (Page::default(), args.library.as_deref().unwrap_or(until_end.path()));
-    (station, settings.outputs) =
-        send_answers(station, &config.outputs, folder, (&settings.history, &page))?;
+    let sources = (&stage.scene, BTreeMap::new());
+    station = live::keep_and_send(station, &config, folder, sources, (&mut settings, &page))?;
     let (mut station, server) = args.serve.start(station, settings, &page)?;
     // The page can be seen while the models are made; a signal then ends the program at once.
     station.emit(&StationEvent::Reading);

@@ -23,8 +23,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use self::disturb::Kind;
 pub use self::disturb::{Disturbance, all};
-use self::disturb::{Kind, Setting};
 pub(crate) use self::figure::{Measure, figure};
 pub(crate) use self::report::StressReport;
 use self::report::{DisturbanceLevel, DisturbanceSeries, MethodReport, StressCell};
@@ -119,15 +119,6 @@ pub fn run(
         for (d, of_disturbance) in plan.disturbances.iter().zip(&mut cells) {
             for (at, (&level, of_level)) in d.levels.iter().zip(of_disturbance).enumerate() {
                 of_level.extend(match d.kind {
-                    Kind::Query(change) => answers(&run, plan, &models, &queries, |raw| {
-                        let (mut trial, key) = (raw.clone(), raw.key.to_string());
-                        let rng = seed::rng(
-                            plan.seed,
-                            &[b"stress", d.name.as_bytes(), &at.to_le_bytes(), key.as_bytes()],
-                        );
-                        change(&mut trial, &mut Setting { level, scene: plan.scene, rng });
-                        trial
-                    }),
                     Kind::Library(change) => {
                         let key = [index.to_le_bytes(), at.to_le_bytes()];
                         let key = [b"library", d.name.as_bytes(), &key[0], &key[1]];
@@ -145,6 +136,11 @@ pub fn run(
                         let models = Models::fit(&changed, plan, fold, &all.library)?;
                         answers(&changed, plan, &models, &queries, Trial::clone)
                     }
+                    _ => answers(&run, plan, &models, &queries, |raw| {
+                        let (at, key) = (at.to_le_bytes(), raw.key.to_string());
+                        let key = [b"stress", d.name.as_bytes(), &at, key.as_bytes()];
+                        d.disturbed(raw, level, plan.scene, seed::rng(plan.seed, &key))
+                    }),
                 });
                 done += 1;
                 progress("disturbing", done, total);
