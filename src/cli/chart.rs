@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use super::choose::{Choice, choose};
-use super::figure::{FigureArgs, is_earlier, json, write};
+use super::figure::{FigureArgs, is_earlier};
 use super::method::{at_least_one, options_of};
 use super::show::quoted;
 use super::{Done, Failure, bad_files, show};
@@ -42,7 +42,7 @@ pub fn run(args: &Args) -> Done {
     }
     let library = super::open(&args.lib)?;
     let chart = bad_files::work(&args.lib, library, |library| measured(args, library))?;
-    show::wrote(&keep(args, &chart)?);
+    show::wrote(&args.figure.keep(&figure(&chart)?, &chart)?);
     if args.figure.json {
         show::json(&chart);
     } else {
@@ -52,14 +52,6 @@ pub fn run(args: &Args) -> Done {
         ));
     }
     Ok(())
-}
-
-/// Writes the picture and its numbers, and returns the paths of the files.
-fn keep(args: &Args, chart: &Chart) -> Result<Vec<PathBuf>, Failure> {
-    let (out, beside) = (args.figure.out.clone(), args.figure.beside());
-    write(&out, &figure(chart)?)?;
-    write(&beside, &json(chart)?)?;
-    Ok(vec![out, beside])
 }
 
 fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
@@ -112,17 +104,13 @@ fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
             }
         }
         for point in measured {
-            say!(
-                "       {}: {} ({} to {}), {:.2} ms",
-                point.query_seconds.map_or("whole drag".into(), |s| format!("first {s} s")),
-                show::percent(point.accuracy),
-                show::percent(point.accuracy_low),
-                show::percent(point.accuracy_high),
-                point.query_ms_p50
-            );
+            let part = point.query_seconds.map_or("whole drag".into(), |s| format!("first {s} s"));
+            let [accuracy, low, high] =
+                [point.accuracy, point.accuracy_low, point.accuracy_high].map(show::percent);
+            say!("       {part}: {accuracy} ({low} to {high}), {:.2} ms", point.query_ms_p50);
             chart.points.push(point);
         }
-        keep(args, chart)?;
+        args.figure.keep(&figure(chart)?, chart)?;
     }
     Ok(())
 }

@@ -71,11 +71,10 @@ fn samples(path: &Path) -> Result<Array2<f64>, LibraryError> {
 fn compare_samples(args: &Args) -> Done {
     let (z, y) = (samples(&args.a)?, samples(&args.b)?);
     if z.ncols() != y.ncols() {
+        let (a, b) = (args.a.display(), args.b.display());
         return Err(Failure::Failed(format!(
-            "{} has {}, but {} has {}; samples of one source have the same channels",
-            args.a.display(),
+            "{a} has {}, but {b} has {}; samples of one source have the same channels",
             show::counted(z.ncols(), "column"),
-            args.b.display(),
             y.ncols()
         )));
     }

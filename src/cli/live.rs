@@ -163,7 +163,7 @@ pub fn load(
 /// Returns a function that audits the library each time it is called.
 pub fn check(path: &Path, how: &Comparing) -> Audit {
     let (path, how) = (path.to_path_buf(), how.clone());
-    Arc::new(move || super::check::audit(&path, &how, false).map_err(Failure::text))
+    Arc::new(move || super::check::audit(&path, &how, &|_, _, _| {}).map_err(Failure::text))
 }
 
 /// The message when the station and its library have no source in common.

@@ -7,6 +7,7 @@ use clap::ValueEnum;
 use clap::builder::PossibleValue;
 
 use super::answers::AccuracyArgs;
+use super::show::joined;
 use super::{Failure, SourceArgs};
 use crate::evaluate::plan::Plan;
 use crate::recognise::{
@@ -169,14 +170,9 @@ impl ComparingArgs {
             return Ok(Comparing { plan: None, sources, method, cache, query_seconds });
         };
         let plan = Plan::read(path).map_err(Failure::usage)?;
-        let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
         let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
-        say!(
-            "plan for {}: {} by {}{used}",
-            plan.library,
-            names.join(" + "),
-            plan.method.name().as_str()
-        );
+        let (names, method) = (joined(&plan.sources, " + "), plan.method.name().as_str());
+        say!("plan for {}: {names} by {method}{used}", plan.library);
         let (method, query_seconds) = (self.method.planned(&plan.method), plan.scan_s);
         Ok(Comparing { plan: Some(plan), sources, method, cache, query_seconds })
     }

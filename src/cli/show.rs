@@ -69,7 +69,11 @@ pub fn wrote<P: AsRef<Path>>(files: &[P]) {
 
 /// Joins texts with commas.
 pub fn listed<T: ToString>(things: impl IntoIterator<Item = T>) -> String {
-    things.into_iter().map(|thing| thing.to_string()).collect::<Vec<_>>().join(", ")
+    joined(things, ", ")
+}
+
+pub fn joined<T: ToString>(things: impl IntoIterator<Item = T>, by: &str) -> String {
+    things.into_iter().map(|thing| thing.to_string()).collect::<Vec<_>>().join(by)
 }
 
 pub fn next(what: &str) {

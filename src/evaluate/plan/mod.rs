@@ -26,8 +26,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use self::file::Expected;
-pub use self::file::Plan;
+pub use self::file::{Expected, Plan};
 use crate::evaluate::{
     EvaluateError, Evaluation, Fold, Outcome, ProgressFn, Protocol, Run, Share, folds, percentile,
 };
