@@ -43,14 +43,9 @@ pub fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
     let chart = bad_files::work(&args.lib, library, |library| measured(args, library))?;
     show::wrote(&args.figure.keep(&figure(&chart)?, &chart)?);
-    if args.figure.json {
-        show::json(&chart);
-    } else {
-        let lib = quoted(&args.lib);
-        show::next(&format!(
-            "surfaced plan {lib} chooses the cheapest setting that is good enough"
-        ));
-    }
+    let lib = quoted(&args.lib);
+    let next = format!("surfaced plan {lib} chooses the cheapest setting that is good enough");
+    show::result(args.figure.json, &chart, |_| show::next(&next));
     Ok(())
 }
 

@@ -30,11 +30,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
     let report = audit(&args.library, &how, &say::progress)?;
-    if args.json {
-        show::json(&report);
-    } else {
-        print(&report);
-    }
+    show::result(args.json, &report, print);
     match report.findings.len() {
         0 => Ok(()),
         n => Err(Failure::Damaged(format!("{} to fix", show::counted(n, "thing")))),

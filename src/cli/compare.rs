@@ -79,13 +79,11 @@ fn compare_samples(args: &Args) -> Done {
         )));
     }
     let result = score_samples(z.view(), y.view(), args.align_mean, args.sigma);
-    if args.json {
-        show::json(&result);
-    } else {
+    show::result(args.json, &result, |result| {
         result!("n = {}, {} channel(s), σ = {:.6}", result.n, result.dims, result.sigma);
         result!("MMD²_b = {:.6e}   score n·MMD²_b = {:.6}", result.mmd2, result.score);
         show::next("--align-mean and --sigma X change how the two are compared");
-    }
+    });
     Ok(())
 }
 
@@ -110,14 +108,9 @@ fn compare_trials(args: &Args) -> Done {
         seed: args.seed,
     };
     let comparison = compare(&a, &b, &scene, &options)?;
-    let synthetic = a_synthetic || b_synthetic;
-    let report =
-        CompareReport { a: a.key.to_string(), b: b.key.to_string(), synthetic, comparison };
-    if args.json {
-        show::json(&report);
-    } else {
-        print(&report, args.alpha);
-    }
+    let (a, b, synthetic) = (a.key.to_string(), b.key.to_string(), a_synthetic || b_synthetic);
+    let report = CompareReport { a, b, synthetic, comparison };
+    show::result(args.json, &report, |report| print(report, args.alpha));
     Ok(())
 }
 

@@ -115,12 +115,10 @@ pub fn run(args: &Args) -> Done {
         }
     };
     report.warnings.extend(bad_files::skipped());
-    if args.json {
-        show::json(&report);
-    } else {
+    show::result(args.json, &report, |report| {
         report.print();
-        advise(data, &report);
-    }
+        advise(data, report);
+    });
     Ok(())
 }
 

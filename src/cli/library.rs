@@ -202,10 +202,7 @@ fn list(args: &ListArgs) -> Done {
     };
     let rows: Vec<LibraryRow> = listed.into_iter().map(row).collect();
     let head = ["trial", "surface", "user", "recorded", ">length", "left out", "flaws"];
-    match args.json {
-        true => show::json(&rows),
-        false => show::table(&head, rows.iter().map(cells)),
-    }
+    show::result(args.json, &rows, |rows| show::table(&head, rows.iter().map(cells)));
     Ok(())
 }
 

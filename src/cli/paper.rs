@@ -94,19 +94,17 @@ fn write(path: &Path, text: &str) -> Done {
 fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {
     let report = PaperReport::new(part);
     if let Some(out) = out {
-        write(&out.join("report.json"), &serde_json::to_string_pretty(&report)?)?;
-        write(&out.join("bars.svg"), &paper::bars(&report)?)?;
-        let mut written = "report.json, bars.svg";
+        let mut files = vec![
+            ("report.json", serde_json::to_string_pretty(&report)?),
+            ("bars.svg", paper::bars(&report)?),
+        ];
         if let Some(confusion) = &report.confusion {
-            write(&out.join("confusion.svg"), &paper::confusion(confusion)?)?;
-            written = "report.json, bars.svg, confusion.svg";
+            files.push(("confusion.svg", paper::confusion(confusion)?));
         }
-        say!("wrote {written} to {}", shown(out));
+        files.iter().try_for_each(|(name, text)| write(&out.join(name), text))?;
+        say!("wrote {} to {}", show::listed(files.iter().map(|(name, _)| name)), shown(out));
     }
-    match json {
-        true => show::json(&report),
-        false => print(&report),
-    }
+    show::result(json, &report, print);
     Ok(())
 }
 

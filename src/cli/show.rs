@@ -33,6 +33,11 @@ pub fn json(value: &impl serde::Serialize) {
     }
 }
 
+/// Shows the result of a command on stdout: as one JSON document, or as `print` shows it to people.
+pub fn result<T: serde::Serialize>(as_json: bool, value: &T, print: impl FnOnce(&T)) {
+    if as_json { json(value) } else { print(value) }
+}
+
 /// The sources that were left out of queries, and the reasons. There is one line for each source and
 /// channel, even if the channel was stuck at many values.
 pub fn left_out(left_out: &LeftOutSources) -> Vec<String> {

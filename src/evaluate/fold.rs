@@ -102,23 +102,18 @@ pub fn folds(protocol: Protocol, keys: &[TrialKey]) -> Result<Vec<Fold>, Evaluat
         return Ok(folds);
     }
     let fits = Protocol::fitting(keys).map(|other| format!("; {} fits them", other.name()));
-    Err(EvaluateError::Protocol {
-        protocol: protocol.name(),
-        needs: protocol.needs(),
-        found: found(keys),
-        fits: fits.unwrap_or_default(),
-    })
-}
-
-fn found(keys: &[TrialKey]) -> String {
     let count = |of: fn(&TrialKey) -> &str| keys.iter().map(of).collect::<BTreeSet<_>>().len();
-    let experts = keys.iter().filter(|key| key.user == EXPERT).count();
-    format!(
-        "{} trial(s) of {} surface(s) by {} user(s), {experts} trial(s) by `expert`",
+    Err(EvaluateError::Trials(format!(
+        "the protocol {} needs {}; the data hold {} trial(s) of {} surface(s) by {} user(s), {} \
+         trial(s) by `expert`{}",
+        protocol.name(),
+        protocol.needs(),
         keys.len(),
         count(|key| &key.surface),
-        count(|key| &key.user)
-    )
+        count(|key| &key.user),
+        keys.iter().filter(|key| key.user == EXPERT).count(),
+        fits.unwrap_or_default()
+    )))
 }
 
 /// A key for sorting names, by which `user2` comes before `user10`.

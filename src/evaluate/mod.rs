@@ -46,10 +46,9 @@ use crate::scene::SceneError;
 
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
-    #[error("the protocol {protocol} needs {needs}; the data hold {found}{fits}")]
-    Protocol { protocol: &'static str, needs: &'static str, found: String, fits: String },
-    #[error("no user has more than {count} trial(s) of a surface, so none is left to name")]
-    AllEnrolled { count: usize },
+    /// trials that cannot be split as the protocol wants
+    #[error("{0}")]
+    Trials(String),
     #[error(transparent)]
     Recognise(#[from] RecogniseError),
     #[error(transparent)]

@@ -20,7 +20,7 @@ mod products;
 mod size;
 
 use covariance::{Covariances, covariances};
-use crossing::Curve;
+use crossing::{Crossing, Curve};
 use features::{Features, Samples, features};
 use lags::{Lags, lags};
 
@@ -218,14 +218,12 @@ impl PairCurves {
             }
         }
         let crossings: Vec<_> = curves.iter().map(|curve| curve.crossing(threshold)).collect();
-        let or_never = |lag: Option<f64>| lag.unwrap_or(f64::INFINITY);
-        let latest = |f: &dyn Fn(usize) -> Option<f64>| {
-            let worst = (0..curves.len()).map(|i| or_never(f(i))).fold(0.0, f64::max);
-            worst.is_finite().then_some(worst)
+        let latest = |of: fn(&Crossing) -> Option<f64>| {
+            let all: Option<Vec<f64>> = crossings.iter().map(of).collect();
+            Some(all?.into_iter().fold(0.0, f64::max))
         };
-        let estimate = latest(&|i| crossings[i].estimate);
-        let upper = latest(&|i| crossings[i].upper);
-        let key = |i: &usize| or_never(crossings[*i].estimate);
+        let (estimate, upper) = (latest(|c| c.estimate), latest(|c| c.upper));
+        let key = |i: &usize| crossings[*i].estimate.unwrap_or(f64::INFINITY);
         let worst = (0..curves.len()).max_by(|a, b| key(a).total_cmp(&key(b))).unwrap_or(0);
         Self { curves, worst, estimate, upper }
     }
