@@ -39,10 +39,9 @@ pub fn run(
     };
     let out = out.unwrap_or(Path::new("."));
     let path = out.join(shard.file_name());
-    let done = if path.exists() { read(&path).ok() } else { None };
-    // The data, settings and trials identify a run, so an old shard is checked without an evaluation.
-    let expected = paper::work_head(library, &options, shard);
-    if let Some(done) = done {
+    if let Ok(done) = read(&path) {
+        // Data, settings and trials identify a run, so an old shard is checked without an evaluation.
+        let expected = paper::work_head(library, &options, shard);
         if done.shard != shard || !done.is_of_run(&expected) {
             let problem = "a shard of another run (other data or settings); name another folder, \
                            or remove it";

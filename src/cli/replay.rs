@@ -16,7 +16,7 @@ use super::{Done, Failure, bad_files, live, say};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
-use crate::library::{Entry, Unreadable, unreadable};
+use crate::library::Entry;
 use crate::recognise::{
     LOOK_S, Method, MethodName, Model, ReadyModel, RecogniseError, ready_model,
 };
@@ -212,8 +212,12 @@ fn play(
     station.emit(&StationEvent::Reading);
     let (recogniser, follows) = match (recogniser(args, how, &stage), &args.library) {
         (Err(error), Some(folder)) => {
-            if !stage.leaves_unreadable_out(folder)? {
+            if bad_files::leave_out(folder, &mut stage.entries)? {
                 return Err(error);
+            }
+            let ReplayStage { entries, folds, .. } = &mut stage;
+            for fold in folds {
+                fold.library.retain(|&i| !entries[i].sources.is_empty());
             }
             recogniser(args, how, &stage)?
         }
@@ -284,22 +288,6 @@ impl ReplayStage {
         };
         let all = self.folds.iter().enumerate().flat_map(of_fold);
         all.map(|(fold, query)| (fold, &self.entries[query]))
-    }
-
-    /// Leaves unreadable recordings of the library at `folder` out, and warns of them. Returns false if
-    /// all recordings can be read, so that nothing changed.
-    fn leaves_unreadable_out(&mut self, folder: &Path) -> Result<bool, Failure> {
-        let unreadable = unreadable(&self.compared());
-        let Self { entries, folds, .. } = self;
-        for fold in folds {
-            for Unreadable { entry, source, .. } in &unreadable {
-                entries[fold.library[*entry]].sources.retain(|id| id != source);
-            }
-            fold.library.retain(|&i| !entries[i].sources.is_empty());
-        }
-        let some = !unreadable.is_empty();
-        bad_files::skip(folder, unreadable.into_iter().map(|one| one.error).collect())?;
-        Ok(some)
     }
 
     /// The trials that are in the library of at least one fold.

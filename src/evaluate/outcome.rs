@@ -207,15 +207,14 @@ impl Confusion {
 
     /// The most frequent mistakes as (truth, answer, count), the worst first.
     pub(crate) fn worst(&self, most: usize) -> Vec<(&str, &str, u32)> {
-        let cells = self.counts.iter().enumerate().flat_map(|(truth, row)| {
-            row.iter().enumerate().map(move |(answer, &count)| (truth, answer, count))
+        let cells = self.labels.iter().zip(&self.counts).flat_map(|(truth, row)| {
+            self.labels.iter().zip(row).map(|(answer, &count)| (&**truth, &**answer, count))
         });
         let mut mistakes: Vec<_> = cells.filter(|(t, a, count)| t != a && *count > 0).collect();
-        mistakes.sort_by_key(|&(truth, answer, count)| (std::cmp::Reverse(count), truth, answer));
-        let named = |(t, a, count): (usize, usize, u32)| {
-            (self.labels[t].as_str(), self.labels[a].as_str(), count)
-        };
-        mistakes.into_iter().take(most).map(named).collect()
+        // The sort is stable, and labels are sorted, so equal counts stay in alphabetical order.
+        mistakes.sort_by_key(|&(_, _, count)| std::cmp::Reverse(count));
+        mistakes.truncate(most);
+        mistakes
     }
 
     fn precision_mean(&self) -> f64 {
