@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::choose::{Choice, choose};
+use super::choose::choose;
 use super::figure::{FigureArgs, is_earlier};
 use super::method::{at_least_one, options_of};
 use super::show::quoted;
@@ -49,6 +49,8 @@ pub fn run(args: &Args) -> Done {
     Ok(())
 }
 
+/// Measures one setting after the other, and writes the results after each one. They remain if a
+/// later setting fails or the run is interrupted.
 fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
     let scene = args.figure.sources.narrow(library.scene.clone())?;
     let mut choice = choose(library, scene, args.figure.protocol)?;
@@ -57,26 +59,17 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
     }
     let sources = choice.held();
     choice.scene = choice.scene.only(&sources)?;
-    let drag_s = drag_s(&choice.entries, &choice.scene)?;
-    let surfaces: BTreeSet<&str> = choice.surfaces().collect();
     let mut chart = Chart {
         data: library.name.clone(),
         synthetic: library.synthetic,
         protocol: choice.protocol.name().into(),
         sources: sources.iter().map(SourceId::to_string).collect(),
-        surfaces: surfaces.len(),
+        surfaces: choice.surfaces().collect::<BTreeSet<_>>().len(),
         library_trials: choice.folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0),
         threads: rayon::current_num_threads(),
-        drag_s,
+        drag_s: drag_s(&choice.entries, &choice.scene)?,
         points: Vec::new(),
     };
-    measure_all(args, &choice, &mut chart)?;
-    Ok(chart)
-}
-
-/// Measures one setting after the other, and writes the results after each one. They remain if a
-/// later setting fails or the run is interrupted.
-fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
     let all = charted(&choice.scene, chart.drag_s, args.brief);
     let on = Evaluation::new(&choice.scene, &choice.entries, &choice.folds);
     let (start, mut warned) = (Instant::now(), BTreeSet::new());
@@ -105,9 +98,9 @@ fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
             say!("       {part}: {accuracy} ({low} to {high}), {:.2} ms", point.query_ms_p50);
             chart.points.push(point);
         }
-        args.figure.keep(&figure(chart)?, chart)?;
+        args.figure.keep(&figure(&chart)?, &chart)?;
     }
-    Ok(())
+    Ok(chart)
 }
 
 #[cfg(test)]

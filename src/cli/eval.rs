@@ -108,7 +108,7 @@ pub fn run(args: &Args) -> Done {
                 let scene = args.sources.narrow(library.scene.clone())?;
                 let entries = within(library, &scene)?;
                 let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-                let cache = args.method.uses_cache().then_some(data.as_path());
+                let cache = (!args.method.no_cache).then_some(data.as_path());
                 let on = Evaluation { cache, ..Evaluation::new(&scene, &entries, &[]) };
                 evaluated(args, (&library.name, library.synthetic), on, &keys)
             })?

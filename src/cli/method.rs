@@ -54,7 +54,7 @@ pub struct MethodArgs {
     halving: bool,
     /// Neither read nor write the cache of prepared trials beside the library
     #[arg(long)]
-    no_cache: bool,
+    pub no_cache: bool,
 }
 
 pub fn at_least_one(text: &str) -> Result<usize, String> {
@@ -114,11 +114,6 @@ impl MethodArgs {
         self.method.is_none() && self.name().is_ok_and(|name| name == MethodName::Embedding)
     }
 
-    /// Whether prepared trials are cached beside their library.
-    pub fn uses_cache(&self) -> bool {
-        !self.no_cache
-    }
-
     pub fn reference_options(&self) -> ReferenceOptions {
         let usual = ReferenceOptions::default();
         ReferenceOptions {
@@ -164,7 +159,7 @@ pub struct ComparingArgs {
 impl ComparingArgs {
     /// Reads the plan if one is given, and prints its settings; without a plan, uses the options.
     pub fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
-        let (sources, cache) = (self.sources.clone(), self.method.uses_cache());
+        let (sources, cache) = (self.sources.clone(), !self.method.no_cache);
         let Some(path) = &self.plan else {
             let method = self.method.spec()?;
             return Ok(Comparing { plan: None, sources, method, cache, query_seconds });

@@ -1,6 +1,6 @@
 //! `surfaced replay`: plays recordings through the live pipeline, and names their surfaces.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use super::tally::Tally;
 use super::{Done, Failure, bad_files, live, say};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
+use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds, in_libraries};
 use crate::library::Entry;
 use crate::recognise::{
     LOOK_S, Method, MethodName, Model, ReadyModel, RecogniseError, ready_model,
@@ -292,9 +292,7 @@ impl ReplayStage {
 
     /// The trials that are in the library of at least one fold.
     fn compared(&self) -> Vec<Entry> {
-        let folds = self.folds.iter();
-        let indexes: BTreeSet<usize> = folds.flat_map(|fold| fold.library.clone()).collect();
-        indexes.into_iter().map(|index| self.entries[index].clone()).collect()
+        in_libraries(&self.folds).into_iter().map(|index| self.entries[index].clone()).collect()
     }
 }
 

@@ -14,13 +14,17 @@ use crate::trial::TrialKey;
 
 /// Prints what a library contains, and what was skipped.
 pub fn library(library: &Library) {
-    let trials = counted(library.entries.len(), "trial");
-    let surfaces = counted(library.surfaces().len(), "surface");
-    let mark = if library.synthetic { " (synthetic)" } else { "" };
-    say!("{}{mark}: {trials} of {surfaces}", library.name);
+    let (trials, surfaces) = (library.entries.len(), library.surfaces().len());
+    say!("{}", summary(&library.name, library.synthetic, trials, surfaces));
     for remark in &library.remarks {
         say!("  {remark}");
     }
+}
+
+/// The name and the size of a library.
+pub fn summary(name: &str, synthetic: bool, trials: usize, surfaces: usize) -> String {
+    let mark = if synthetic { " (synthetic)" } else { "" };
+    format!("{name}{mark}: {} of {}", counted(trials, "trial"), counted(surfaces, "surface"))
 }
 
 /// Prints one JSON document on stdout.

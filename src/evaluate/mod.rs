@@ -29,10 +29,10 @@ pub use crate::recognise::wilson_interval;
 pub(crate) use check::{Audited, CheckReport, Finding, TrialCheck, TrialVerdict, check};
 pub use enrolled::EnrolmentOutcome;
 pub(crate) use enrolled::enrol;
-pub(crate) use evaluation::first_seconds;
 pub use evaluation::{
     EvaluatedTrials, Evaluation, LeftOutSources, Measured, ProgressFn, Query, Run,
 };
+pub(crate) use evaluation::{first_seconds, in_libraries};
 pub use fold::{Fold, Protocol, folds};
 pub(crate) use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, Share};

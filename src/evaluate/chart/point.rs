@@ -55,8 +55,8 @@ impl ChartPoint {
             query_ms_p50: outcome.query_ms_p50,
             query_ms_p99: outcome.query_ms_p99,
             queries: outcome.queries,
-            peer: false,
             control,
+            peer: false,
         }
     }
 
