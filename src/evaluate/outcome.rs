@@ -293,13 +293,16 @@ mod tests {
         }
     }
 
-    #[test]
-    fn accuracy_is_a_mean_over_folds_and_precision_over_classes() {
-        let predictions =
-            [prediction("a", "a", 0), prediction("b", "a", 0), prediction("c", "c", 1)];
+    fn outcome(predictions: &[Prediction]) -> Outcome {
         let labels = ["a", "b", "c"].map(String::from).to_vec();
         let names = ["user1", "user2"].map(String::from);
-        let outcome = Outcome::new(&predictions, &names, labels, 9, "reference").unwrap();
+        Outcome::new(predictions, &names, labels, 9, "svm").unwrap()
+    }
+
+    #[test]
+    fn accuracy_is_a_mean_over_folds_and_precision_over_classes() {
+        let outcome =
+            outcome(&[prediction("a", "a", 0), prediction("b", "a", 0), prediction("c", "c", 1)]);
         assert_eq!(outcome.accuracy_mean, 0.75);
         assert!((outcome.accuracy_std - 0.125f64.sqrt()).abs() < 1e-15);
         // Precision: 1 of 2 answers for a, no answer for b, 1 of 1 answer for c.
@@ -311,9 +314,7 @@ mod tests {
     fn the_headline_is_the_share_of_all_queries_and_surfaces_without_any_are_named() {
         let mut predictions = vec![prediction("b", "a", 1)];
         predictions.extend((0..12).map(|_| prediction("a", "a", 0)));
-        let labels = ["a", "b", "c"].map(String::from).to_vec();
-        let names = ["user1", "user2"].map(String::from);
-        let outcome = Outcome::new(&predictions, &names, labels, 9, "svm").unwrap();
+        let outcome = outcome(&predictions);
         assert_eq!(outcome.share, Share { right: 12, of: 13 });
         assert_eq!(outcome.accuracy_mean, 0.5);
         assert_eq!(outcome.never_queried, ["c"]);

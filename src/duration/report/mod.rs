@@ -308,7 +308,7 @@ fn one(
     series: Vec<Series>,
     question: &Question,
 ) -> Result<SourceDuration, DurationError> {
-    let mut row = SourceDuration {
+    let none = SourceDuration {
         surface: surface.into(),
         source: source.clone(),
         trials: series.len(),
@@ -326,27 +326,44 @@ fn one(
     };
     let trials = match trials {
         Ok(trials) => trials,
-        Err(error) => return Ok(SourceDuration { reason: Some(error.to_string()), ..row }),
+        Err(error) => return Ok(SourceDuration { reason: Some(error.to_string()), ..none }),
     };
-    match question.estimator {
+    // A scan takes its samples at the distance `apart`: the upper bound of T* if the rule gives one.
+    let (t_star, apart, reason, by_rule) = match question.estimator {
         Estimator::Pooled(PooledSettings { dependence }) => {
             if !(dependence > 0.0 && dependence < 1.0) {
                 return Err(DurationError::Settings(format!(
                     "a dependence of {dependence}; expected a correlation between 0 and 1"
                 )));
             }
-            match at_needed_rate(&trials.series, trials.frames, dependence, VALUES) {
-                Some(found) => row.set_pooled(found, &trials, question.samples, dependence),
-                None => row.reason = Some(CONSTANT.into()),
-            }
+            let found = at_needed_rate(&trials.series, trials.frames, dependence, VALUES);
+            let Some(found) = found else {
+                let (reason, remarks) = (Some(CONSTANT.into()), trials.remarks);
+                return Ok(SourceDuration { reason, remarks, ..none });
+            };
+            let (t_star, upper) = (found.t_star_samples(), found.upper_samples());
+            let reason = pooled_reason(&found, &trials);
+            let row = PooledRow::of(found, &trials, question.samples, dependence);
+            (t_star, upper, reason, ByRule::Pooled(row))
         }
         Estimator::Algorithm1(settings) => {
             let found = Search::new(&trials, settings)?.find(settings.rule);
-            row.set_algorithm1(found, settings.rule, question.samples);
+            let (t_star, latest_start) = (found.t_star(), Some(found.latest_start));
+            let (rule, reason, curve) = (settings.rule, reason(&found), found.curve);
+            (t_star, t_star, reason, ByRule::Algorithm1 { rule, latest_start, curve })
         }
-    }
-    row.remarks = trials.remarks;
-    Ok(row)
+    };
+    let seconds = |samples: usize| samples as f64 / trials.rate_hz();
+    Ok(SourceDuration {
+        t_star_samples: t_star,
+        t_star_s: t_star.map(seconds),
+        scan_s: apart.map(|samples| scan_s(seconds(samples), question.samples)),
+        reason,
+        rate_hz: Some(trials.rate_hz()),
+        remarks: trials.remarks,
+        by_rule,
+        ..none
+    })
 }
 
 fn longest(source: &SourceId, durations: &[SourceDuration]) -> Option<SceneDuration> {
@@ -385,36 +402,16 @@ impl SourceDuration {
             ByRule::Algorithm1 { .. } => self.t_star_s,
         }
     }
+}
 
-    /// Fills in the result of Algorithm 1, for scans of n = `samples` samples.
-    fn set_algorithm1(&mut self, estimate: Estimate, rule: Rule, samples: usize) {
-        self.t_star_samples = estimate.t_star();
-        self.t_star_s = estimate.t_star_s();
-        self.scan_s = estimate.t_star_s().map(|t| scan_s(t, samples));
-        self.reason = reason(&estimate);
-        self.rate_hz = Some(estimate.rate_hz);
-        self.by_rule = ByRule::Algorithm1 {
-            rule,
-            latest_start: Some(estimate.latest_start),
-            curve: estimate.curve,
-        };
-    }
-
-    /// Fills in the result of `pooled` on `trials`, for scans of n samples.
-    fn set_pooled(&mut self, estimate: PooledEstimate, trials: &Trials, n: usize, threshold: f64) {
-        let rate_hz = trials.rate_hz();
-        let seconds = |samples: usize| samples as f64 / rate_hz;
-        let upper = estimate.upper_samples().map(seconds);
+impl PooledRow {
+    /// The result of `pooled` on `trials`, for scans of n samples.
+    fn of(estimate: PooledEstimate, trials: &Trials, n: usize, threshold: f64) -> Self {
+        let seconds = |samples: usize| samples as f64 / trials.rate_hz();
         let effective = estimate.effective_samples(trials.frames);
-        self.rate_hz = Some(rate_hz);
-        self.t_star_samples = estimate.t_star_samples();
-        self.t_star_s = self.t_star_samples.map(seconds);
-        self.scan_s = upper.map(|t| scan_s(t, n));
-        self.reason = pooled_reason(&estimate, trials);
-        self.by_rule = ByRule::Pooled(PooledRow {
-            threshold,
+        Self {
             t_star_upper_samples: estimate.upper_samples(),
-            t_star_upper_s: upper,
+            t_star_upper_s: estimate.upper_samples().map(seconds),
             trial_s: Some(seconds(trials.frames)),
             effective_samples: effective,
             effective_of_n: effective.map(|effective| worth(n, effective)),
@@ -423,8 +420,9 @@ impl SourceDuration {
                 PooledAnswer::TooLittleData { more_trials } => Some(more_trials),
                 _ => None,
             },
+            threshold,
             dependence: estimate.curve,
-        });
+        }
     }
 }
 
