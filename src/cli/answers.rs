@@ -77,14 +77,12 @@ impl AnswerArgs {
 
 fn on_unknown(rejections: &[Rejection]) -> Option<String> {
     let least = rejections.iter().min_by_key(|rejection| rejection.trials)?;
+    let [rate, low, high] = [least.rate, least.rate_low, least.rate_high].map(show::percent);
+    let of_whom = if least.across_people { "" } else { "; for this person" };
     Some(format!(
-        "unknown surfaces are detected; at most {} of scans of known surfaces are called unknown by \
-         mistake (95 % interval {} to {}, from {} left-out trials{})",
-        show::percent(least.rate),
-        show::percent(least.rate_low),
-        show::percent(least.rate_high),
-        least.trials,
-        if least.across_people { "" } else { "; for this person" },
+        "unknown surfaces are detected; at most {rate} of scans of known surfaces are called unknown \
+         by mistake (95 % interval {low} to {high}, from {} left-out trials{of_whom})",
+        least.trials
     ))
 }
 

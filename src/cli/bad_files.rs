@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 
 use super::{Done, Failure, show};
 use crate::dataset;
-use crate::library::{Library, LibraryError, Unreadable, unreadable};
+use crate::library::{Entry, Library, LibraryError, Unreadable, unreadable};
 use crate::scene::Scene;
 
 /// Whether a command stops if a recording cannot be used.
@@ -43,27 +43,36 @@ pub(super) fn work<T>(
     match work(&library) {
         Ok(done) => Ok(done),
         Err(error) => {
-            let (readable, unreadable) = readable(path, library)?;
-            if unreadable == 0 { Err(error) } else { work(&readable) }
+            let (readable, all) = readable(path, library)?;
+            if all { Err(error) } else { work(&readable) }
         }
     }
 }
 
-/// Reads all recordings of a library, and leaves out those that cannot be read. Returns the rest and
-/// the number of recordings left out.
+/// Reads all recordings of a library, and leaves out those that cannot be read. Returns the rest, and
+/// whether all can be read.
 ///
 /// # Errors
 /// With `--strict`, if any recording cannot be read.
-pub(super) fn readable(path: &Path, library: Library) -> Result<(Library, usize), Failure> {
-    let unreadable = unreadable(&library.entries);
-    let mut entries = library.entries;
+pub(super) fn readable(path: &Path, mut library: Library) -> Result<(Library, bool), Failure> {
+    let all = leave_out(path, &mut library.entries)?;
+    library.entries.retain(|entry| !entry.sources.is_empty());
+    Ok((library, all))
+}
+
+/// Drops sources that cannot be read from the entries of the library at `path`. Returns whether all can
+/// be read, so that nothing changed.
+///
+/// # Errors
+/// With `--strict`, if any recording cannot be read.
+pub(super) fn leave_out(path: &Path, entries: &mut [Entry]) -> Result<bool, Failure> {
+    let unreadable = unreadable(entries);
     for Unreadable { entry, source, .. } in &unreadable {
         entries[*entry].sources.retain(|id| id != source);
     }
-    entries.retain(|entry| !entry.sources.is_empty());
-    let count = unreadable.len();
+    let all = unreadable.is_empty();
     skip(path, unreadable.into_iter().map(|one| one.error).collect())?;
-    Ok((Library { entries, ..library }, count))
+    Ok(all)
 }
 
 /// Warns, in one line, that recordings are not used.

@@ -4,12 +4,13 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::choose::{Choice, choose};
-use super::figure::{FigureArgs, is_earlier, json, write};
+use super::choose::choose;
+use super::figure::{FigureArgs, is_earlier};
 use super::method::{at_least_one, options_of};
 use super::show::quoted;
 use super::{Done, Failure, bad_files, show};
-use crate::evaluate::chart::{Chart, Charting, brief, charted, drag_s, figure, measure};
+use crate::evaluate::Evaluation;
+use crate::evaluate::chart::{Chart, charted, drag_s, figure, measure};
 use crate::library::Library;
 use crate::scene::SourceId;
 
@@ -41,26 +42,15 @@ pub fn run(args: &Args) -> Done {
     }
     let library = super::open(&args.lib)?;
     let chart = bad_files::work(&args.lib, library, |library| measured(args, library))?;
-    show::wrote(&keep(args, &chart)?);
-    if args.figure.json {
-        show::json(&chart);
-    } else {
-        let lib = quoted(&args.lib);
-        show::next(&format!(
-            "surfaced plan {lib} chooses the cheapest setting that is good enough"
-        ));
-    }
+    show::wrote(&args.figure.keep(&figure(&chart)?, &chart)?);
+    let lib = quoted(&args.lib);
+    let next = format!("surfaced plan {lib} chooses the cheapest setting that is good enough");
+    show::result(args.figure.json, &chart, |_| show::next(&next));
     Ok(())
 }
 
-/// Writes the picture and its numbers, and returns the paths of the files.
-fn keep(args: &Args, chart: &Chart) -> Result<Vec<PathBuf>, Failure> {
-    let (out, beside) = (args.figure.out.clone(), args.figure.beside());
-    write(&out, &figure(chart)?)?;
-    write(&beside, &json(chart)?)?;
-    Ok(vec![out, beside])
-}
-
+/// Measures one setting after the other, and writes the results after each one. They remain if a
+/// later setting fails or the run is interrupted.
 fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
     let scene = args.figure.sources.narrow(library.scene.clone())?;
     let mut choice = choose(library, scene, args.figure.protocol)?;
@@ -69,29 +59,19 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
     }
     let sources = choice.held();
     choice.scene = choice.scene.only(&sources)?;
-    let drag_s = drag_s(&choice.entries, &choice.scene)?;
-    let surfaces: BTreeSet<&str> = choice.surfaces().collect();
     let mut chart = Chart {
         data: library.name.clone(),
         synthetic: library.synthetic,
         protocol: choice.protocol.name().into(),
         sources: sources.iter().map(SourceId::to_string).collect(),
-        surfaces: surfaces.len(),
+        surfaces: choice.surfaces().collect::<BTreeSet<_>>().len(),
         library_trials: choice.folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0),
         threads: rayon::current_num_threads(),
-        drag_s,
+        drag_s: drag_s(&choice.entries, &choice.scene)?,
         points: Vec::new(),
     };
-    measure_all(args, &choice, &mut chart)?;
-    Ok(chart)
-}
-
-/// Measures one setting after the other, and writes the results after each one. They remain if a
-/// later setting fails or the run is interrupted.
-fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
-    let drag_s = chart.drag_s;
-    let all = if args.brief { brief(&choice.scene) } else { charted(&choice.scene, drag_s) };
-    let on = Charting { entries: &choice.entries, protocol: choice.protocol, folds: &choice.folds };
+    let all = charted(&choice.scene, chart.drag_s, args.brief);
+    let on = Evaluation::new(&choice.scene, &choice.entries, &choice.folds);
     let (start, mut warned) = (Instant::now(), BTreeSet::new());
     for (done, one) in all.iter().enumerate() {
         let so_far_s = start.elapsed().as_secs_f64();
@@ -105,26 +85,22 @@ fn measure_all(args: &Args, choice: &Choice, chart: &mut Chart) -> Done {
         let options = one.method.as_ref().map(options_of).unwrap_or_default();
         let name = one.control.clone().unwrap_or(options);
         say!("{}/{}  {name}{left}", done + 1, all.len());
-        let (measured, left_out) = measure(on, one, &name)?;
+        let (measured, left_out) = measure(on, choice.protocol, one, &name)?;
         for line in show::left_out(&left_out) {
             if warned.insert(line.clone()) {
                 say!("warning: {line}");
             }
         }
         for point in measured {
-            say!(
-                "       {}: {} ({} to {}), {:.2} ms",
-                point.query_seconds.map_or("whole drag".into(), |s| format!("first {s} s")),
-                show::percent(point.accuracy),
-                show::percent(point.accuracy_low),
-                show::percent(point.accuracy_high),
-                point.query_ms_p50
-            );
+            let part = point.query_seconds.map_or("whole drag".into(), |s| format!("first {s} s"));
+            let [accuracy, low, high] =
+                [point.accuracy, point.accuracy_low, point.accuracy_high].map(show::percent);
+            say!("       {part}: {accuracy} ({low} to {high}), {:.2} ms", point.query_ms_p50);
             chart.points.push(point);
         }
-        keep(args, chart)?;
+        args.figure.keep(&figure(&chart)?, &chart)?;
     }
-    Ok(())
+    Ok(chart)
 }
 
 #[cfg(test)]

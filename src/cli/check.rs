@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::method::{Comparing, ComparingArgs};
 use super::{Done, Failure, say, show};
 use crate::dataset;
-use crate::evaluate::{Audited, CheckReport, Finding, check};
+use crate::evaluate::{Audited, CheckReport, Finding, ProgressFn, check};
 use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
 
@@ -29,29 +29,23 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
-    let report = audit(&args.library, &how, true)?;
-    if args.json {
-        show::json(&report);
-    } else {
-        print(&report);
-    }
+    let report = audit(&args.library, &how, &say::progress)?;
+    show::result(args.json, &report, print);
     match report.findings.len() {
         0 => Ok(()),
         n => Err(Failure::Damaged(format!("{} to fix", show::counted(n, "thing")))),
     }
 }
 
-/// Audits a library. With `shows`, progress is shown on a terminal.
-pub fn audit(library: &Path, how: &Comparing, shows: bool) -> Result<CheckReport, Failure> {
+pub fn audit(
+    library: &Path,
+    how: &Comparing,
+    progress: ProgressFn<'_>,
+) -> Result<CheckReport, Failure> {
     let _lock = LibraryLock::for_reading(library);
     let opened = dataset::open_usable(library, &Scene::lmt108())?;
     let scene = how.narrow(opened.library.scene.clone())?;
     let method = how.method.build(&scene);
-    let progress = |step, done, of| {
-        if shows {
-            say::progress(step, done, of);
-        }
-    };
     let cache = how.cache_in(library);
     let audited = Audited {
         root: library,
@@ -60,7 +54,7 @@ pub fn audit(library: &Path, how: &Comparing, shows: bool) -> Result<CheckReport
         method: &*method,
         cache: cache.as_deref(),
     };
-    Ok(check(opened, &audited, &progress))
+    Ok(check(opened, &audited, progress))
 }
 
 fn print(report: &CheckReport) {

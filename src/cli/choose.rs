@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use super::Failure;
 use super::show::listed;
-use crate::evaluate::{self, EvaluateError, Fold, Protocol};
+use crate::evaluate::{self, EvaluateError, Fold, Protocol, in_libraries};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
@@ -43,7 +43,8 @@ pub(super) fn split(
     keys: &[TrialKey],
     named: Option<Protocol>,
 ) -> Result<(Protocol, Vec<Fold>), EvaluateError> {
-    let protocol = named.unwrap_or_else(|| Protocol::natural(keys));
+    let fitting = || Protocol::fitting(keys).unwrap_or(Protocol::LeaveOneTrialOut);
+    let protocol = named.unwrap_or_else(fitting);
     let folds = evaluate::folds(protocol, keys)?;
     if named.is_none() {
         say!("protocol: {}, which fits these data", protocol.name());
@@ -80,8 +81,7 @@ impl Choice {
 
     /// The surface of each trial that is in the library of at least one fold.
     pub fn surfaces(&self) -> impl Iterator<Item = &str> {
-        let used: BTreeSet<&usize> = self.folds.iter().flat_map(|fold| &fold.library).collect();
-        used.into_iter().map(|&i| self.entries[i].key.surface.as_str())
+        in_libraries(&self.folds).into_iter().map(|i| self.entries[i].key.surface.as_str())
     }
 
     /// The sources that are held by trials of the folds, sorted.

@@ -71,22 +71,19 @@ fn samples(path: &Path) -> Result<Array2<f64>, LibraryError> {
 fn compare_samples(args: &Args) -> Done {
     let (z, y) = (samples(&args.a)?, samples(&args.b)?);
     if z.ncols() != y.ncols() {
+        let (a, b) = (args.a.display(), args.b.display());
         return Err(Failure::Failed(format!(
-            "{} has {}, but {} has {}; samples of one source have the same channels",
-            args.a.display(),
+            "{a} has {}, but {b} has {}; samples of one source have the same channels",
             show::counted(z.ncols(), "column"),
-            args.b.display(),
             y.ncols()
         )));
     }
     let result = score_samples(z.view(), y.view(), args.align_mean, args.sigma);
-    if args.json {
-        show::json(&result);
-    } else {
+    show::result(args.json, &result, |result| {
         result!("n = {}, {} channel(s), σ = {:.6}", result.n, result.dims, result.sigma);
         result!("MMD²_b = {:.6e}   score n·MMD²_b = {:.6}", result.mmd2, result.score);
         show::next("--align-mean and --sigma X change how the two are compared");
-    }
+    });
     Ok(())
 }
 
@@ -111,14 +108,9 @@ fn compare_trials(args: &Args) -> Done {
         seed: args.seed,
     };
     let comparison = compare(&a, &b, &scene, &options)?;
-    let synthetic = a_synthetic || b_synthetic;
-    let report =
-        CompareReport { a: a.key.to_string(), b: b.key.to_string(), synthetic, comparison };
-    if args.json {
-        show::json(&report);
-    } else {
-        print(&report, args.alpha);
-    }
+    let (a, b, synthetic) = (a.key.to_string(), b.key.to_string(), a_synthetic || b_synthetic);
+    let report = CompareReport { a, b, synthetic, comparison };
+    show::result(args.json, &report, |report| print(report, args.alpha));
     Ok(())
 }
 

@@ -131,10 +131,7 @@ fn watch(address: &LinesAddress, args: &Args) -> Done {
         problem: fitting.as_ref().err().cloned(),
         configuration: fitting.as_ref().ok().cloned(),
     };
-    match args.json {
-        true => show::json(&watched),
-        false => show_watched(&watched),
-    }
+    show::result(args.json, &watched, show_watched);
     let configuration = fitting.map_err(|why| Failure::Failed(format!("{address}: {why}")))?;
     let Some(file) = &args.write else {
         show::next(&format!("surfaced devices --watch {address} --write station.toml"));
@@ -184,13 +181,10 @@ pub fn run(args: &Args) -> Done {
         ("microphones", microphones()),
         ("cameras", cameras()),
     ]);
-    match args.json {
-        true => show::json(&classes),
-        false => {
-            classes.iter().rev().for_each(|(name, class)| show_class(name, class));
-            show::next("surfaced enroll LABEL --library my-library");
-        }
-    }
+    show::result(args.json, &classes, |classes| {
+        classes.iter().rev().for_each(|(name, class)| show_class(name, class));
+        show::next("surfaced enroll LABEL --library my-library");
+    });
     let unlisted: Vec<_> = (classes.iter().rev())
         .filter(|(_, class)| class.built)
         .filter_map(|(name, class)| Some(format!("{}: {}", plain(name), class.problem.as_ref()?)))

@@ -267,10 +267,9 @@ impl Args {
 
     fn failure(&self, error: ReportError) -> Failure {
         match error {
-            ReportError::Library(error) => error.into(),
-            ReportError::Duration(error) => Failure::usage(error),
-            ReportError::Scene(error) => Failure::usage(error),
             ReportError::Nothing(problem) => Failure::at(&self.lib, problem),
+            ReportError::Library(error) => error.into(),
+            ReportError::Duration(_) | ReportError::Scene(_) => Failure::usage(error),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::live::{KeptCounter, StationArgs, StationWork, library_of, verdict, work};
+use super::live::{Kept, StationArgs, StationWork, library_of, verdict, work};
 use super::method::at_least_one;
 use super::show::quoted;
 use super::{Done, Failure, show, shown};
@@ -64,7 +64,7 @@ pub fn enroll(args: &EnrollArgs) -> Done {
     let keep = Keep { surface, user, trials: Some(wanted), good_only: true };
     let trials = show::counted(wanted as usize, "trial");
     let hint = format!("{}: {trials} to go; tap the surface, then drag over it", args.label);
-    let KeptCounter { kept, lost, .. } = store(&config, &args.station, keep, hint)?;
+    let Kept { kept, lost } = store(&config, &args.station, keep, hint)?;
     if kept < wanted {
         let lost = if lost > 0 { format!("; {lost} could not be written") } else { String::new() };
         return Err(Failure::Failed(format!("{kept} of {wanted} trials were recorded{lost}")));
@@ -77,7 +77,7 @@ pub fn record(args: &RecordArgs) -> Done {
     let (surface, user) = (args.label.clone(), args.user.clone());
     let keep = Keep { surface, user, trials: None, good_only: false };
     let hint = format!("keeping every scan as {}; q quits", args.label);
-    let KeptCounter { kept, lost, .. } = store(&config, &args.station, keep, hint)?;
+    let Kept { kept, lost } = store(&config, &args.station, keep, hint)?;
     let text = || format!("{} could not be written", show::counted(lost as usize, "scan"));
     match (kept, lost) {
         (_, 0) => Ok(()),
@@ -92,18 +92,18 @@ fn store(
     args: &StationArgs,
     order: Keep,
     hint: String,
-) -> Result<KeptCounter, Failure> {
+) -> Result<Kept, Failure> {
     let library = library_of(config)?;
     describe(&library, &config.scene)?;
-    let mut counter = KeptCounter { commands: None, order, kept: 0, lost: 0 };
-    let (store, counts) = (library.clone(), Some(&mut counter));
-    let of = StationWork { load: None, store, counter: counts, hint, check: None };
+    let mut kept = Kept::default();
+    let (store, keep) = (library.clone(), Some((order, &mut kept)));
+    let of = StationWork { load: None, store, keep, hint, check: None };
     let totals = work(config, args, assemble(config), of)?;
-    let trials = show::counted(counter.kept as usize, "trial");
+    let trials = show::counted(kept.kept as usize, "trial");
     say!("{trials} recorded in {}", shown(&library));
     let folder = quoted(&library);
     let station = args.typed();
-    show::next(&match counter.kept {
+    show::next(&match kept.kept {
         0 => "surfaced devices lists what is plugged in, and the problems of each".into(),
         _ => format!(
             "enroll another surface with surfaced enroll LABEL{station} --library {folder}; with two \
@@ -114,7 +114,7 @@ fn store(
     if !totals.failed.is_empty() {
         verdict(&totals)?;
     }
-    Ok(counter)
+    Ok(kept)
 }
 
 /// Creates the library if it does not exist, with a description of its sources, and checks that

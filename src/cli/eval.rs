@@ -16,7 +16,7 @@ use crate::evaluate::{
     Protocol, SettledOutcome, UnknownOutcome, better_plain, enrol,
 };
 use crate::recognise::features::{FeatureVector, SourceFeatures};
-use crate::recognise::{Method, MethodName, RecogniseError};
+use crate::recognise::{MethodName, RecogniseError};
 use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
@@ -87,16 +87,6 @@ fn groups(text: &str) -> Result<usize, String> {
     }
 }
 
-/// The data to evaluate, and its name.
-struct EvalData<'a> {
-    name: &'a str,
-    synthetic: bool,
-    scene: &'a Scene,
-    trials: EvaluatedTrials<'a>,
-    keys: Vec<TrialKey>,
-    cache: Option<&'a Path>,
-}
-
 pub fn run(args: &Args) -> Done {
     if let Some(Then::Merge(args)) = &args.then {
         return paper::merge(args);
@@ -110,33 +100,25 @@ pub fn run(args: &Args) -> Done {
         None => {
             let library = super::open_held(data)?;
             if args.paper {
-                let out = args.out.as_deref();
                 return bad_files::work(data, library, |library| {
-                    paper::run(library, &args.method, args.shard, out, args.json)
+                    paper::run(library, &args.method, args.shard, args.out.as_deref(), args.json)
                 });
             }
             bad_files::work(data, library, |library| {
                 let scene = args.sources.narrow(library.scene.clone())?;
                 let entries = within(library, &scene)?;
-                let data = EvalData {
-                    name: &library.name,
-                    synthetic: library.synthetic,
-                    scene: &scene,
-                    keys: entries.iter().map(|entry| entry.key.clone()).collect(),
-                    trials: EvaluatedTrials::Recordings(&entries),
-                    cache: args.method.uses_cache().then_some(data.as_path()),
-                };
-                evaluated(args, data)
+                let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
+                let cache = (!args.method.no_cache).then_some(data.as_path());
+                let on = Evaluation { cache, ..Evaluation::new(&scene, &entries, &[]) };
+                evaluated(args, (&library.name, library.synthetic), on, &keys)
             })?
         }
     };
     report.warnings.extend(bad_files::skipped());
-    if args.json {
-        show::json(&report);
-    } else {
+    show::result(args.json, &report, |report| {
         report.print();
-        advise(data, &report);
-    }
+        advise(data, report);
+    });
     Ok(())
 }
 
@@ -160,15 +142,10 @@ fn on_tables(args: &Args, tables: &FeatureTables) -> Result<EvalReport, Failure>
         return Err(Failure::Usage("--query-seconds needs recordings; these are features".into()));
     }
     let trials = vectors(tables, &args.sources.sources)?;
-    let data = EvalData {
-        name: &tables.name,
-        synthetic: false,
-        scene: &Scene::lmt108(),
-        keys: trials.iter().map(|trial| trial.key.clone()).collect(),
-        trials: EvaluatedTrials::Features(&trials),
-        cache: None,
-    };
-    evaluated(args, data)
+    let keys: Vec<TrialKey> = trials.iter().map(|trial| trial.key.clone()).collect();
+    let (scene, trials) = (Scene::lmt108(), EvaluatedTrials::Features(&trials));
+    let on = Evaluation { trials, ..Evaluation::new(&scene, &[], &[]) };
+    evaluated(args, (&tables.name, false), on, &keys)
 }
 
 /// The trials, with the features of the chosen tables. If no table is chosen, all are used.
@@ -191,61 +168,54 @@ fn vectors(tables: &FeatureTables, chosen: &[SourceId]) -> Result<Vec<FeatureVec
     Ok(trials)
 }
 
-fn evaluated(args: &Args, data: EvalData<'_>) -> Result<EvalReport, Failure> {
-    let (protocol, before) = split(&data.keys, args.protocol)?;
-    let folds = enrolled(args, protocol, &before, &data.keys)?;
-    let method = args.method.spec()?.build(data.scene);
-    let evaluation = Evaluation {
-        scene: data.scene,
-        trials: data.trials,
-        folds: &folds,
-        query_seconds: args.query_seconds,
-        cache: data.cache,
-        progress: &say::progress,
-    };
-    measured(args, (&data, protocol), &*method, evaluation, &before).map_err(mended)
-}
-
-fn measured(
+/// Evaluates the trials of `on`, which have these keys, on folds of the wanted protocol.
+fn evaluated(
     args: &Args,
-    (data, protocol): (&EvalData<'_>, Protocol),
-    method: &dyn Method,
-    evaluation: Evaluation<'_>,
-    before: &[Fold],
-) -> Result<EvalReport, EvaluateError> {
-    let run = evaluation.prepare(method)?;
-    run.library.remarks.iter().for_each(|remark| say!("{remark}"));
-    let settled = args.settle.then(|| SettledOutcome::of(&run, args.answers.settle_loss));
-    let settled = settled.transpose()?;
-    let rate = args.answers.false_rejections;
-    let unknown = args.leave_surfaces_out.map(|groups| UnknownOutcome::of(&run, groups, rate));
-    let unknown = unknown.transpose()?;
-    let measured = run.measure()?;
-    let mut warnings = show::left_out(&measured.left_out);
-    warnings.iter().for_each(|line| say!("warning: {line}"));
-    if args.method.is_default() {
-        warnings.extend(better_plain(evaluation, &measured.predictions));
-    }
-    let enrolled = match args.enrolled {
-        0 => None,
-        count => Some(EnrolmentOutcome::of(&run, &measured, before, count)?),
+    (data, synthetic): (&str, bool),
+    on: Evaluation<'_>,
+    keys: &[TrialKey],
+) -> Result<EvalReport, Failure> {
+    let (protocol, before) = split(keys, args.protocol)?;
+    let folds = enrolled(args, protocol, &before, keys)?;
+    let method = args.method.spec()?.build(on.scene);
+    let query_seconds = args.query_seconds;
+    let on = Evaluation { folds: &folds, query_seconds, progress: &say::progress, ..on };
+    let measured = || -> Result<EvalReport, EvaluateError> {
+        let run = on.prepare(&*method)?;
+        run.library.remarks.iter().for_each(|remark| say!("{remark}"));
+        let settled = args.settle.then(|| SettledOutcome::of(&run, args.answers.settle_loss));
+        let settled = settled.transpose()?;
+        let rate = args.answers.false_rejections;
+        let unknown = args.leave_surfaces_out.map(|groups| UnknownOutcome::of(&run, groups, rate));
+        let unknown = unknown.transpose()?;
+        let measured = run.measure()?;
+        let mut warnings = show::left_out(&measured.left_out);
+        warnings.iter().for_each(|line| say!("warning: {line}"));
+        if args.method.is_default() {
+            warnings.extend(better_plain(on, &measured.predictions));
+        }
+        let enrolled = match args.enrolled {
+            0 => None,
+            count => Some(EnrolmentOutcome::of(&run, &measured, &before, count)?),
+        };
+        let answer = |p: Prediction| {
+            let TrialKey { surface: truth, user, number: trial } = p.key;
+            EvalAnswer { truth, user, trial, answer: p.surface, margin: p.margin }
+        };
+        Ok(EvalReport {
+            outcome: measured.outcome,
+            protocol,
+            data: data.into(),
+            synthetic,
+            query_seconds,
+            settled,
+            unknown,
+            enrolled,
+            predictions: measured.predictions.into_iter().map(answer).collect(),
+            warnings,
+        })
     };
-    let answer = |p: Prediction| {
-        let TrialKey { surface: truth, user, number: trial } = p.key;
-        EvalAnswer { truth, user, trial, answer: p.surface, margin: p.margin }
-    };
-    Ok(EvalReport {
-        outcome: measured.outcome,
-        protocol,
-        data: data.name.into(),
-        synthetic: data.synthetic,
-        query_seconds: args.query_seconds,
-        settled,
-        unknown,
-        enrolled,
-        predictions: measured.predictions.into_iter().map(answer).collect(),
-        warnings,
-    })
+    measured().map_err(mended)
 }
 
 /// The folds, with the first trials of each user added to the library.
@@ -309,49 +279,36 @@ struct EvalAnswer {
 
 impl EvalReport {
     fn print(&self) {
-        let o = &self.outcome;
+        let Outcome { share, method, classes, library_trials, .. } = &self.outcome;
+        let Outcome { query_ms_p50, query_ms_p99, confusion, never_queried, .. } = &self.outcome;
         let percent = show::percent;
         let mark = if self.synthetic { ", on synthetic data" } else { "" };
         result!();
-        result!(
-            "accuracy   {} ({} of {} queries; 95 % interval {})",
-            percent(o.share.value()),
-            o.share.right,
-            o.queries,
-            show::interval(o.share)
-        );
-        result!(
-            "           {} · {} · {}{mark}",
-            self.protocol.name(),
-            o.method,
-            listed(&o.sources)
-        );
+        let (accuracy, right, of) = (percent(share.value()), share.right, share.of);
+        let interval = show::interval(*share);
+        result!("accuracy   {accuracy} ({right} of {of} queries; 95 % interval {interval})");
+        let sources = listed(&self.outcome.sources);
+        result!("           {} · {method} · {sources}{mark}", self.protocol.name());
         if self.protocol.folds_are_users() {
-            result!(
-                "           mean over {}: {} ± {}",
-                show::counted(o.folds.len(), "user"),
-                percent(o.accuracy_mean),
-                percent(o.accuracy_std)
-            );
+            let users = show::counted(self.outcome.folds.len(), "user");
+            let (mean, std) = (self.outcome.accuracy_mean, self.outcome.accuracy_std);
+            result!("           mean over {users}: {} ± {}", percent(mean), percent(std));
         }
         self.enrolled.iter().for_each(print_enrolled);
-        result!(
-            "           {} against {}",
-            show::counted(o.classes, "surface"),
-            show::counted(o.library_trials, "library trial")
-        );
-        if !o.never_queried.is_empty() {
-            result!("           never queried: {}", o.never_queried.join(", "));
+        let surfaces = show::counted(*classes, "surface");
+        let trials = show::counted(*library_trials, "library trial");
+        result!("           {surfaces} against {trials}");
+        if !never_queried.is_empty() {
+            result!("           never queried: {}", never_queried.join(", "));
         }
         if say::is_verbose() {
-            result!("precision  {}", percent(o.precision_mean));
+            result!("precision  {}", percent(self.outcome.precision_mean));
             result!(
-                "query      {:.1} ms from raw samples to the answer (median), {:.1} ms (p99)",
-                o.query_ms_p50,
-                o.query_ms_p99
+                "query      {query_ms_p50:.1} ms from raw samples to the answer (median), \
+                 {query_ms_p99:.1} ms (p99)"
             );
         }
-        for (truth, answer, count) in o.confusion.worst(5) {
+        for (truth, answer, count) in confusion.worst(5) {
             result!("           {count} × {truth} taken for {answer}");
         }
         self.settled.iter().for_each(print_settled);
@@ -360,64 +317,52 @@ impl EvalReport {
 }
 
 fn print_enrolled(e: &EnrolmentOutcome) {
+    let (trials, points) = (show::counted(e.trials, "trial"), 100.0 * e.gain);
+    let (without, interval) = (show::percent(e.without.value()), show::interval(e.without));
     result!(
-        "enrolled   {} of each surface by the user: {:+.1} points; without, {} of the same queries \
-         ({})",
-        show::counted(e.trials, "trial"),
-        100.0 * e.gain,
-        show::percent(e.without.value()),
-        show::interval(e.without)
+        "enrolled   {trials} of each surface by the user: {points:+.1} points; without, {without} of \
+         the same queries ({interval})"
     );
 }
 
 fn print_settled(s: &SettledOutcome) {
-    let percent = show::percent;
+    let SettledOutcome { lost, gained, scan_s_mean, scan_s_p50, whole_s_mean, .. } = s;
+    let [share, whole, loss] =
+        [s.share.value(), s.accuracy_whole, s.stated_loss].map(show::percent);
+    let interval = show::interval(s.share);
     result!(
-        "settled    {} (95 % interval {}) against {} by whole scans: {} lost, {} gained",
-        percent(s.share.value()),
-        show::interval(s.share),
-        percent(s.accuracy_whole),
-        s.lost,
-        s.gained
+        "settled    {share} (95 % interval {interval}) against {whole} by whole scans: {lost} lost, \
+         {gained} gained"
     );
     result!(
-        "           after {:.2} s on average ({:.2} s in the median) of {:.2} s; {} of {} scans settled \
-         before they ended",
-        s.scan_s_mean,
-        s.scan_s_p50,
-        s.whole_s_mean,
+        "           after {scan_s_mean:.2} s on average ({scan_s_p50:.2} s in the median) of \
+         {whole_s_mean:.2} s; {} of {} scans settled before they ended",
         s.settled,
         s.queries
     );
-    let shown = s.rules.iter().filter(|rule| rule.shown).count();
+    let (shown, folds) = (s.rules.iter().filter(|rule| rule.shown).count(), s.rules.len());
     result!(
-        "           stated loss {} at most, shown (at 90 %) by the libraries of {shown} of {} folds",
-        percent(s.stated_loss),
-        s.rules.len()
+        "           stated loss {loss} at most, shown (at 90 %) by the libraries of {shown} of \
+         {folds} folds"
     );
     if let Some(share) = s.core_share {
-        result!("           following takes {} of one core", percent(share));
+        result!("           following takes {} of one core", show::percent(share));
     }
 }
 
 fn print_unknown(u: &UnknownOutcome) {
-    let percent = show::percent;
+    let (caught, interval) = (show::percent(u.unknown.value()), show::interval(u.unknown));
+    let of = u.unknown.of;
     result!(
-        "unknown    {} of {} queries of left-out surfaces caught (95 % interval {})",
-        percent(u.unknown.value()),
-        u.unknown.of,
-        show::interval(u.unknown)
+        "unknown    {caught} of {of} queries of left-out surfaces caught (95 % interval {interval})"
     );
+    let (rejected, interval) = (show::percent(u.known.value()), show::interval(u.known));
+    let (of, trials) = (u.known.of, u.stated.trials);
+    let [rate, low, high] =
+        [u.stated.rate, u.stated.rate_low, u.stated.rate_high].map(show::percent);
     result!(
-        "           {} of {} queries of known ones rejected ({}); stated {} ({} to {}, by {} \
-         left-out trials)",
-        percent(u.known.value()),
-        u.known.of,
-        show::interval(u.known),
-        percent(u.stated.rate),
-        percent(u.stated.rate_low),
-        percent(u.stated.rate_high),
-        u.stated.trials
+        "           {rejected} of {of} queries of known ones rejected ({interval}); stated {rate} \
+         ({low} to {high}, by {trials} left-out trials)"
     );
     result!(
         "           in {} of {} folds the share rejected lies in the interval stated there",

@@ -35,8 +35,12 @@ impl FigureArgs {
         Ok(())
     }
 
-    pub fn beside(&self) -> PathBuf {
-        self.out.with_extension("json")
+    /// Writes the picture and, beside it, its numbers as JSON. Returns the paths of both.
+    pub fn keep(&self, svg: &str, numbers: &impl Serialize) -> Result<Vec<PathBuf>, Failure> {
+        let beside = self.out.with_extension("json");
+        write(&self.out, svg)?;
+        write(&beside, &(serde_json::to_string_pretty(numbers)? + "\n"))?;
+        Ok(vec![self.out.clone(), beside])
     }
 }
 
@@ -57,9 +61,4 @@ pub fn earlier<T: DeserializeOwned>(path: &Path, command: &str) -> Result<T, Fai
 
 pub fn write(path: &Path, text: &str) -> Done {
     std::fs::write(path, text).map_err(|error| Failure::at(path, error))
-}
-
-/// The numbers of a picture, as the content of a JSON file.
-pub fn json(numbers: &impl Serialize) -> Result<String, Failure> {
-    Ok(serde_json::to_string_pretty(numbers)? + "\n")
 }

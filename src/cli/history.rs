@@ -73,10 +73,6 @@ fn cells(row: HistoryRow) -> Vec<String> {
 }
 
 fn precision(all: &[Precision], json: bool) -> Done {
-    if json {
-        show::json(&all);
-        return Ok(());
-    }
     let row = |one: &Precision| {
         let [share, low, high] =
             [one.precision, one.precision_low, one.precision_high].map(show::percent);
@@ -84,6 +80,7 @@ fn precision(all: &[Precision], json: bool) -> Done {
         let right = format!("{}/{}", one.right, one.corrected);
         vec![name, right, share, format!("{low} to {high}")]
     };
-    show::table(&["surface", ">right", ">share", "95 %"], all.iter().map(row));
+    let head = ["surface", ">right", ">share", "95 %"];
+    show::result(json, &all, |all| show::table(&head, all.iter().map(row)));
     Ok(())
 }

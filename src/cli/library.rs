@@ -7,7 +7,7 @@ use clap::Subcommand;
 use serde::Serialize;
 
 use super::method::ComparingArgs;
-use super::{Done, Failure, bad_files, check, show};
+use super::{Done, Failure, bad_files, check, say, show};
 use crate::dataset;
 use crate::evaluate::{TrialCheck, TrialVerdict};
 use crate::record::edit::{self, Editor, LibraryLock, ListedTrial, Step};
@@ -48,36 +48,30 @@ enum Edit {
     },
     /// Give some trials another label
     Move {
-        /// The library's folder
-        library: PathBuf,
-        /// Trials, SURFACE/TRIAL or SURFACE/FILE.wav each, or surfaces
-        #[arg(required = true)]
-        trials: Vec<String>,
+        #[command(flatten)]
+        of: TrialsArgs,
         /// The new label
         #[arg(long, value_name = "LABEL")]
         to: String,
     },
     /// Remove trials; `restore` brings them back
-    Remove {
-        /// The library's folder
-        library: PathBuf,
-        /// Trials, SURFACE/TRIAL or SURFACE/FILE.wav each, or surfaces
-        #[arg(required = true)]
-        trials: Vec<String>,
-    },
-    /// Bring removed trials back
-    Restore {
-        /// The library's folder
-        library: PathBuf,
-        /// Trials, SURFACE/TRIAL each, or surfaces; `list --removed` shows them
-        #[arg(required = true)]
-        trials: Vec<String>,
-    },
+    Remove(TrialsArgs),
+    /// Bring removed trials back; `list --removed` shows them
+    Restore(TrialsArgs),
     /// Undo the last edit
     Undo {
         /// The library's folder
         library: PathBuf,
     },
+}
+
+#[derive(clap::Args)]
+struct TrialsArgs {
+    /// The library's folder
+    library: PathBuf,
+    /// Trials, SURFACE/TRIAL or SURFACE/FILE.wav each, or surfaces
+    #[arg(required = true)]
+    trials: Vec<String>,
 }
 
 #[derive(clap::Args)]
@@ -107,13 +101,13 @@ pub fn run(args: &Args) -> Done {
             }
             (library, editor(library)?.rename(&normal(surface), &label)?)
         }
-        Edit::Move { library, trials, to } => {
+        Edit::Move { of: TrialsArgs { library, trials }, to } => {
             (library, editor(library)?.move_to(&all_normal(trials), &named(to)?)?)
         }
-        Edit::Remove { library, trials } => {
+        Edit::Remove(TrialsArgs { library, trials }) => {
             (library, editor(library)?.remove(&all_normal(trials))?)
         }
-        Edit::Restore { library, trials } => {
+        Edit::Restore(TrialsArgs { library, trials }) => {
             (library, editor(library)?.restore(&all_normal(trials))?)
         }
         Edit::Undo { library } => {
@@ -194,23 +188,21 @@ fn list(args: &ListArgs) -> Done {
     };
     let mut checked: BTreeMap<TrialKey, TrialCheck> = BTreeMap::new();
     if !args.quick && !args.removed {
-        let report = check::audit(&args.library, &args.comparing.resolve(None)?, true)?;
+        let how = args.comparing.resolve(None)?;
+        let report = check::audit(&args.library, &how, &say::progress)?;
         checked.extend(report.each.into_iter().map(|trial| (trial.key.clone(), trial)));
     }
     drop(lock);
     let row = |listed: ListedTrial| {
         let of = checked.remove(&listed.key);
-        let (verdict, flaws) =
-            (of.as_ref().map(|of| of.verdict), of.as_ref().map(|of| of.flaws.clone()));
-        let (named, margin) = of.map_or((None, None), |of| (of.named, of.margin));
-        LibraryRow { listed, verdict, named, margin, flaws: flaws.unwrap_or_default() }
+        let verdict = of.as_ref().map(|of| of.verdict);
+        let (named, margin, flaws) =
+            of.map_or((None, None, Vec::new()), |of| (of.named, of.margin, of.flaws));
+        LibraryRow { listed, verdict, named, margin, flaws }
     };
     let rows: Vec<LibraryRow> = listed.into_iter().map(row).collect();
     let head = ["trial", "surface", "user", "recorded", ">length", "left out", "flaws"];
-    match args.json {
-        true => show::json(&rows),
-        false => show::table(&head, rows.iter().map(cells)),
-    }
+    show::result(args.json, &rows, |rows| show::table(&head, rows.iter().map(cells)));
     Ok(())
 }
 

@@ -13,8 +13,7 @@ use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
 use super::method::{Comparing, ComparingArgs};
-use super::outputs::{Page, send_answers};
-use super::serve::ServeArgs;
+use super::serve::{Page, ServeArgs};
 use super::show::{counted, listed, quoted};
 use super::terminal::Terminal;
 use super::{Done, Failure, bad_files, shown};
@@ -22,6 +21,7 @@ use crate::dataset;
 use crate::device::lines::{LinesAddress, SURVEY_S, survey_of};
 use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
+use crate::outputs::Output;
 use crate::recognise::{LOOK_S, ReadyModel, ready_model};
 use crate::record::edit::LibraryLock;
 use crate::scan::{Options, Totals};
@@ -33,6 +33,9 @@ use crate::station::{
     ScanStore, Station, StationEvent, assemble,
 };
 use crate::system;
+
+/// Name of the folder, inside the library, that holds answers not sent yet.
+const OUTBOX: &str = ".outbox";
 
 #[derive(Clone, Debug, clap::Args)]
 pub struct StationArgs {
@@ -160,7 +163,7 @@ pub fn load(
 /// Returns a function that audits the library each time it is called.
 pub fn check(path: &Path, how: &Comparing) -> Audit {
     let (path, how) = (path.to_path_buf(), how.clone());
-    Arc::new(move || super::check::audit(&path, &how, false).map_err(Failure::text))
+    Arc::new(move || super::check::audit(&path, &how, &|_, _, _| {}).map_err(Failure::text))
 }
 
 /// The message when the station and its library have no source in common.
@@ -186,16 +189,11 @@ pub struct StationWork<'a> {
     /// The library for enrolled scans.
     pub store: PathBuf,
     /// The station's own order to keep scans. It applies while the page has given no other order.
-    pub counter: Option<&'a mut KeptCounter>,
+    pub keep: Option<(Keep, &'a mut Kept)>,
     /// Instructions for the operator, shown while there is no other text.
     pub hint: String,
     /// The function that audits the library; `None` if the page may not start an audit.
     pub check: Option<Audit>,
-}
-
-/// The sources that scans from these devices can have.
-pub fn given(assembled: &Assembled) -> BTreeSet<SourceId> {
-    assembled.device_of.keys().filter_map(|id| SourceId::new(id).ok()).collect()
 }
 
 /// Runs a station with these devices until a key, a signal or a listener ends it.
@@ -239,17 +237,13 @@ pub fn work(
     };
     let page = Page::default();
     if let Some(load) = work.load {
-        let folder = library.folder.join(history::FOLDER);
-        (station, settings.history) =
-            keep_scans(station, &folder, config.keep_mb, (&library.scene, devices))?;
-        let shown = (&settings.history, &page);
-        (station, settings.outputs) =
-            send_answers(station, &config.outputs, &library.folder, shown)?;
+        let sources = (&library.scene, devices);
+        station = keep_and_send(station, config, &library.folder, sources, (&mut settings, &page))?;
         station = station.load(load);
     }
-    if let Some(counter) = work.counter {
-        counter.commands = Some(commands.clone());
-        station = station.keep(counter.order.clone()).listener(counter);
+    if let Some((order, kept)) = work.keep {
+        let counter = KeptCounter { commands: commands.clone(), order: order.clone(), kept };
+        station = station.keep(order).listener(counter);
     }
     if let Some(flasher) = assembled.flasher {
         station = station.listener(flasher);
@@ -269,31 +263,35 @@ pub fn work(
     Ok(station.run()?)
 }
 
-/// Keeps the scans of a station in a folder of at most `keep_mb` million bytes. If the folder
-/// cannot be used, a warning gives the reason, and answers stay in memory until the program ends.
-/// `sources` holds the scene, and the device of each source.
-pub fn keep_scans<'a>(
-    station: Station<'a>,
+/// Keeps the scans of a station, and sends its answers to the configured outputs. Scans and unsent
+/// answers lie in `folder`. If scans cannot be kept, a warning gives the reason, and answers stay in
+/// memory until the program ends. `sources` holds the scene, and the device of each source.
+pub fn keep_and_send<'a>(
+    mut station: Station<'a>,
+    config: &StationConfig,
     folder: &Path,
-    keep_mb: u32,
-    sources: (&Scene, BTreeMap<String, String>),
-) -> Result<(Station<'a>, Arc<History>), Failure> {
-    if keep_mb == 0 {
-        return Ok((station, Arc::default()));
-    }
-    match History::open(folder, u64::from(keep_mb) * 1_000_000) {
-        Ok(history) => {
-            let history = Arc::new(history);
-            // The scene states no rate, so that scans are kept at whatever rate they were recorded.
-            let scene = sources.0.clone().changed(|spec| spec.rate_hz = None);
-            let keeper = Keeper::start(history.clone(), scene, sources.1)?;
-            Ok((station.listener(keeper), history))
-        }
-        Err(error) => {
-            say!("warning: scans are not kept: {error}");
-            Ok((station, Arc::default()))
+    (scene, devices): (&Scene, BTreeMap<String, String>),
+    (settings, page): (&mut Settings, &Page),
+) -> Result<Station<'a>, Failure> {
+    if config.keep_mb > 0 {
+        let most_bytes = u64::from(config.keep_mb) * 1_000_000;
+        match History::open(&folder.join(history::FOLDER), most_bytes) {
+            Ok(history) => {
+                settings.history = Arc::new(history);
+                // The scene states no rate, so that scans are kept at whatever rate they have.
+                let scene = scene.clone().changed(|spec| spec.rate_hz = None);
+                station =
+                    station.listener(Keeper::start(settings.history.clone(), scene, devices)?);
+            }
+            Err(error) => say!("warning: scans are not kept: {error}"),
         }
     }
+    let shown = (&settings.history, page);
+    for output in Output::start(&config.outputs, &folder.join(OUTBOX), shown)? {
+        settings.outputs.push(output.health());
+        station = station.listener(output);
+    }
+    Ok(station)
 }
 
 pub fn verdict(totals: &Totals) -> Done {
@@ -376,29 +374,34 @@ pub fn run(args: &Args) -> Done {
     }
     let check = Some(check(&library, &how));
     let assembled = assemble(&config);
-    let given = Some(given(&assembled));
-    let load = load(&library, &config.scene, &how, (&args.answers, &args.accuracy), given);
+    let given = assembled.device_of.keys().filter_map(|id| SourceId::new(id).ok()).collect();
+    let answering = (&args.answers, &args.accuracy);
+    let load = load(&library, &config.scene, &how, answering, Some(given));
     let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
     let hint =
         format!("tap a surface, then drag over it{long}; space begins and ends a scan, q quits");
     let (load, store) = (Some(load), library);
-    let of = StationWork { load, store, counter: None, hint, check };
+    let of = StationWork { load, store, keep: None, hint, check };
     verdict(&work(&config, &args.station, assembled, of)?)
+}
+
+/// How many scans of an order were kept, and how many could not be written.
+#[derive(Default)]
+pub struct Kept {
+    pub kept: u32,
+    pub lost: u32,
 }
 
 /// Counts kept scans, and stops the station after the last one of the order.
 ///
 /// If the order has no limit, scans kept under other labels are counted too.
-pub struct KeptCounter {
-    /// The sender of commands to the station; `None` until the station is built.
-    pub commands: Option<Sender<Command>>,
-    pub order: Keep,
-    pub kept: u32,
-    /// Scans that could not be written.
-    pub lost: u32,
+struct KeptCounter<'a> {
+    commands: Sender<Command>,
+    order: Keep,
+    kept: &'a mut Kept,
 }
 
-impl Listener for KeptCounter {
+impl Listener for KeptCounter<'_> {
     fn on_event(&mut self, event: &StationEvent) {
         let StationEvent::Enrolled(Enrolled { outcome, surface, user, .. }) = event else { return };
         let ours = (surface, user) == (&self.order.surface, &self.order.user);
@@ -406,13 +409,13 @@ impl Listener for KeptCounter {
             return;
         }
         match outcome {
-            EnrolledOutcome::Kept => self.kept += 1,
-            EnrolledOutcome::Lost => self.lost += 1,
+            EnrolledOutcome::Kept => self.kept.kept += 1,
+            EnrolledOutcome::Lost => self.kept.lost += 1,
             EnrolledOutcome::Refused | EnrolledOutcome::Waiting => return,
         }
-        if self.order.trials.is_some_and(|wanted| self.kept >= wanted) {
+        if self.order.trials.is_some_and(|wanted| self.kept.kept >= wanted) {
             // Sending fails only if the station has already ended, so an error is ignored.
-            let _ = self.commands.as_ref().map(|commands| commands.send(Command::Quit));
+            let _ = self.commands.send(Command::Quit);
         }
     }
 }

@@ -7,6 +7,7 @@ use clap::ValueEnum;
 use clap::builder::PossibleValue;
 
 use super::answers::AccuracyArgs;
+use super::show::joined;
 use super::{Failure, SourceArgs};
 use crate::evaluate::plan::Plan;
 use crate::recognise::{
@@ -53,7 +54,7 @@ pub struct MethodArgs {
     halving: bool,
     /// Neither read nor write the cache of prepared trials beside the library
     #[arg(long)]
-    no_cache: bool,
+    pub no_cache: bool,
 }
 
 pub fn at_least_one(text: &str) -> Result<usize, String> {
@@ -113,11 +114,6 @@ impl MethodArgs {
         self.method.is_none() && self.name().is_ok_and(|name| name == MethodName::Embedding)
     }
 
-    /// Whether prepared trials are cached beside their library.
-    pub fn uses_cache(&self) -> bool {
-        !self.no_cache
-    }
-
     pub fn reference_options(&self) -> ReferenceOptions {
         let usual = ReferenceOptions::default();
         ReferenceOptions {
@@ -163,20 +159,15 @@ pub struct ComparingArgs {
 impl ComparingArgs {
     /// Reads the plan if one is given, and prints its settings; without a plan, uses the options.
     pub fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
-        let (sources, cache) = (self.sources.clone(), self.method.uses_cache());
+        let (sources, cache) = (self.sources.clone(), !self.method.no_cache);
         let Some(path) = &self.plan else {
             let method = self.method.spec()?;
             return Ok(Comparing { plan: None, sources, method, cache, query_seconds });
         };
         let plan = Plan::read(path).map_err(Failure::usage)?;
-        let names: Vec<&str> = plan.sources.iter().map(|id| id.as_str()).collect();
         let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
-        say!(
-            "plan for {}: {} by {}{used}",
-            plan.library,
-            names.join(" + "),
-            plan.method.name().as_str()
-        );
+        let (names, method) = (joined(&plan.sources, " + "), plan.method.name().as_str());
+        say!("plan for {}: {names} by {method}{used}", plan.library);
         let (method, query_seconds) = (self.method.planned(&plan.method), plan.scan_s);
         Ok(Comparing { plan: Some(plan), sources, method, cache, query_seconds })
     }

@@ -1,36 +1,11 @@
-//! `surfaced outputs`, and the outputs of a running station.
+//! `surfaced outputs`: tries the outputs of a station.
 
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+use std::path::PathBuf;
 
 use clap::Subcommand;
 
 use super::{Done, Failure, show};
-use crate::history::History;
-use crate::outputs::{self, Output, OutputHealth, OutputTest};
-use crate::station::Station;
-use crate::station::config::OutputsConfig;
-
-/// Name of the folder, inside the library, that holds answers not sent yet.
-const FOLDER: &str = ".outbox";
-
-/// The address of a station's page; empty until the server has started.
-pub type Page = Arc<OnceLock<String>>;
-
-/// Sends the answers of a station to its configured outputs; unsent answers are kept in `folder`.
-pub fn send_answers<'a>(
-    mut station: Station<'a>,
-    config: &OutputsConfig,
-    folder: &Path,
-    shown: (&Arc<History>, &Page),
-) -> Result<(Station<'a>, Vec<OutputHealth>), Failure> {
-    let mut healths = Vec::new();
-    for output in Output::start(config, &folder.join(FOLDER), shown)? {
-        healths.push(output.health());
-        station = station.listener(output);
-    }
-    Ok((station, healths))
-}
+use crate::outputs::{self, OutputTest};
 
 /// Try the outputs of a station's configuration
 #[derive(clap::Args)]

@@ -39,10 +39,9 @@ pub fn run(
     };
     let out = out.unwrap_or(Path::new("."));
     let path = out.join(shard.file_name());
-    let done = if path.exists() { read(&path).ok() } else { None };
-    // The data, settings and trials identify a run, so an old shard is checked without an evaluation.
-    let expected = paper::work_head(library, &options, shard);
-    if let Some(done) = done {
+    if let Ok(done) = read(&path) {
+        // Data, settings and trials identify a run, so an old shard is checked without an evaluation.
+        let expected = paper::work_head(library, &options, shard);
         if done.shard != shard || !done.is_of_run(&expected) {
             let problem = "a shard of another run (other data or settings); name another folder, \
                            or remove it";
@@ -94,19 +93,17 @@ fn write(path: &Path, text: &str) -> Done {
 fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {
     let report = PaperReport::new(part);
     if let Some(out) = out {
-        write(&out.join("report.json"), &serde_json::to_string_pretty(&report)?)?;
-        write(&out.join("bars.svg"), &paper::bars(&report)?)?;
-        let mut written = "report.json, bars.svg";
+        let mut files = vec![
+            ("report.json", serde_json::to_string_pretty(&report)?),
+            ("bars.svg", paper::bars(&report)?),
+        ];
         if let Some(confusion) = &report.confusion {
-            write(&out.join("confusion.svg"), &paper::confusion(confusion)?)?;
-            written = "report.json, bars.svg, confusion.svg";
+            files.push(("confusion.svg", paper::confusion(confusion)?));
         }
-        say!("wrote {written} to {}", shown(out));
+        files.iter().try_for_each(|(name, text)| write(&out.join(name), text))?;
+        say!("wrote {} to {}", show::listed(files.iter().map(|(name, _)| name)), shown(out));
     }
-    match json {
-        true => show::json(&report),
-        false => print(&report),
-    }
+    show::result(json, &report, print);
     Ok(())
 }
 
@@ -120,7 +117,7 @@ fn print(report: &PaperReport) {
     let mut rows = Vec::new();
     let mut head = String::new();
     for row in &measured {
-        let of_row = format!("{} · {}", row.place, row.protocol);
+        let of_row = format!("{} · {}", row.row.place, row.row.protocol.name());
         if of_row != head {
             rows.push(vec![of_row.clone()]);
             head = of_row;
@@ -146,14 +143,15 @@ fn add_cells(row: &ReportRow, rows: &mut Vec<Vec<String>>) {
         Some(mean) => figure(mean * 100.0, row.accuracy_std.map(|std| std * 100.0)),
         None => "no queries".into(),
     };
-    let paper = row.published.map_or(String::new(), |p| figure(p.accuracy, p.std));
+    let published = row.row.published;
+    let paper = published.map_or(String::new(), |p| figure(p.accuracy, p.std));
     let points = row.difference_points.map_or(String::new(), |points| format!("{points:+.1}"));
     let lacks = match row.missing.as_slice() {
         [] => String::new(),
         missing => format!("without {}, which the data lack", missing.join(", ")),
     };
-    rows.push(vec![format!("  {}", row.name), ours, paper, points, lacks]);
-    if let Some(precision) = row.published.and_then(|published| published.precision) {
+    rows.push(vec![format!("  {}", row.row.name), ours, paper, points, lacks]);
+    if let Some(precision) = published.and_then(|published| published.precision) {
         let ours = row.precision_mean.map_or(String::new(), |p| figure(p * 100.0, None));
         rows.push(vec!["    its precision".into(), ours, figure(precision, None)]);
     }

@@ -7,7 +7,7 @@ use super::figure::write;
 use super::show::quoted;
 use super::{Done, Failure, SourceArgs, bad_files, say, share, show};
 use crate::evaluate::Protocol;
-use crate::evaluate::plan::{PlanOptions, Planned, search};
+use crate::evaluate::plan::{Expected, Plan, PlanOptions, Planned, search};
 use crate::library::Library;
 
 /// The default share of whole scans that must be named right.
@@ -87,25 +87,18 @@ pub fn run(args: &Args) -> Done {
 }
 
 fn print(planned: &Planned) {
-    let e = &planned.plan.expected;
-    let sources: Vec<&str> = planned.plan.sources.iter().map(|id| id.as_str()).collect();
+    let Plan { method, sources, expected, .. } = &planned.plan;
+    let Expected { queries, surfaces, protocol, scan_s, .. } = expected;
     let mark = if planned.plan.synthetic { " (synthetic)" } else { "" };
+    let (names, method) = (show::joined(sources, " + "), method.name().as_str());
+    result!("plan: {names} by {method}, {scan_s:.1} s of scan");
+    let [accuracy, low, high] =
+        [expected.accuracy, expected.accuracy_low, expected.accuracy_high].map(show::percent);
     result!(
-        "plan: {} by {}, {:.1} s of scan",
-        sources.join(" + "),
-        planned.plan.method.name().as_str(),
-        e.scan_s
+        "expected accuracy {accuracy} of {queries} queries of {surfaces} surfaces, {protocol} (95 % \
+         interval {low} to {high}){mark}"
     );
-    result!(
-        "expected accuracy {} of {} queries of {} surfaces, {} (95 % interval {} to {}){mark}",
-        show::percent(e.accuracy),
-        e.queries,
-        e.surfaces,
-        e.protocol,
-        show::percent(e.accuracy_low),
-        show::percent(e.accuracy_high)
-    );
-    e.doubt().iter().for_each(|doubt| result!("{doubt}"));
+    expected.doubt().iter().for_each(|doubt| result!("{doubt}"));
     if !say::is_verbose() {
         return;
     }
@@ -121,7 +114,5 @@ fn print(planned: &Planned) {
     result!();
     show::table(&head, costs);
     result!();
-    for step in &planned.steps {
-        result!("{step}");
-    }
+    planned.steps.iter().for_each(|step| result!("{step}"));
 }

@@ -1,6 +1,6 @@
 //! `surfaced replay`: plays recordings through the live pipeline, and names their surfaces.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -9,16 +9,14 @@ use super::choose::{Choice, choose, within};
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
 use super::method::{Comparing, ComparingArgs};
-use super::outputs::{Page, send_answers};
-use super::serve::ServeArgs;
+use super::serve::{Page, ServeArgs};
 use super::show::{self, quoted};
 use super::tally::Tally;
 use super::{Done, Failure, bad_files, live, say};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
-use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds};
-use crate::history;
-use crate::library::{Entry, Unreadable, unreadable};
+use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds, in_libraries};
+use crate::library::Entry;
 use crate::recognise::{
     LOOK_S, Method, MethodName, Model, ReadyModel, RecogniseError, ready_model,
 };
@@ -202,22 +200,24 @@ fn play(
     }
     // Without a library, past scans and unsent answers are kept here only until the program ends.
     let until_end = tempfile::tempdir()?;
-    let config = super::config(args.config.as_deref())?;
-    if args.serve.is_wanted() {
-        let folder = library.map_or(until_end.path(), PathBuf::as_path).join(history::FOLDER);
-        let sources = (&stage.scene, BTreeMap::new());
-        (station, settings.history) = live::keep_scans(station, &folder, config.keep_mb, sources)?;
+    let mut config = super::config(args.config.as_deref())?;
+    if !args.serve.is_wanted() {
+        config.keep_mb = 0;
     }
     let (page, folder) = (Page::default(), args.library.as_deref().unwrap_or(until_end.path()));
-    (station, settings.outputs) =
-        send_answers(station, &config.outputs, folder, (&settings.history, &page))?;
+    let sources = (&stage.scene, BTreeMap::new());
+    station = live::keep_and_send(station, &config, folder, sources, (&mut settings, &page))?;
     let (mut station, server) = args.serve.start(station, settings, &page)?;
     // The page can be seen while the models are made; a signal then ends the program at once.
     station.emit(&StationEvent::Reading);
     let (recogniser, follows) = match (recogniser(args, how, &stage), &args.library) {
         (Err(error), Some(folder)) => {
-            if !stage.leaves_unreadable_out(folder)? {
+            if bad_files::leave_out(folder, &mut stage.entries)? {
                 return Err(error);
+            }
+            let ReplayStage { entries, folds, .. } = &mut stage;
+            for fold in folds {
+                fold.library.retain(|&i| !entries[i].sources.is_empty());
             }
             recogniser(args, how, &stage)?
         }
@@ -290,27 +290,9 @@ impl ReplayStage {
         all.map(|(fold, query)| (fold, &self.entries[query]))
     }
 
-    /// Leaves unreadable recordings of the library at `folder` out, and warns of them. Returns false if
-    /// all recordings can be read, so that nothing changed.
-    fn leaves_unreadable_out(&mut self, folder: &Path) -> Result<bool, Failure> {
-        let unreadable = unreadable(&self.compared());
-        let Self { entries, folds, .. } = self;
-        for fold in folds {
-            for Unreadable { entry, source, .. } in &unreadable {
-                entries[fold.library[*entry]].sources.retain(|id| id != source);
-            }
-            fold.library.retain(|&i| !entries[i].sources.is_empty());
-        }
-        let some = !unreadable.is_empty();
-        bad_files::skip(folder, unreadable.into_iter().map(|one| one.error).collect())?;
-        Ok(some)
-    }
-
     /// The trials that are in the library of at least one fold.
     fn compared(&self) -> Vec<Entry> {
-        let folds = self.folds.iter();
-        let indexes: BTreeSet<usize> = folds.flat_map(|fold| fold.library.clone()).collect();
-        indexes.into_iter().map(|index| self.entries[index].clone()).collect()
+        in_libraries(&self.folds).into_iter().map(|index| self.entries[index].clone()).collect()
     }
 }
 

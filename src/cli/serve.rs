@@ -1,9 +1,9 @@
 //! Serves the page while a station runs, by `--serve` and its token.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::sync::{Arc, OnceLock};
 
 use super::Failure;
-use super::outputs::Page;
 use crate::scan::Options;
 use crate::serve::{PORT, Reporter, ServeError, Server, Settings, Token};
 use crate::station::Station;
@@ -16,6 +16,9 @@ const TOKEN: &str = "SURFACED_TOKEN";
 const TRACE_EVERY_S: f64 = 0.04;
 /// Interval at which the progress of a scan is sent to the page, in seconds of drag.
 const PROGRESS_EVERY_S: f64 = 0.1;
+
+/// The address of a station's page; empty until the server has started.
+pub type Page = Arc<OnceLock<String>>;
 
 /// Whether and where the page is served.
 #[derive(Clone, Debug, clap::Args)]

@@ -14,13 +14,17 @@ use crate::trial::TrialKey;
 
 /// Prints what a library contains, and what was skipped.
 pub fn library(library: &Library) {
-    let trials = counted(library.entries.len(), "trial");
-    let surfaces = counted(library.surfaces().len(), "surface");
-    let mark = if library.synthetic { " (synthetic)" } else { "" };
-    say!("{}{mark}: {trials} of {surfaces}", library.name);
+    let (trials, surfaces) = (library.entries.len(), library.surfaces().len());
+    say!("{}", summary(&library.name, library.synthetic, trials, surfaces));
     for remark in &library.remarks {
         say!("  {remark}");
     }
+}
+
+/// The name and the size of a library.
+pub fn summary(name: &str, synthetic: bool, trials: usize, surfaces: usize) -> String {
+    let mark = if synthetic { " (synthetic)" } else { "" };
+    format!("{name}{mark}: {} of {}", counted(trials, "trial"), counted(surfaces, "surface"))
 }
 
 /// Prints one JSON document on stdout.
@@ -31,6 +35,11 @@ pub fn json(value: &impl serde::Serialize) {
     if writeln!(std::io::stdout(), "{}", json_text(value)).is_err() {
         std::process::exit(1);
     }
+}
+
+/// Shows the result of a command on stdout: as one JSON document, or as `print` shows it to people.
+pub fn result<T: serde::Serialize>(as_json: bool, value: &T, print: impl FnOnce(&T)) {
+    if as_json { json(value) } else { print(value) }
 }
 
 /// The sources that were left out of queries, and the reasons. There is one line for each source and
@@ -69,7 +78,11 @@ pub fn wrote<P: AsRef<Path>>(files: &[P]) {
 
 /// Joins texts with commas.
 pub fn listed<T: ToString>(things: impl IntoIterator<Item = T>) -> String {
-    things.into_iter().map(|thing| thing.to_string()).collect::<Vec<_>>().join(", ")
+    joined(things, ", ")
+}
+
+pub fn joined<T: ToString>(things: impl IntoIterator<Item = T>, by: &str) -> String {
+    things.into_iter().map(|thing| thing.to_string()).collect::<Vec<_>>().join(by)
 }
 
 pub fn next(what: &str) {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::choose::{Choice, choose};
-use super::figure::{FigureArgs, earlier, is_earlier, json, write};
+use super::figure::{FigureArgs, earlier, is_earlier, write};
 use super::method::at_least_one;
 use super::{Done, Failure, bad_files, say, show};
 use crate::evaluate::stress::{
@@ -141,8 +141,10 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
 /// Writes the pictures and their numbers, and returns the paths of the files.
 fn keep(args: &Args, report: &StressReport) -> Result<Vec<PathBuf>, Failure> {
     let out = &args.figure.out;
-    let mut written = vec![out.clone(), out.with_extension("md"), args.figure.beside()];
-    write(out, &figure(report, Measure::Accuracy)?)?;
+    let mut written = args.figure.keep(&figure(report, Measure::Accuracy)?, report)?;
+    let table = out.with_extension("md");
+    write(&table, &report.markdown())?;
+    written.push(table);
     let stem = out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     for (name, measure) in
         [("unknown", Measure::UnknownRejected), ("calibration", Measure::CalibrationError)]
@@ -154,7 +156,5 @@ fn keep(args: &Args, report: &StressReport) -> Result<Vec<PathBuf>, Failure> {
             written.push(path);
         }
     }
-    write(&out.with_extension("md"), &report.markdown())?;
-    write(&args.figure.beside(), &json(report)?)?;
     Ok(written)
 }

@@ -68,16 +68,12 @@ pub fn run(args: &Args) -> Done {
         say::progress("writing trials", done.fetch_add(1, Ordering::Relaxed) + 1, of);
         Ok::<_, crate::library::LibraryError>(())
     })?;
-    let out = super::shown(&args.out);
-    if args.json {
-        let Args { surfaces, seed, .. } = args;
-        let report = json!({
-            "out": out, "synthetic": true, "surfaces": surfaces, "trials": of, "seed": seed,
-        });
-        show::json(&report);
-    } else {
-        say!("wrote {of} synthetic trials of {} surfaces to {out}", args.surfaces);
+    let (out, Args { surfaces, seed, .. }) = (super::shown(&args.out), args);
+    let report =
+        json!({"out": out, "synthetic": true, "surfaces": surfaces, "trials": of, "seed": seed});
+    show::result(args.json, &report, |_| {
+        say!("wrote {of} synthetic trials of {surfaces} surfaces to {out}");
         show::next(&format!("surfaced eval {}", show::quoted(&args.out)));
-    }
+    });
     Ok(())
 }

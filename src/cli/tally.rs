@@ -1,44 +1,27 @@
 //! Prints the results of a replay, for each scan and in total.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use super::{Done, Failure, say, show};
-use crate::evaluate::Share;
+use crate::evaluate::{Share, percentile};
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState, Listener, Remark, RemarkKind, StationEvent};
 
-/// Counts of the answers so far.
+/// The answers of a replay so far, and its warnings.
 #[derive(Default)]
 pub struct Tally {
     /// Whether to print each answer.
     each: bool,
     total: usize,
-    /// Number of remarks by kind and source. Only the first remark of a kind and source is printed.
-    remarks: BTreeMap<(RemarkKind, Option<SourceId>), usize>,
-    answers: usize,
-    /// Share of answers that are right, among those whose truth is known.
-    right: Share,
-    latencies_ms: Vec<f64>,
+    answers: Vec<Arc<Answer>>,
     /// The surface named when the answer was settled, by the number of its scan.
     settled: BTreeMap<u32, String>,
-    /// Number of scans settled before their end; `right_by_then` takes these as they were settled.
-    settled_early: usize,
-    right_by_then: Share,
-    /// Total seconds of scan until the answers were settled, and total seconds of whole scans.
-    used_s: f64,
-    whole_s: f64,
-    /// Number of confusions by true surface and named surface.
-    confused: BTreeMap<(String, String), usize>,
-    /// Number of scans of known surfaces that were called unknown.
-    rejected: usize,
-    /// Share of scans called unknown, among scans of surfaces that the library lacks.
-    lacking: Share,
-    /// Number of scans from which each source was left out.
-    left_out: BTreeMap<SourceId, usize>,
+    /// Number of remarks by kind and source. Only the first remark of a kind and source is printed.
+    remarks: BTreeMap<(RemarkKind, Option<SourceId>), usize>,
     damages: usize,
     /// Number of scans with too little data to be named.
     too_little: usize,
-    spoiled: usize,
 }
 
 impl Listener for Tally {
@@ -66,29 +49,8 @@ impl Tally {
         Self { each, total, ..Self::default() }
     }
 
-    fn answer(&mut self, answer: &Answer) {
-        self.answers += 1;
-        self.latencies_ms.push(answer.latency_ms);
-        self.spoiled += usize::from(!answer.spoiled.is_empty());
-        let settled = self.settled.remove(&answer.scan);
-        self.settled_early += usize::from(settled.is_some());
-        self.used_s += answer.settled_s.unwrap_or(answer.scan_s);
-        self.whole_s += answer.scan_s;
-        let right = answer.truth.as_ref().map(|truth| is_right(answer, truth, None));
-        if let (Some(truth), Some(right)) = (&answer.truth, right) {
-            self.right.add(right);
-            self.right_by_then.add(is_right(answer, truth, settled.as_ref()));
-            self.mistake(answer, truth);
-        }
-        let flawed = answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
-        // A source with a flawed channel may still have been used, so `sources` decides.
-        let left_out: BTreeSet<&SourceId> = flawed
-            .filter_map(|remark| remark.source.as_ref())
-            .filter(|source| !answer.sources.contains(source))
-            .collect();
-        for source in left_out {
-            *self.left_out.entry(source.clone()).or_default() += 1;
-        }
+    fn answer(&mut self, answer: &Arc<Answer>) {
+        self.answers.push(answer.clone());
         for reason in &answer.spoiled {
             say!("warning: scan {}: {reason}", answer.scan);
         }
@@ -96,23 +58,12 @@ impl Tally {
             self.remark(remark, answer.scan);
         }
         if self.each {
-            self.show(answer, right);
+            self.show(answer);
         }
     }
 
-    fn mistake(&mut self, answer: &Answer, truth: &String) {
-        let lacks = answer.ranked.iter().all(|ranked| ranked.surface != *truth);
-        match &answer.surface {
-            surface if lacks => self.lacking.add(surface.is_none()),
-            None => self.rejected += 1,
-            Some(surface) if surface != truth => {
-                *self.confused.entry((truth.clone(), surface.clone())).or_default() += 1;
-            }
-            Some(_) => {}
-        }
-    }
-
-    fn show(&self, answer: &Answer, right: Option<bool>) {
+    fn show(&self, answer: &Answer) {
+        let right = answer.truth.as_ref().map(|truth| is_right(answer, truth, None));
         let verdict = match (right, &answer.truth) {
             (Some(true), Some(truth)) if answer.surface.is_none() => {
                 format!("correct: the library lacks {truth}")
@@ -127,7 +78,7 @@ impl Tally {
         };
         result!(
             "{:>4}/{}  {:<28} {:<12} {verdict}{}{took}",
-            self.answers,
+            self.answers.len(),
             self.total,
             show::named(answer),
             show::certainty(answer),
@@ -157,76 +108,107 @@ impl Tally {
         say!("warning: {text}");
     }
 
-    pub fn sum_up(&mut self, synthetic: bool) {
+    pub fn sum_up(&self, synthetic: bool) {
         let again: usize = self.remarks.values().map(|count| count - 1).sum();
         if again > 0 {
             say!("({} of these kinds not shown)", show::counted(again, "more warning"));
         }
-        if self.answers == 0 {
+        if self.answers.is_empty() {
             return;
         }
         let mark = if synthetic { " (synthetic scene)" } else { "" };
-        self.latencies_ms.sort_by(f64::total_cmp);
-        let median = self.latencies_ms[self.latencies_ms.len() / 2];
+        let known =
+            || self.answers.iter().filter_map(|answer| Some((answer, answer.truth.as_ref()?)));
+        let right = Share::count(known().map(|(answer, truth)| is_right(answer, truth, None)));
         result!();
-        if self.right.of > 0 {
+        if right.of > 0 {
             result!(
                 "accuracy {} of {} scans (95 % interval {}){mark}",
-                show::percent(self.right.value()),
-                self.right.of,
-                show::interval(self.right)
+                show::percent(right.value()),
+                right.of,
+                show::interval(right)
             );
         }
         if say::is_verbose() {
+            let median = percentile(self.answers.iter().map(|a| a.latency_ms).collect(), 0.5);
             result!(
                 "latency  {median:.1} ms from the end of a scan to its answer (median; most is done \
                  during the drag)"
             );
+            self.sum_up_settled();
         }
-        if self.settled_early > 0 && say::is_verbose() {
-            let n = self.answers as f64;
-            result!(
-                "settled  {} of {} scans before their end; on average {:.2} s of {:.2} s of scan \
-                 used{}",
-                self.settled_early,
-                self.answers,
-                self.used_s / n,
-                self.whole_s / n,
-                match self.right_by_then {
-                    Share { of: 0, .. } => String::new(),
-                    share => format!("; {} correct by then", show::percent(share.value())),
+        let (mut confused, mut rejected, mut lacking) = (BTreeMap::new(), 0, Share::default());
+        for (answer, truth) in known() {
+            let lacks = answer.ranked.iter().all(|ranked| ranked.surface != *truth);
+            match &answer.surface {
+                surface if lacks => lacking.add(surface.is_none()),
+                None => rejected += 1,
+                Some(surface) if surface != truth => {
+                    *confused.entry((truth, surface)).or_insert(0) += 1;
                 }
-            );
+                Some(_) => {}
+            }
         }
-        for ((truth, surface), count) in &self.confused {
-            result!("confused {truth} taken for {surface} in {}", show::counted(*count, "scan"));
+        for ((truth, surface), count) in confused {
+            result!("confused {truth} taken for {surface} in {}", show::counted(count, "scan"));
         }
-        if self.lacking.of > 0 {
-            let scans = show::counted(self.lacking.of, "scan");
-            result!(
-                "unknown  {} of {scans} of new surfaces were called unknown",
-                self.lacking.right
-            );
+        if lacking.of > 0 {
+            let scans = show::counted(lacking.of, "scan");
+            result!("unknown  {} of {scans} of new surfaces were called unknown", lacking.right);
         }
-        if self.rejected > 0 {
-            let scans = show::counted(self.rejected, "scan");
+        if rejected > 0 {
+            let scans = show::counted(rejected, "scan");
             result!("unknown  {scans} of known surfaces, by mistake");
         }
-        for (source, count) in &self.left_out {
-            let scans = show::counted(*count, "scan");
+        let mut left_out: BTreeMap<&SourceId, usize> = BTreeMap::new();
+        for answer in &self.answers {
+            let flawed = answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
+            let sources: BTreeSet<&SourceId> =
+                flawed.filter_map(|remark| remark.source.as_ref()).collect();
+            // A source with a flawed channel may still have been used, so `sources` decides.
+            for source in sources.into_iter().filter(|source| !answer.sources.contains(source)) {
+                *left_out.entry(source).or_default() += 1;
+            }
+        }
+        for (source, count) in left_out {
+            let scans = show::counted(count, "scan");
             result!("left out {source} in {scans}: its sensor was dead");
         }
     }
 
+    /// How many scans were settled before their end, how much of them was used, and the accuracy then.
+    fn sum_up_settled(&self) {
+        let (n, settled) = (self.answers.len(), |answer: &Answer| self.settled.get(&answer.scan));
+        let early = self.answers.iter().filter(|answer| settled(answer).is_some()).count();
+        if early == 0 {
+            return;
+        }
+        let mean_s = |of: fn(&Answer) -> f64| {
+            self.answers.iter().map(|answer| of(answer)).sum::<f64>() / n as f64
+        };
+        let (used_s, whole_s) = (mean_s(|a| a.settled_s.unwrap_or(a.scan_s)), mean_s(|a| a.scan_s));
+        let right = |a: &Arc<Answer>| Some(is_right(a, a.truth.as_ref()?, settled(a)));
+        let by_then = match Share::count(self.answers.iter().filter_map(right)) {
+            Share { of: 0, .. } => String::new(),
+            share => format!("; {} correct by then", show::percent(share.value())),
+        };
+        result!(
+            "settled  {early} of {n} scans before their end; on average {used_s:.2} s of \
+             {whole_s:.2} s of scan used{by_then}"
+        );
+    }
+
     /// The result of the command, given that `lost` samples were lost.
     pub fn verdict(&self, lost: u64) -> Done {
-        if self.answers == 0 && self.too_little == 0 {
+        let (named, total, damages) = (self.answers.len(), self.total, self.damages);
+        if named == 0 && self.too_little == 0 {
             return Err(Failure::Failed("no scan was named; see the warnings above".into()));
         }
-        if self.damages + self.spoiled > 0 || lost > 0 {
+        let spoiled = self.answers.iter().filter(|answer| !answer.spoiled.is_empty()).count();
+        if damages + spoiled > 0 || lost > 0 {
             return Err(Failure::Damaged(format!(
-                "{} of {} scans named; warnings: {}, spoiled scans: {}, lost samples: {lost}",
-                self.answers, self.total, self.damages, self.spoiled
+                "{named} of {total} scans named; warnings: {damages}, spoiled scans: {spoiled}, \
+                 lost samples: {lost}"
             )));
         }
         Ok(())

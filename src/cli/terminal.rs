@@ -119,9 +119,7 @@ impl Terminal {
             return;
         }
         let trials: usize = surfaces.iter().map(|(_, trials)| trials).sum();
-        let mark = if *synthetic { " (synthetic)" } else { "" };
-        let surfaces = show::counted(surfaces.len(), "surface");
-        tracing::info!("{name}{mark}: {} of {surfaces}", show::counted(trials, "trial"));
+        tracing::info!("{}", show::summary(name, *synthetic, trials, surfaces.len()));
         remarks.iter().for_each(|remark| tracing::info!("{remark}"));
     }
 }

@@ -120,19 +120,12 @@ impl CurvePoint {
 }
 
 /// The result of a search for T*.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(tag = "outcome", rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SearchOutcome {
-    /// T* was found.
-    Found {
-        /// T* in samples: the smallest lag at which samples are independent
-        lag: usize,
-    },
+    /// T* in samples: the smallest lag at which samples are independent.
+    Found { lag: usize },
     /// Samples depend on each other at every lag tested.
-    NotInRange {
-        /// the largest lag tested
-        largest_lag: usize,
-    },
+    NotInRange { largest_lag: usize },
     /// There is no T* within the range: a lag was independent, but at a larger lag dependence returns.
     Returns {
         /// lag at which the printed Algorithm 1 stops, in samples
@@ -143,15 +136,10 @@ pub enum SearchOutcome {
 }
 
 /// T* of one surface and source, and the curve of HSIC from which T* was read.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
     /// The result of the search.
-    #[serde(flatten)]
     pub outcome: SearchOutcome,
-    /// How the upper bound CB+ was computed.
-    pub rule: Rule,
-    /// Q, the number of trials. T* depends on Q, so show both together.
-    pub trials: usize,
     /// t₁,max, the latest start from which pairs of samples were drawn, in samples.
     pub latest_start: usize,
     /// Sample rate in Hz.
@@ -255,7 +243,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Finds T* by `rule`; lags already tested are not computed again.
+    /// Finds T* by `rule`; lags already tested are not computed again. T* depends on the number of
+    /// trials, so show both together.
     ///
     /// Tests a coarse grid of lags (unless `exhaustive`), in steps of an eighth of the lag. Then
     /// tests all lags between two grid lags if CB+ at one of them is below κ·(1.05 + 5/√R): that
@@ -275,8 +264,6 @@ impl<'a> Search<'a> {
         };
         Estimate {
             outcome,
-            rule,
-            trials: self.trials.count(),
             latest_start: self.starts,
             rate_hz: self.trials.rate_hz(),
             curve: self.curve.values().copied().collect(),

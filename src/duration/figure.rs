@@ -1,5 +1,9 @@
 //! Draws dependence against the lag, with a mark at T*, and accuracy against scan time.
 
+use std::ops::Range;
+
+use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 use super::algorithm1::CurvePoint;
@@ -10,6 +14,7 @@ use crate::recognise::AccuracyAt;
 use crate::scene::SourceId;
 
 const PANEL: (u32, u32) = (640, 380);
+const FONT: &str = "sans-serif";
 
 type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
 
@@ -53,6 +58,40 @@ pub fn figure(
     })
 }
 
+type Axes<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
+
+/// Draws the title, the grid, and the axes of a panel, with the descriptions of `x` and `y`.
+fn axes<'a, 'b, X: AsRangedCoord<Value = f64>>(
+    area: &'a Area<'b>,
+    title: String,
+    (x, of_x): (X, &str),
+    (y, of_y): (Range<f64>, &str),
+) -> Result<Axes<'a, 'b, X::CoordDescType>, FigureError>
+where
+    X::CoordDescType: ValueFormatter<f64>,
+{
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, (FONT, 20))
+        .margin(14)
+        .x_label_area_size(46)
+        .y_label_area_size(72)
+        .build_cartesian_2d(x, y)?;
+    let short = |value: &f64| ((value * 1e9).round() / 1e9).to_string();
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.08))
+        .x_desc(of_x)
+        .y_desc(of_y)
+        .x_labels(8)
+        .y_labels(6)
+        .x_label_formatter(&short)
+        .y_label_formatter(&short)
+        .label_style((FONT, 15))
+        .draw()?;
+    Ok(chart)
+}
+
 #[derive(Clone, Debug, PartialEq)]
 pub struct AccuracyCurve {
     /// Accuracy at each scan time, in ascending order of scan time.
@@ -68,27 +107,13 @@ fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
     let end = curve.points.last().map_or(1.0, |p| p.scan_s) * 1.05;
     let low = curve.points.iter().map(|p| p.accuracy_low).fold(curve.target, f64::min);
     let bottom = (10.0 * low).floor() / 10.0;
-    let mut chart = ChartBuilder::on(area)
-        .caption("scans named right", ("sans-serif", 20))
-        .margin(14)
-        .x_label_area_size(46)
-        .y_label_area_size(62)
-        .build_cartesian_2d(0.0..end, 100.0 * bottom..100.5)?;
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(BLACK.mix(0.08))
-        .x_desc("scan time [s]")
-        .y_desc("left-out scans named right [%]")
-        .x_labels(8)
-        .y_labels(6)
-        .label_style(("sans-serif", 15))
-        .draw()?;
+    let x = (0.0..end, "scan time [s]");
+    let y = (100.0 * bottom..100.5, "left-out scans named right [%]");
+    let mut chart = axes(area, "scans named right".into(), x, y)?;
     let line =
         |f: fn(&AccuracyAt) -> f64| curve.points.iter().map(move |p| (p.scan_s, 100.0 * f(p)));
-    let mut band: Vec<(f64, f64)> = line(|p| p.accuracy_high).collect();
-    band.extend(line(|p| p.accuracy_low).collect::<Vec<_>>().into_iter().rev());
-    chart.draw_series([Polygon::new(band, colour.mix(0.2))])?;
+    let band = line(|p| p.accuracy_high).chain(line(|p| p.accuracy_low).rev());
+    chart.draw_series([Polygon::new(band.collect::<Vec<_>>(), colour.mix(0.2))])?;
     chart.draw_series(LineSeries::new(line(|p| p.accuracy), colour.stroke_width(2)))?;
     let target = 100.0 * curve.target;
     let across = LineSeries::new([(0.0, target), (end, target)], BLACK.mix(0.5));
@@ -98,14 +123,13 @@ fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
         chart.draw_series([mark])?;
         let text = format!("drag for {at:.1} s");
         let beside = (at + 0.01 * end, 100.0 * bottom + 0.08 * (100.0 - 100.0 * bottom));
-        chart.draw_series([Text::new(text, beside, ("sans-serif", 16))])?;
+        chart.draw_series([Text::new(text, beside, (FONT, 16))])?;
     }
     Ok(())
 }
 
 const HSIC: RGBColor = RGBColor(0, 90, 160);
 const KAPPA: RGBColor = RGBColor(200, 70, 0);
-const MARK: RGBColor = RGBColor(30, 30, 30);
 
 fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint]) -> Drawn {
     let rate_hz = row.rate_hz.unwrap_or(1.0);
@@ -117,32 +141,15 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
     let top = inside.iter().map(|p| p.hsic_high.max(p.hsic_quantile).max(p.kappa));
     let top = 1.25 * top.fold(f64::MIN_POSITIVE, f64::max);
     let title = format!("{} · {} (Q = {})", row.surface, row.source, row.trials);
-    let mut chart = ChartBuilder::on(area)
-        .caption(title, ("sans-serif", 20))
-        .margin(14)
-        .x_label_area_size(46)
-        .y_label_area_size(72)
-        .build_cartesian_2d(0.0..ms(end) * 1.02, 0.0..top)?;
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(BLACK.mix(0.08))
-        .x_desc("time between samples [ms]")
-        .y_desc("HSIC")
-        .x_labels(8)
-        .y_labels(6)
-        .y_label_formatter(&|y| if top < 0.01 { format!("{y:.4}") } else { format!("{y:.3}") })
-        .label_style(("sans-serif", 14))
-        .draw()?;
-
+    let x = (0.0..ms(end) * 1.02, "time between samples [ms]");
+    let mut chart = axes(area, title, x, (0.0..top, "HSIC"))?;
     let line = |f: fn(&CurvePoint) -> f64| inside.iter().map(move |p| (ms(p.lag), f(p)));
-    let mut band: Vec<(f64, f64)> = line(|p| p.hsic_high).collect();
-    band.extend(inside.iter().rev().map(|p| (ms(p.lag), p.hsic_low)));
+    let band = line(|p| p.hsic_high).chain(line(|p| p.hsic_low).rev());
     let key = |style: ShapeStyle| {
         move |(x, y): (i32, i32)| PathElement::new([(x, y), (x + 22, y)], style)
     };
     chart
-        .draw_series(std::iter::once(Polygon::new(band, HSIC.mix(0.25))))?
+        .draw_series([Polygon::new(band.collect::<Vec<_>>(), HSIC.mix(0.25))])?
         .label("interval of the mean")
         .legend(|(x, y)| Rectangle::new([(x, y - 4), (x + 22, y + 4)], HSIC.mix(0.25).filled()));
     for (label, style, f) in [
@@ -152,32 +159,26 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
     ] {
         chart.draw_series(LineSeries::new(line(f), style))?.label(label).legend(key(style));
     }
-    if let Some(t) = row.t_star_samples {
-        let at = ms(t);
-        let style = MARK.stroke_width(1);
-        chart
-            .draw_series(std::iter::once(PathElement::new([(at, 0.0), (at, 0.55 * top)], style)))?;
-        let text = format!("T* = {at:.2} ms");
-        // Puts the text near the bottom, below all curves.
-        let beside = (at + 0.01 * ms(end), 0.1 * top);
-        chart.draw_series(std::iter::once(Text::new(text, beside, ("sans-serif", 15))))?;
-    } else {
-        let text = "no T* within the range";
-        let at = (0.03 * ms(end), 0.07 * top);
-        chart.draw_series(std::iter::once(Text::new(text, at, ("sans-serif", 15))))?;
+    let t_star_ms = row.t_star_samples.map(ms);
+    if let Some(at) = t_star_ms {
+        let line = [(at, 0.0), (at, 0.55 * top)];
+        chart.draw_series([PathElement::new(line, BLACK.stroke_width(1))])?;
     }
+    let text = t_star_ms.map_or("no T* within the range".into(), |ms| format!("T* = {ms:.2} ms"));
+    // Near the bottom, below all curves.
+    let beside = (t_star_ms.unwrap_or(0.0) + 0.01 * ms(end), 0.1 * top);
+    chart.draw_series([Text::new(text, beside, (FONT, 15))])?;
     chart
         .configure_series_labels()
         .position(SeriesLabelPosition::UpperRight)
         .background_style(WHITE.mix(0.85))
         .border_style(BLACK.mix(0.2))
-        .label_font(("sans-serif", 13))
+        .label_font((FONT, 13))
         .draw()?;
     Ok(())
 }
 
 const GREY: RGBColor = RGBColor(150, 150, 150);
-const FONT: &str = "sans-serif";
 
 /// The rows of a source that have a curve: in ascending order of T*, then those without T*, and at
 /// the end the row with the longest T*.
@@ -210,22 +211,9 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
     let ms = |s: f64| 1e3 * s;
     let lags = || rows.iter().flat_map(|(_, row)| &row.dependence).map(|d| ms(d.lag_s));
     let (first, last) = lags().fold((f64::INFINITY, 0.0f64), |(l, h), x| (l.min(x), h.max(x)));
-    let mut chart = ChartBuilder::on(area)
-        .caption(format!("{}: how long a moment lasts", longest.source), (FONT, 20))
-        .margin(14)
-        .x_label_area_size(46)
-        .y_label_area_size(62)
-        .build_cartesian_2d((first..last).log_scale(), 0.0..1.0)?;
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(BLACK.mix(0.08))
-        .x_desc("time between two moments [ms]")
-        .y_desc("dependence (as a correlation)")
-        .x_label_formatter(&|x| format!("{}", (x * 1e6).round() / 1e6))
-        .y_labels(6)
-        .label_style((FONT, 15))
-        .draw()?;
+    let title = format!("{}: how long a moment lasts", longest.source);
+    let x = ((first..last).log_scale(), "time between two moments [ms]");
+    let mut chart = axes(area, title, x, (0.0..1.0, "dependence (as a correlation)"))?;
     let line = |row: &PooledRow, f: fn(&PooledDependence) -> f64| {
         row.dependence.iter().map(|d| (ms(d.lag_s), f(d))).collect::<Vec<_>>()
     };
@@ -234,18 +222,15 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
         chart.draw_series(LineSeries::new(line(row, |d| d.fitted), faint))?;
     }
     let colour = COLOURS[0];
-    let mut band = line(row, |d| d.high);
-    band.extend(line(row, |d| d.low).into_iter().rev());
+    let band = [line(row, |d| d.high), line(row, |d| d.low).into_iter().rev().collect()].concat();
     chart.draw_series([Polygon::new(band, colour.mix(0.22))])?;
-    let fitted = LineSeries::new(line(row, |d| d.fitted), colour.stroke_width(2));
-    chart.draw_series(fitted)?;
-    let measured = line(row, |d| d.dependence);
-    chart.draw_series(measured.into_iter().map(|at| Circle::new(at, 2, colour.filled())))?;
+    chart.draw_series(LineSeries::new(line(row, |d| d.fitted), colour.stroke_width(2)))?;
+    let measured = line(row, |d| d.dependence).into_iter();
+    chart.draw_series(measured.map(|at| Circle::new(at, 2, colour.filled())))?;
 
     let threshold = row.threshold;
-    let across =
-        LineSeries::new([(first, threshold), (last, threshold)], COLOURS[1].stroke_width(1));
-    chart.draw_series(across)?;
+    let across = [(first, threshold), (last, threshold)];
+    chart.draw_series(LineSeries::new(across, COLOURS[1].stroke_width(1)))?;
     // Text goes to the upper right, where curves are low; `at` turns a share of the axis into a lag.
     let at = |share: f64| first * (last / first).powf(share);
     let mut put = |text: String, y: f64, colour: RGBColor| -> Drawn {
@@ -254,23 +239,21 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
         Ok(())
     };
     put(format!("{} (Q = {})", longest.surface, longest.trials), 0.97, COLOURS[0])?;
-    match (longest.t_star_s, row.t_star_upper_s) {
-        (Some(t_star), Some(upper)) => put(
-            format!("T* = {} ms, surely by {} ms", short(1e3 * t_star), short(1e3 * upper)),
-            0.90,
-            BLACK,
-        )?,
-        _ => put("no T*".into(), 0.90, BLACK)?,
-    }
+    let t_star = match (longest.t_star_s, row.t_star_upper_s) {
+        (Some(t_star), Some(upper)) => {
+            format!("T* = {} ms, surely by {} ms", short(ms(t_star)), short(ms(upper)))
+        }
+        _ => "no T*".into(),
+    };
+    put(t_star, 0.90, BLACK)?;
     put(format!("small enough: {threshold}"), 0.83, COLOURS[1])?;
     if !others.is_empty() {
         let name = if others.len() == 1 { "the other surface" } else { "the other surfaces" };
         put(name.into(), 0.76, GREY)?;
     }
     for (seconds, width) in [(longest.t_star_s, 2), (row.t_star_upper_s, 1)] {
-        let Some(x) = seconds.map(|s| 1e3 * s) else { continue };
-        let style = BLACK.stroke_width(width);
-        chart.draw_series([PathElement::new([(x, 0.0), (x, threshold)], style)])?;
+        let line = |x: f64| PathElement::new([(x, 0.0), (x, threshold)], BLACK.stroke_width(width));
+        chart.draw_series(seconds.map(ms).map(line))?;
     }
     Ok(())
 }

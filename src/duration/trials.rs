@@ -83,14 +83,13 @@ impl Trials {
         }
         let (rate_hz, channels) = (series[0].rate_hz(), series[0].channels());
         for (trial, s) in (1..).zip(&series) {
-            if s.channels() != channels {
-                let found = s.channels();
+            let (found_hz, found) = (s.rate_hz(), s.channels());
+            if found != channels {
                 return fail(format!(
                     "trial {trial} has {found} channels and trial 1 has {channels}"
                 ));
             }
-            if s.rate_hz() != rate_hz {
-                let found_hz = s.rate_hz();
+            if found_hz != rate_hz {
                 return fail(format!(
                     "trial {trial} has {found_hz} Hz and trial 1 has {rate_hz} Hz; expected one rate"
                 ));
@@ -132,7 +131,7 @@ impl Trials {
     fn check_values(&mut self, has_kappa: bool) -> Result<(), String> {
         let channels = self.channels();
         let ranges: Vec<_> = (0..channels).map(|c| self.range(c)).collect();
-        if ranges.iter().all(|range| range.low == range.high) {
+        if ranges.iter().all(|range| range.constant) {
             return Err(CONSTANT.into());
         }
         let share = self.agreement();
@@ -145,7 +144,7 @@ impl Trials {
         }
         for (i, range) in ranges.iter().enumerate() {
             let channel = i + 1;
-            if range.low == range.high {
+            if range.constant {
                 self.remarks.push(format!("channel {channel} is constant and adds nothing"));
             } else if range.binary {
                 if has_kappa {
@@ -171,21 +170,13 @@ impl Trials {
     }
 
     fn range(&self, channel: usize) -> Range {
-        let values = || {
-            self.series
-                .iter()
-                .flat_map(move |s| s.samples()[channel..].iter().step_by(s.channels()))
-        };
-        let (low, high) =
-            values().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), &x| (l.min(x), h.max(x)));
-        let (mut at_low, mut at_high, mut count) = (0usize, 0usize, 0usize);
-        for &x in values() {
-            at_low += usize::from(x == low);
-            at_high += usize::from(x == high);
-            count += 1;
-        }
+        let values = || self.series.iter().flat_map(move |series| series.channel(channel));
+        let low = values().fold(f64::INFINITY, f64::min);
+        let high = values().fold(f64::NEG_INFINITY, f64::max);
+        let at = |end: f64| values().filter(|x| *x == end).count();
+        let (at_low, at_high, count) = (at(low), at(high), values().count());
         let at_an_end = at_low.max(at_high) as f64 / count as f64;
-        Range { low, high, binary: at_low + at_high == count, at_an_end }
+        Range { constant: low == high, binary: at_low + at_high == count, at_an_end }
     }
 
     /// Share of frames at which all trials hold the same sample.
@@ -202,8 +193,8 @@ impl Trials {
 }
 
 struct Range {
-    low: f32,
-    high: f32,
+    constant: bool,
+    /// Whether the channel holds only two values.
     binary: bool,
     /// Share of samples at the low or at the high end of the range, whichever is larger.
     at_an_end: f64,

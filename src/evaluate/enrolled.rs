@@ -16,7 +16,12 @@ pub fn enrol(folds: &[Fold], keys: &[TrialKey], count: usize) -> Result<Vec<Fold
         .map(|fold| enrol_in(fold, keys, count))
         .filter(|fold| !fold.queries.is_empty())
         .collect();
-    if folds.is_empty() { Err(EvaluateError::AllEnrolled { count }) } else { Ok(folds) }
+    if folds.is_empty() {
+        return Err(EvaluateError::Trials(format!(
+            "no user has more than {count} trial(s) of a surface, so none is left to name"
+        )));
+    }
+    Ok(folds)
 }
 
 fn enrol_in(fold: &Fold, keys: &[TrialKey], count: usize) -> Fold {

@@ -92,7 +92,7 @@ impl<'a> Evaluation<'a> {
 }
 
 /// Indices of the trials that are in the library of at least one fold.
-fn in_libraries(folds: &[Fold]) -> BTreeSet<usize> {
+pub(crate) fn in_libraries(folds: &[Fold]) -> BTreeSet<usize> {
     folds.iter().flat_map(|fold| fold.library.iter().copied()).collect()
 }
 

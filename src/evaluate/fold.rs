@@ -30,12 +30,8 @@ impl Protocol {
     pub const ALL: [Self; 4] =
         [Self::ExpertVsUsers, Self::LeaveOneTrialOut, Self::AllVsOneUser, Self::RandomHalves];
 
-    /// The first of [`Self::ALL`] that fits the trials; [`Self::LeaveOneTrialOut`] if none fits.
-    pub(crate) fn natural(keys: &[TrialKey]) -> Self {
-        Self::fitting(keys).unwrap_or(Self::LeaveOneTrialOut)
-    }
-
-    fn fitting(keys: &[TrialKey]) -> Option<Self> {
+    /// The first of [`Self::ALL`] that fits the trials.
+    pub(crate) fn fitting(keys: &[TrialKey]) -> Option<Self> {
         Self::ALL.into_iter().find(|protocol| enough(&protocol.split(keys), keys))
     }
 
@@ -53,9 +49,10 @@ impl Protocol {
     }
 
     fn split(self, keys: &[TrialKey]) -> Vec<Fold> {
+        let users = || keys.iter().map(|key| &*key.user).filter(|user| *user != EXPERT).collect();
         let groups = match self {
-            Self::ExpertVsUsers => by_user(keys, |key, _| key.user == EXPERT),
-            Self::AllVsOneUser => by_user(keys, |key, user| key.user != user),
+            Self::ExpertVsUsers => by_user(keys, users(), |key, _| key.user == EXPERT),
+            Self::AllVsOneUser => by_user(keys, users(), |key, user| key.user != user),
             Self::LeaveOneTrialOut => by_trial(keys),
             Self::RandomHalves => by_halves(keys),
         };
@@ -88,7 +85,7 @@ pub struct Fold {
 }
 
 /// Whether there is a fold, and each fold's library has at least two surfaces.
-fn enough(folds: &[Fold], keys: &[TrialKey]) -> bool {
+pub(super) fn enough(folds: &[Fold], keys: &[TrialKey]) -> bool {
     let surfaces =
         |fold: &Fold| fold.library.iter().map(|&i| &keys[i].surface).collect::<BTreeSet<_>>().len();
     !folds.is_empty() && folds.iter().all(|fold| surfaces(fold) >= 2)
@@ -105,23 +102,18 @@ pub fn folds(protocol: Protocol, keys: &[TrialKey]) -> Result<Vec<Fold>, Evaluat
         return Ok(folds);
     }
     let fits = Protocol::fitting(keys).map(|other| format!("; {} fits them", other.name()));
-    Err(EvaluateError::Protocol {
-        protocol: protocol.name(),
-        needs: protocol.needs(),
-        found: found(keys),
-        fits: fits.unwrap_or_default(),
-    })
-}
-
-fn found(keys: &[TrialKey]) -> String {
     let count = |of: fn(&TrialKey) -> &str| keys.iter().map(of).collect::<BTreeSet<_>>().len();
-    let experts = keys.iter().filter(|key| key.user == EXPERT).count();
-    format!(
-        "{} trial(s) of {} surface(s) by {} user(s), {experts} trial(s) by `expert`",
+    Err(EvaluateError::Trials(format!(
+        "the protocol {} needs {}; the data hold {} trial(s) of {} surface(s) by {} user(s), {} \
+         trial(s) by `expert`{}",
+        protocol.name(),
+        protocol.needs(),
         keys.len(),
         count(|key| &key.surface),
-        count(|key| &key.user)
-    )
+        count(|key| &key.user),
+        keys.iter().filter(|key| key.user == EXPERT).count(),
+        fits.unwrap_or_default()
+    )))
 }
 
 /// A key for sorting names, by which `user2` comes before `user10`.
@@ -131,17 +123,18 @@ fn natural(name: &str) -> (&str, u64) {
     (stem, number.parse().unwrap_or(0))
 }
 
-fn by_user(keys: &[TrialKey], in_library: impl Fn(&TrialKey, &str) -> bool) -> Vec<Fold> {
-    let users: BTreeSet<&str> = keys.iter().map(|k| k.user.as_str()).collect();
-    let mut users: Vec<&str> = users.into_iter().filter(|&user| user != EXPERT).collect();
+/// One fold for each of `users`, whose trials are its queries.
+pub(super) fn by_user(
+    keys: &[TrialKey],
+    users: BTreeSet<&str>,
+    in_library: impl Fn(&TrialKey, &str) -> bool,
+) -> Vec<Fold> {
+    let mut users: Vec<&str> = users.into_iter().collect();
     users.sort_by_key(|user| natural(user));
-    let select = |keep: &dyn Fn(&TrialKey) -> bool| {
-        (0..keys.len()).filter(|&i| keep(&keys[i])).collect::<Vec<_>>()
-    };
     let fold = |user: &str| Fold {
         name: user.into(),
-        library: select(&|key| in_library(key, user)),
-        queries: select(&|key| key.user == user),
+        library: (0..keys.len()).filter(|&i| in_library(&keys[i], user)).collect(),
+        queries: (0..keys.len()).filter(|&i| keys[i].user == user).collect(),
     };
     users.into_iter().map(fold).collect()
 }
@@ -194,7 +187,8 @@ fn by_halves(keys: &[TrialKey]) -> Vec<Fold> {
     people.iter().cycle().take(HALVES).enumerate().map(fold).collect()
 }
 
-fn known_only(mut fold: Fold, keys: &[TrialKey]) -> Option<Fold> {
+/// Drops queries of surfaces that the fold's library lacks; `None` if no query is left.
+pub(super) fn known_only(mut fold: Fold, keys: &[TrialKey]) -> Option<Fold> {
     let known: BTreeSet<&str> = fold.library.iter().map(|&i| keys[i].surface.as_str()).collect();
     fold.queries.retain(|&i| known.contains(keys[i].surface.as_str()));
     (!fold.queries.is_empty()).then_some(fold)
@@ -264,16 +258,16 @@ mod tests {
             let key =
                 |&(surface, user, number): &(&str, &str, u32)| TrialKey::new(surface, user, number);
             let keys: Vec<TrialKey> = keys.iter().map(key).collect();
-            (Protocol::natural(&keys), folds(Protocol::ExpertVsUsers, &keys))
+            (Protocol::fitting(&keys), folds(Protocol::ExpertVsUsers, &keys))
         };
-        assert_eq!(Protocol::natural(&keys()), Protocol::ExpertVsUsers);
+        assert_eq!(Protocol::fitting(&keys()), Some(Protocol::ExpertVsUsers));
         let alone = [("a", EXPERT, 1), ("a", EXPERT, 2), ("b", EXPERT, 1), ("b", EXPERT, 2)];
         let (protocol, refused) = natural(&alone);
-        assert_eq!(protocol, Protocol::LeaveOneTrialOut);
+        assert_eq!(protocol, Some(Protocol::LeaveOneTrialOut));
         let refused = refused.unwrap_err().to_string();
         assert!(refused.ends_with("; leave-one-trial-out fits them"), "{refused}");
         let users = [("a", "user1", 1), ("b", "user1", 1), ("a", "user2", 1), ("b", "user2", 1)];
-        assert_eq!(natural(&users).0, Protocol::AllVsOneUser);
+        assert_eq!(natural(&users).0, Some(Protocol::AllVsOneUser));
     }
 
     #[test]

@@ -21,10 +21,16 @@ const SILENCE: f64 = 1e-12;
 #[derive(Clone, Debug)]
 pub struct Loudness {
     /// The sources to compare, each with domain `spectrum`.
-    pub scene: Scene,
+    scene: Scene,
+    /// The levels of the library, once fitted.
+    library: Vec<Arc<FeatureVector>>,
 }
 
 impl Loudness {
+    pub fn new(scene: Scene) -> Self {
+        Self { scene, library: Vec::new() }
+    }
+
     /// The level of each source, as the source's only feature.
     fn levels(&self, entry: &Entry, trial: &Trial) -> Prepared {
         let level = |(id, signal): (&SourceId, &Signal)| {
@@ -36,10 +42,6 @@ impl Loudness {
         let sources = trial.signals.iter().filter_map(level).collect();
         Prepared::Features(Arc::new(FeatureVector { key: entry.key.clone(), sources }))
     }
-
-    fn sources(&self) -> impl Iterator<Item = &SourceId> {
-        self.scene.sources().map(|spec| &spec.id)
-    }
 }
 
 const NAME: &str = "control";
@@ -50,8 +52,8 @@ impl Method for Loudness {
     }
 
     fn settings_key(&self, _: &LibraryShape) -> u64 {
-        let sources: Vec<_> = self.sources().map(|id| id.as_str().as_bytes()).collect();
-        seed::stable_hash(&sources)
+        let ids = self.scene.sources().map(|spec| spec.id.as_str().as_bytes());
+        seed::stable_hash(&ids.collect::<Vec<_>>())
     }
 
     fn prepare(
@@ -69,18 +71,14 @@ impl Method for Loudness {
         _: &Arc<LibraryShape>,
     ) -> Result<Arc<dyn Model>, RecogniseError> {
         let levels = library.iter().map(|trial| trial.features(NAME).cloned());
-        Ok(Arc::new(Levels { method: self.clone(), library: levels.collect::<Result<_, _>>()? }))
+        let library = levels.collect::<Result<_, _>>()?;
+        Ok(Arc::new(Self { scene: self.scene.clone(), library }))
     }
 }
 
-struct Levels {
-    method: Loudness,
-    library: Vec<Arc<FeatureVector>>,
-}
-
-impl Model for Levels {
+impl Model for Loudness {
     fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
-        Ok(self.method.levels(entry, trial))
+        Ok(self.levels(entry, trial))
     }
 
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
@@ -93,14 +91,17 @@ impl Model for Levels {
             Candidate { key: y.key.clone(), log_ds: apart.sum() }
         };
         let sources: Vec<SourceId> = query.sources.keys().cloned().collect();
-        let nothing = || RecogniseError::NothingInCommon {
+        let comparable = self.library.iter().filter(|_| !sources.is_empty());
+        let candidates = comparable.map(candidate).collect();
+        rank(candidates, 1, sources).ok_or_else(|| RecogniseError::NothingInCommon {
             query: "no series with a spectrum".into(),
-            library: self.method.sources().map(SourceId::as_str).collect::<Vec<_>>().join(", "),
-        };
-        if sources.is_empty() {
-            return Err(nothing());
-        }
-        rank(self.library.iter().map(candidate).collect(), 1, sources).ok_or_else(nothing)
+            library: self
+                .scene
+                .sources()
+                .map(|spec| spec.id.as_str())
+                .collect::<Vec<_>>()
+                .join(", "),
+        })
     }
 }
 

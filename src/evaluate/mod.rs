@@ -29,14 +29,14 @@ pub use crate::recognise::wilson_interval;
 pub(crate) use check::{Audited, CheckReport, Finding, TrialCheck, TrialVerdict, check};
 pub use enrolled::EnrolmentOutcome;
 pub(crate) use enrolled::enrol;
-pub(crate) use evaluation::first_seconds;
 pub use evaluation::{
     EvaluatedTrials, Evaluation, LeftOutSources, Measured, ProgressFn, Query, Run,
 };
+pub(crate) use evaluation::{first_seconds, in_libraries};
 pub use fold::{Fold, Protocol, folds};
 pub(crate) use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, Share};
-pub(crate) use outcome::{interval_over_users, is_over_users};
+pub(crate) use outcome::{interval_over_users, is_over_users, percentile};
 pub(crate) use plain::better_plain;
 pub use settled::SettledOutcome;
 pub use unknown::UnknownOutcome;
@@ -46,10 +46,9 @@ use crate::scene::SceneError;
 
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
-    #[error("the protocol {protocol} needs {needs}; the data hold {found}{fits}")]
-    Protocol { protocol: &'static str, needs: &'static str, found: String, fits: String },
-    #[error("no user has more than {count} trial(s) of a surface, so none is left to name")]
-    AllEnrolled { count: usize },
+    /// trials that cannot be split as the protocol wants
+    #[error("{0}")]
+    Trials(String),
     #[error(transparent)]
     Recognise(#[from] RecogniseError),
     #[error(transparent)]

@@ -164,8 +164,7 @@ impl Outcome {
         let folds: Vec<_> = fold_names.iter().enumerate().filter_map(of_fold).collect();
         let (accuracy_mean, accuracy_std) = mean_and_std(folds.iter().map(|f| f.share.value()))?;
         let confusion = Confusion::new(predictions, labels);
-        let mut times: Vec<f64> = predictions.iter().map(|p| p.query_ms).collect();
-        times.sort_by(f64::total_cmp);
+        let times = || predictions.iter().map(|p| p.query_ms).collect();
         let mut sources: Vec<_> = predictions.iter().flat_map(|p| p.sources.clone()).collect();
         sources.sort();
         sources.dedup();
@@ -181,8 +180,8 @@ impl Outcome {
             never_queried: never_queried.cloned().collect(),
             queries: predictions.len(),
             library_trials,
-            query_ms_p50: percentile(&times, 0.50),
-            query_ms_p99: percentile(&times, 0.99),
+            query_ms_p50: percentile(times(), 0.50),
+            query_ms_p99: percentile(times(), 0.99),
             method: method.into(),
             sources,
             folds,
@@ -208,15 +207,14 @@ impl Confusion {
 
     /// The most frequent mistakes as (truth, answer, count), the worst first.
     pub(crate) fn worst(&self, most: usize) -> Vec<(&str, &str, u32)> {
-        let cells = self.counts.iter().enumerate().flat_map(|(truth, row)| {
-            row.iter().enumerate().map(move |(answer, &count)| (truth, answer, count))
+        let cells = self.labels.iter().zip(&self.counts).flat_map(|(truth, row)| {
+            self.labels.iter().zip(row).map(|(answer, &count)| (&**truth, &**answer, count))
         });
         let mut mistakes: Vec<_> = cells.filter(|(t, a, count)| t != a && *count > 0).collect();
-        mistakes.sort_by_key(|&(truth, answer, count)| (std::cmp::Reverse(count), truth, answer));
-        let named = |(t, a, count): (usize, usize, u32)| {
-            (self.labels[t].as_str(), self.labels[a].as_str(), count)
-        };
-        mistakes.into_iter().take(most).map(named).collect()
+        // The sort is stable, and labels are sorted, so equal counts stay in alphabetical order.
+        mistakes.sort_by_key(|&(_, _, count)| std::cmp::Reverse(count));
+        mistakes.truncate(most);
+        mistakes
     }
 
     fn precision_mean(&self) -> f64 {
@@ -242,10 +240,11 @@ fn mean_and_std(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, f64)>
     Some((mean, if n > 1 { (squares / (n - 1) as f64).sqrt() } else { 0.0 }))
 }
 
-/// The percentile of a sorted list by nearest rank; `share` is from 0 to 1.
-fn percentile(sorted: &[f64], share: f64) -> f64 {
-    let rank = (share * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
+/// The percentile of some values by nearest rank; `share` is from 0 to 1. 0 if there are no values.
+pub(crate) fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let rank = (share * values.len() as f64).ceil() as usize;
+    values.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
 /// Fewest users for a confidence interval over users; with fewer, the interval is over queries.
@@ -294,13 +293,16 @@ mod tests {
         }
     }
 
-    #[test]
-    fn accuracy_is_a_mean_over_folds_and_precision_over_classes() {
-        let predictions =
-            [prediction("a", "a", 0), prediction("b", "a", 0), prediction("c", "c", 1)];
+    fn outcome(predictions: &[Prediction]) -> Outcome {
         let labels = ["a", "b", "c"].map(String::from).to_vec();
         let names = ["user1", "user2"].map(String::from);
-        let outcome = Outcome::new(&predictions, &names, labels, 9, "reference").unwrap();
+        Outcome::new(predictions, &names, labels, 9, "svm").unwrap()
+    }
+
+    #[test]
+    fn accuracy_is_a_mean_over_folds_and_precision_over_classes() {
+        let outcome =
+            outcome(&[prediction("a", "a", 0), prediction("b", "a", 0), prediction("c", "c", 1)]);
         assert_eq!(outcome.accuracy_mean, 0.75);
         assert!((outcome.accuracy_std - 0.125f64.sqrt()).abs() < 1e-15);
         // Precision: 1 of 2 answers for a, no answer for b, 1 of 1 answer for c.
@@ -312,9 +314,7 @@ mod tests {
     fn the_headline_is_the_share_of_all_queries_and_surfaces_without_any_are_named() {
         let mut predictions = vec![prediction("b", "a", 1)];
         predictions.extend((0..12).map(|_| prediction("a", "a", 0)));
-        let labels = ["a", "b", "c"].map(String::from).to_vec();
-        let names = ["user1", "user2"].map(String::from);
-        let outcome = Outcome::new(&predictions, &names, labels, 9, "svm").unwrap();
+        let outcome = outcome(&predictions);
         assert_eq!(outcome.share, Share { right: 12, of: 13 });
         assert_eq!(outcome.accuracy_mean, 0.5);
         assert_eq!(outcome.never_queried, ["c"]);
@@ -338,7 +338,7 @@ mod tests {
 
     #[test]
     fn a_percentile_is_a_value_that_occurred() {
-        assert_eq!(percentile(&[1.0, 2.0, 3.0, 4.0], 0.5), 2.0);
-        assert_eq!(percentile(&[1.0, 2.0, 3.0, 4.0], 0.99), 4.0);
+        assert_eq!(percentile(vec![3.0, 2.0, 1.0, 4.0], 0.5), 2.0);
+        assert_eq!(percentile(vec![3.0, 2.0, 1.0, 4.0], 0.99), 4.0);
     }
 }

@@ -26,14 +26,12 @@ pub fn better_plain(evaluation: Evaluation<'_>, predictions: &[Prediction]) -> O
     let lost = pairs.iter().filter(|(plain, default)| !plain && *default).count();
     let p_value = mcnemar(gained, lost);
     (gained > lost && p_value < SIGNIFICANT).then(|| {
-        let percent = |share: Share| 100.0 * share.value();
+        let name = plain.as_str();
+        let by_plain = 100.0 * Share::count(pairs.iter().map(|(plain, _)| *plain)).value();
+        let by_default = 100.0 * Share::count(pairs.iter().map(|(_, default)| *default)).value();
         format!(
-            "`{}` names {:.1} % of the same queries, where this method names {:.1} % (McNemar's \
-             test: p = {p_value:.2e}); compare with --method {}",
-            plain.as_str(),
-            percent(Share::count(pairs.iter().map(|(plain, _)| *plain))),
-            percent(Share::count(pairs.iter().map(|(_, default)| *default))),
-            plain.as_str()
+            "`{name}` names {by_plain:.1} % of the same queries, where this method names \
+             {by_default:.1} % (McNemar's test: p = {p_value:.2e}); compare with --method {name}"
         )
     })
 }

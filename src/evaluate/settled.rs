@@ -1,7 +1,7 @@
 //! Measures accuracy and scan time if a stop rule ends each scan as soon as its answer is clear.
 
 use super::evaluation::Run;
-use super::{EvaluateError, Share};
+use super::{EvaluateError, Share, percentile};
 use crate::recognise::{
     FollowOptions, Follower, FreshFrames, GuessSoFar, LOOK_S, RecogniseError, Settling,
 };
@@ -84,7 +84,6 @@ impl SettledOutcome {
                 (run.on.progress)("following queries", used_s.len(), total);
             }
         }
-        used_s.sort_by(f64::total_cmp);
         let n = used_s.len().max(1) as f64;
         Ok(Self {
             stated_loss: loss,
@@ -92,10 +91,10 @@ impl SettledOutcome {
             accuracy_whole: by_whole.value(),
             lost,
             gained,
-            queries: used_s.len(),
+            queries: total,
             settled,
             scan_s_mean: used_s.iter().sum::<f64>() / n,
-            scan_s_p50: used_s.get(used_s.len() / 2).copied().unwrap_or(0.0),
+            scan_s_p50: percentile(used_s, 0.5),
             whole_s_mean: whole_s / n,
             core_share: busy_s.map(|busy_s| busy_s / whole_s.max(LOOK_S)),
             rules,

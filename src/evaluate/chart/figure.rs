@@ -1,8 +1,9 @@
 //! Draws the chart: accuracy against latency and against scan time.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
-use plotters::coord::ranged1d::Ranged;
+use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
@@ -49,12 +50,8 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
         top += 8;
         for (column, (front, what)) in fronts.iter().zip(["latency", "scan time"]).enumerate() {
             let x = MARGIN + column as i32 * WIDTH as i32 / 2;
-            put(
-                root,
-                format!("Best trade-offs of accuracy and {what} (Pareto front):"),
-                (x, top),
-                14,
-            )?;
+            let text = format!("Best trade-offs of accuracy and {what} (Pareto front):");
+            put(root, text, (x, top), 14)?;
             for (row, point) in front.iter().enumerate() {
                 let text = format!("{}  {}", row + 1, line(chart, point));
                 put(root, text, (x, top + LINE * (row as i32 + 1)), 13)?;
@@ -66,17 +63,15 @@ pub fn figure(chart: &Chart) -> Result<String, FigureError> {
 
 fn line(chart: &Chart, point: &ChartPoint) -> String {
     let name = if point.control { point.setting.clone() } else { point.name() };
-    let some = !point.control && chart.is_subset(point);
-    let sources =
-        if some { format!(", {} alone", point.sources.join(" + ")) } else { String::new() };
+    let sources = match !point.control && chart.is_subset(point) {
+        true => format!(", {} alone", point.sources.join(" + ")),
+        false => String::new(),
+    };
     let seconds = point.query_seconds.map(|s| format!(", first {s} s")).unwrap_or_default();
-    format!(
-        "{name}{sources}{seconds}: {:.1} % ({:.1} to {:.1}), {} ms",
-        100.0 * point.accuracy,
-        100.0 * point.accuracy_low,
-        100.0 * point.accuracy_high,
-        three_digits(point.query_ms_p50)
-    )
+    let [accuracy, low, high] =
+        [point.accuracy, point.accuracy_low, point.accuracy_high].map(|share| 100.0 * share);
+    let ms = three_digits(point.query_ms_p50);
+    format!("{name}{sources}{seconds}: {accuracy:.1} % ({low:.1} to {high:.1}), {ms} ms")
 }
 
 fn three_digits(x: f64) -> String {
@@ -85,12 +80,8 @@ fn three_digits(x: f64) -> String {
 }
 
 fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
-    put(
-        root,
-        format!("How well and how fast surfaces are named: {}", chart.data),
-        (MARGIN, 12),
-        20,
-    )?;
+    let title = format!("How well and how fast surfaces are named: {}", chart.data);
+    put(root, title, (MARGIN, 12), 20)?;
     let kind =
         if chart.synthetic { "SYNTHETIC data, made by a generator" } else { "recorded data" };
     let queries = chart.points.iter().map(|p| p.queries).max().unwrap_or(0);
@@ -102,15 +93,12 @@ fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
         chart.sources.join(", ")
     );
     put(root, facts, (MARGIN, 38), 14)?;
+    let has_users = chart.points.iter().any(|point| !point.users.is_empty());
     let key = format!(
         "bars: {}{}; thick line: Pareto front, numbered and listed below; dashed: negative \
          controls, what a room or a session may give away",
         chart.bars(),
-        if chart.points.iter().any(|point| !point.users.is_empty()) {
-            "; ticks: each user's share"
-        } else {
-            ""
-        }
+        if has_users { "; ticks: each user's share" } else { "" }
     );
     put(root, key, (MARGIN, 58), 13)
 }
@@ -135,10 +123,9 @@ fn lettered(chart: &Chart) -> impl Iterator<Item = (String, &ChartPoint)> {
     ('a'..='z').map(String::from).zip(chart.controls())
 }
 
-/// Draws a point; `hollow` if it uses only some of the sources.
-fn mark(area: &Area<'_>, at: (i32, i32), colour: RGBColor, hollow: bool) -> Drawn {
-    let style = if hollow { colour.stroke_width(2) } else { colour.filled() };
-    Ok(area.draw(&Circle::new(at, 5, style))?)
+/// A dot in a colour; `hollow` if its point uses only some of the sources.
+fn dot<C>(at: C, colour: RGBColor, hollow: bool) -> Circle<C, i32> {
+    Circle::new(at, 5, if hollow { colour.stroke_width(2) } else { colour.filled() })
 }
 
 /// Draws a row with the colour and the name of each method; its upper left corner is `(x, top)`.
@@ -153,7 +140,7 @@ fn legend(
         let hollow = chart.is_subset(point);
         let name = format!("{}{}", point.method, if hollow { ", some sources" } else { "" });
         if !named.contains(&name) {
-            mark(area, (x + 6, top + 7), colours[point.method.as_str()], hollow)?;
+            area.draw(&dot((x + 6, top + 7), colours[point.method.as_str()], hollow))?;
             put(area, name.as_str(), (x + 18, top), 13)?;
             // A letter is about 7 pixels wide.
             x += name.chars().count() as i32 * 7 + 40;
@@ -166,10 +153,37 @@ fn legend(
 type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
 
 /// The range of an accuracy axis: from below all intervals (also of controls) to above 100 %.
-fn axis(chart: &Chart, points: &[&ChartPoint]) -> std::ops::Range<f64> {
+fn axis(chart: &Chart, points: &[&ChartPoint]) -> Range<f64> {
     let all = points.iter().copied().chain(chart.controls());
     let low = all.map(|p| p.accuracy_low).fold(1.0, f64::min);
     (low * 10.0 - 0.01).floor().max(0.0) / 10.0..1.08
+}
+
+/// Draws the grid and the axes of a panel.
+fn axes<'a, 'b, X: AsRangedCoord<Value = f64>>(
+    area: &'a Area<'b>,
+    x: X,
+    y: Range<f64>,
+    of_x: &str,
+) -> Result<Panel<'a, 'b, X::CoordDescType>, FigureError>
+where
+    X::CoordDescType: ValueFormatter<f64>,
+{
+    let mut panel = ChartBuilder::on(area)
+        .margin(14)
+        .x_label_area_size(46)
+        .y_label_area_size(64)
+        .build_cartesian_2d(x, y)?;
+    (panel.configure_mesh())
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.08))
+        .x_desc(of_x)
+        .y_desc("accuracy")
+        .x_label_formatter(&|x| ((x * 1e6).round() / 1e6).to_string())
+        .y_label_formatter(&|y| percent(*y))
+        .label_style(("sans-serif", 14))
+        .draw()?;
+    Ok(panel)
 }
 
 /// Draws accuracy against median latency, on a logarithmic axis.
@@ -182,31 +196,16 @@ fn latency_panel(
     let ms = |p: &ChartPoint| p.query_ms_p50.max(1e-3);
     let from = whole.iter().map(|p| ms(p)).fold(f64::INFINITY, f64::min) / 1.6;
     let to = whole.iter().map(|p| ms(p)).fold(0.0, f64::max) * 1.6;
-    let mut panel = builder(area).build_cartesian_2d((from..to).log_scale(), axis(chart, whole))?;
-    (panel.configure_mesh())
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(BLACK.mix(0.08))
-        .x_desc("median latency of a query [ms], from raw samples to the answer, whole drag")
-        .y_desc("accuracy")
-        .x_label_formatter(&|x| x.to_string())
-        .y_label_formatter(&|y| percent(*y))
-        .label_style(("sans-serif", 14))
-        .draw()?;
-    marks(area, &mut panel, chart, (from, to), whole, colours, ms)
+    let of_x = "median latency of a query [ms], from raw samples to the answer, whole drag";
+    let mut panel = axes(area, (from..to).log_scale(), axis(chart, whole), of_x)?;
+    marks(&mut panel, chart, (from, to), whole, colours, ms)
 }
 
 fn time_panel(area: &Area<'_>, chart: &Chart, colours: &Colours<'_>) -> Drawn {
     let shown = chart.timed();
     let end = chart.points.iter().map(|p| chart.scan_s(p)).fold(0.1, f64::max) * 1.06;
-    let mut panel = builder(area).build_cartesian_2d(0.0..end, axis(chart, &shown))?;
-    (panel.configure_mesh())
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(BLACK.mix(0.08))
-        .x_desc("scan time used [s]; settings measured at several scan times")
-        .y_desc("accuracy")
-        .y_label_formatter(&|y| percent(*y))
-        .label_style(("sans-serif", 14))
-        .draw()?;
+    let of_x = "scan time used [s]; settings measured at several scan times";
+    let mut panel = axes(area, 0.0..end, axis(chart, &shown), of_x)?;
     let mut lines: BTreeMap<(&str, &str), Vec<(f64, f64)>> = BTreeMap::new();
     for point in &shown {
         let line = lines.entry((&point.method, &point.setting)).or_default();
@@ -217,68 +216,16 @@ fn time_panel(area: &Area<'_>, chart: &Chart, colours: &Colours<'_>) -> Drawn {
         let style = colours[method].mix(0.6).stroke_width(1);
         panel.draw_series(LineSeries::new(line, style))?;
     }
-    marks(area, &mut panel, chart, (0.0, end), &shown, colours, |p| chart.scan_s(p))
-}
-
-fn builder<'a, 'b>(area: &'a Area<'b>) -> ChartBuilder<'a, 'b, SVGBackend<'b>> {
-    let mut builder = ChartBuilder::on(area);
-    builder.margin(14).x_label_area_size(46).y_label_area_size(64);
-    builder
+    marks(&mut panel, chart, (0.0, end), &shown, colours, |p| chart.scan_s(p))
 }
 
 fn percent(y: f64) -> String {
     if y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
 }
 
-/// The pixel of the point `(x, y)` of a panel, relative to the corner of its area.
-fn place<X: Ranged<ValueType = f64>>(
-    area: &Area<'_>,
-    panel: &Panel<'_, '_, X>,
-    x: f64,
-    y: f64,
-) -> (i32, i32) {
-    let ((left, top), at) = (area.get_base_pixel(), panel.backend_coord(&(x, y)));
-    (at.0 - left, at.1 - top)
-}
-
-/// Draws the negative controls as dashed lines, each with its letter.
-fn controls<X: Ranged<ValueType = f64>>(
-    area: &Area<'_>,
-    panel: &Panel<'_, '_, X>,
-    chart: &Chart,
-    ends: (f64, f64),
-) -> Drawn {
-    for (letter, control) in lettered(chart) {
-        let ends = [ends.0, ends.1].map(|end| place(area, panel, end, control.accuracy));
-        for dash in (ends[0].0..ends[1].0).step_by(10) {
-            let line = [(dash, ends[0].1), ((dash + 5).min(ends[1].0), ends[0].1)];
-            area.draw(&PathElement::new(line, GREY.stroke_width(1)))?;
-        }
-        put(area, letter, (ends[0].0 + 4, ends[0].1 - 16), 13)?;
-    }
-    Ok(())
-}
-
-/// Draws a point's interval, and a tick at each user's accuracy.
-fn bar<X: Ranged<ValueType = f64>>(
-    area: &Area<'_>,
-    panel: &Panel<'_, '_, X>,
-    point: &ChartPoint,
-    x: f64,
-    colour: RGBColor,
-) -> Drawn {
-    let ends = [point.accuracy_low, point.accuracy_high].map(|y| place(area, panel, x, y));
-    area.draw(&PathElement::new(ends, colour.mix(0.5).stroke_width(2)))?;
-    for user in &point.users {
-        let (x, y) = place(area, panel, x, user.share.value());
-        let tick = PathElement::new([(x - 6, y), (x + 6, y)], colour.mix(0.7).stroke_width(1));
-        area.draw(&tick)?;
-    }
-    Ok(())
-}
-
+/// Draws the controls as dashed lines, the Pareto front, and each point with its interval and a tick
+/// for each user. `ends` are those of the axis of `x`.
 fn marks<X: Ranged<ValueType = f64>>(
-    area: &Area<'_>,
     panel: &mut Panel<'_, '_, X>,
     chart: &Chart,
     ends: (f64, f64),
@@ -286,22 +233,34 @@ fn marks<X: Ranged<ValueType = f64>>(
     colours: &Colours<'_>,
     x: impl Fn(&ChartPoint) -> f64,
 ) -> Drawn {
-    controls(area, panel, chart, ends)?;
+    let font = ("sans-serif", 13);
+    for (letter, control) in lettered(chart) {
+        let line = [ends.0, ends.1].map(|x| (x, control.accuracy));
+        panel.draw_series(DashedLineSeries::new(line, 5, 5, GREY.stroke_width(1)))?;
+        panel.draw_series([EmptyElement::at(line[0]) + Text::new(letter, (4, -16), font)])?;
+    }
     let front = front(points, &x);
     let line = front.iter().map(|p| (x(p), p.accuracy));
     panel.draw_series(LineSeries::new(line, BLACK.mix(0.3).stroke_width(3)))?;
     for point in points {
-        let colour = colours[point.method.as_str()];
-        bar(area, panel, point, x(point), colour)?;
-        mark(area, place(area, panel, x(point), point.accuracy), colour, chart.is_subset(point))?;
+        let (x, colour) = (x(point), colours[point.method.as_str()]);
+        let bar = [point.accuracy_low, point.accuracy_high].map(|y| (x, y));
+        panel.draw_series([PathElement::new(bar, colour.mix(0.5).stroke_width(2))])?;
+        panel.draw_series(point.users.iter().map(|user| {
+            let tick = PathElement::new([(-6, 0), (6, 0)], colour.mix(0.7).stroke_width(1));
+            EmptyElement::at((x, user.share.value())) + tick
+        }))?;
+        panel.draw_series([dot((x, point.accuracy), colour, chart.is_subset(point))])?;
     }
     let mut before = (i32::MIN / 2, 0);
-    for (number, point) in front.iter().enumerate() {
-        let at = place(area, panel, x(point), point.accuracy_high);
+    for (number, point) in (1..).zip(front) {
+        let at = (x(point), point.accuracy_high);
+        let (left, y) = panel.backend_coord(&at);
         // Numbers of points that are close together go one above the other.
-        let top = if at.0 - before.0 < 18 { (at.1 - 16).min(before.1 - 13) } else { at.1 - 16 };
-        before = (at.0, top);
-        put(area, (number + 1).to_string(), (at.0 - 4, top), 13)?;
+        let top = if left - before.0 < 18 { (y - 16).min(before.1 - 13) } else { y - 16 };
+        before = (left, top);
+        let number = Text::new(number.to_string(), (-4, top - y), font);
+        panel.draw_series([EmptyElement::at(at) + number])?;
     }
     Ok(())
 }

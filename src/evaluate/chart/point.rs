@@ -4,7 +4,7 @@ use crate::evaluate::{FoldAccuracy, Outcome, Protocol, interval_over_users, is_o
 use crate::scene::SourceId;
 
 /// The measured accuracy and latency of one setting of one method.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct ChartPoint {
     pub method: String,
     /// The command-line options that reproduce this point, or the name of a control.
@@ -55,8 +55,8 @@ impl ChartPoint {
             query_ms_p50: outcome.query_ms_p50,
             query_ms_p99: outcome.query_ms_p99,
             queries: outcome.queries,
-            peer: false,
             control,
+            peer: false,
         }
     }
 
@@ -92,7 +92,7 @@ pub(super) fn front<'a>(
 }
 
 /// A whole chart, as the JSON file beside the SVG holds it.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Chart {
     pub data: String,
     pub synthetic: bool,
@@ -156,18 +156,13 @@ pub(super) mod tests {
     pub(crate) fn point(method: &str, ms: f64, accuracy: f64) -> ChartPoint {
         ChartPoint {
             method: method.into(),
-            setting: String::new(),
             sources: vec!["ac".into(), "mi2".into()],
-            query_seconds: None,
             accuracy,
             accuracy_low: accuracy - 0.05,
             accuracy_high: (accuracy + 0.02).min(1.0),
-            users: Vec::new(),
             query_ms_p50: ms,
-            query_ms_p99: 2.0 * ms,
             queries: 200,
-            peer: false,
-            control: false,
+            ..ChartPoint::default()
         }
     }
 
@@ -175,13 +170,10 @@ pub(super) mod tests {
         Chart {
             data: "a <scene>".into(),
             synthetic: true,
-            protocol: "leave-one-trial-out".into(),
             sources: vec!["ac".into(), "mi2".into()],
-            surfaces: 20,
-            library_trials: 180,
-            threads: 2,
             drag_s: Some(4.8),
             points,
+            ..Chart::default()
         }
     }
 

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::Audited;
-use super::inspect::Inspected;
+use super::inspect::{Inspected, Measured};
 use crate::library::{Entry, LibraryError, Unreadable};
 use crate::printable::quoted;
 use crate::scene::SourceId;
@@ -127,21 +127,14 @@ pub(super) fn of_signals(
     audited: &Audited<'_>,
 ) -> (Vec<Finding>, Vec<String>) {
     let mut faults = copies(inspected, audited);
-    let levels = |source: &SourceId, surface: Option<&str>| {
-        let of = inspected
-            .iter()
-            .filter(|one| surface.is_none_or(|surface| one.entry.key.surface == surface));
-        median(of.filter_map(|one| Some(one.series.get(source)?.level)).collect())
+    let usual = |id: &SourceId, surface: Option<&str>, of: fn(&Measured) -> f64| {
+        let is_of = |one: &&Inspected| surface.is_none_or(|name| one.entry.key.surface == name);
+        let those = inspected.iter().filter(is_of);
+        median(those.filter_map(|one| one.series.get(id).map(of)).collect())
     };
     let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
-    let usual_s: BTreeMap<&SourceId, Option<f64>> = (sources.iter())
-        .map(|id| {
-            let lengths = inspected.iter().filter_map(|one| Some(one.series.get(*id)?.seconds));
-            (*id, median(lengths.collect()))
-        })
-        .collect();
-    let usual_level: BTreeMap<&SourceId, Option<f64>> =
-        sources.iter().map(|id| (*id, levels(id, None))).collect();
+    let of_source = |id| (id, (usual(id, None, |m| m.seconds), usual(id, None, |m| m.level)));
+    let of_sources: BTreeMap<&SourceId, _> = sources.into_iter().map(of_source).collect();
     let resting = resting(inspected);
     for one in inspected {
         let surface = &*one.entry.key.surface;
@@ -154,12 +147,12 @@ pub(super) fn of_signals(
             let below = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level < u - by);
             let above = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level > u + by);
             let rests = of.hash.is_none() && !resting.contains(&(id, 1));
-            let of_surface = levels(id, Some(surface));
-            if rests || below(usual_level[id], SILENT) {
+            let (usual_s, usual_level) = of_sources[id];
+            let of_surface = usual(id, Some(surface), |m| m.level);
+            if rests || below(usual_level, SILENT) {
                 add(FaultKind::Silent, id, "is silent", String::new());
-            } else if usual_s[id].is_some_and(|usual| of.seconds < SHORT * usual) {
-                let usual = usual_s[id].unwrap_or_default();
-                let detail = format!("{:.1} s, usually {usual:.1} s", of.seconds);
+            } else if let Some(usual_s) = usual_s.filter(|usual_s| of.seconds < SHORT * usual_s) {
+                let detail = format!("{:.1} s, usually {usual_s:.1} s", of.seconds);
                 add(FaultKind::Short, id, "is far shorter than usual", detail);
             } else if above(of_surface, LOUD) || below(of_surface, LOUD) {
                 let db = 20.0 / std::f64::consts::LN_10 * (of.level - of_surface.unwrap_or(0.0));

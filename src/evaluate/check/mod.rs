@@ -13,7 +13,7 @@ use self::finding::resting;
 pub use self::finding::{FaultKind, Finding};
 use self::inspect::{Inspected, inspect};
 use super::evaluation::{Evaluation, ProgressFn};
-use super::fold::Fold;
+use super::fold::{Fold, by_user, enough, known_only};
 use super::outcome::{Confusion, Outcome, Prediction, Share};
 use super::plain::better_plain;
 use crate::library::{Entry, Opened};
@@ -202,19 +202,12 @@ fn relabelled(entry: &Entry, suspects: &BTreeMap<&TrialKey, &str>) -> Entry {
 /// Makes the folds. Each person is left out in one fold if there are several. Further folds leave
 /// out the remaining trials ([`by_parts`]), for example of a surface that only one person recorded.
 fn left_out(keys: &[TrialKey]) -> Vec<Fold> {
-    let people: BTreeSet<&str> = keys.iter().map(|key| key.user.as_str()).collect();
-    let mut folds = Vec::new();
-    if people.len() > 1 {
-        for user in people {
-            let library: Vec<usize> = (0..keys.len()).filter(|&i| keys[i].user != user).collect();
-            let known: BTreeSet<&str> = library.iter().map(|&i| &*keys[i].surface).collect();
-            let is_known = |&i: &usize| keys[i].user == user && known.contains(&*keys[i].surface);
-            let queries: Vec<usize> = (0..keys.len()).filter(is_known).collect();
-            if known.len() > 1 && !queries.is_empty() {
-                folds.push(Fold { name: user.into(), library, queries });
-            }
-        }
-    }
+    let people = keys.iter().map(|key| key.user.as_str()).collect();
+    let by_person = by_user(keys, people, |key, user| key.user != user).into_iter();
+    let mut folds: Vec<Fold> = by_person
+        .filter_map(|fold| known_only(fold, keys))
+        .filter(|fold| enough(std::slice::from_ref(fold), keys))
+        .collect();
     let done: BTreeSet<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
     let rest = by_parts(keys).into_iter().map(|fold| {
         let queries = fold.queries.iter().copied().filter(|i| !done.contains(i)).collect();
@@ -232,16 +225,12 @@ fn by_parts(keys: &[TrialKey]) -> Vec<Fold> {
     }
     let most = of_surface.values().map(Vec::len).max().unwrap_or(0).min(MOST_FOLDS);
     let fold = |k: usize| {
-        let of = |trials: &Vec<usize>| match trials.len() {
-            1 => Vec::new(),
-            n => {
-                // A fold must not leave out all trials of a surface.
-                let folds = n.min(most);
-                let at = |(i, &trial): (usize, &usize)| (i % folds == k).then_some(trial);
-                trials.iter().enumerate().filter_map(at).collect::<Vec<_>>()
-            }
+        let several = of_surface.values().filter(|trials| trials.len() > 1);
+        // Never all trials of a surface: if they are fewer than the folds, each is in one fold.
+        let of = |trials: &Vec<usize>| {
+            (k..trials.len()).step_by(trials.len().min(most)).map(|i| trials[i]).collect::<Vec<_>>()
         };
-        let queries: Vec<usize> = of_surface.values().flat_map(of).collect();
+        let queries: Vec<usize> = several.flat_map(of).collect();
         let library = (0..keys.len()).filter(|i| !queries.contains(i)).collect();
         Fold { name: format!("part {}", k + 1), library, queries }
     };

@@ -53,12 +53,12 @@ pub fn bars(report: &PaperReport) -> Result<String, FigureError> {
 }
 
 fn bar(area: &Area<'_>, row: &ReportRow, top: i32, x: &dyn Fn(f64) -> i32) -> Drawn {
-    let mut name = row.name.clone();
+    let mut name = row.row.name.clone();
     if !row.missing.is_empty() {
         name.push_str(&format!(" (lacks {})", row.missing.join(", ")));
     }
     put(area, name, (20, top + 2), 13)?;
-    put(area, row.protocol, (LEFT - 112, top + 4), 10)?;
+    put(area, row.row.protocol.name(), (LEFT - 112, top + 4), 10)?;
     let ours = 100.0 * row.accuracy_mean.unwrap_or(0.0);
     let std = 100.0 * row.accuracy_std.unwrap_or(0.0);
     let whisker = |y: i32, mean: f64, std: f64, colour: RGBColor| -> Drawn {
@@ -69,7 +69,7 @@ fn bar(area: &Area<'_>, row: &ReportRow, top: i32, x: &dyn Fn(f64) -> i32) -> Dr
     let box_of = [(x(0.0), top + 2), (x(ours), top + 12)];
     area.draw(&Rectangle::new(box_of, OURS.mix(0.6).filled()))?;
     whisker(top + 7, ours, std, BLACK)?;
-    if let Some(published) = row.published {
+    if let Some(published) = row.row.published {
         let at = x(published.accuracy);
         let mark = Rectangle::new([(at - 2, top + 1), (at + 2, top + 17)], PAPER.filled());
         area.draw(&mark)?;

@@ -1,12 +1,13 @@
 //! The results of shards (parts of the queries) of the paper's evaluation, and how to join shards.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
 /// A part of the queries: every `of`-th query, beginning with the `number`-th (counted from 1).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Shard {
     pub number: usize,
     pub of: usize,
@@ -46,7 +47,7 @@ impl FromStr for Shard {
 }
 
 /// Answers in one setting. Trials are given by their indices in [`PaperPart::trials`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RowPart {
     /// The setting as text: its place in the paper, its protocol and its name.
@@ -61,7 +62,7 @@ pub struct RowPart {
 }
 
 /// The result of a shard, or of all shards joined.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PaperPart {
     /// Version of this format, 1.
@@ -107,19 +108,18 @@ pub fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, String> {
         "no shards to join; name the files that `surfaced eval --paper --shard` wrote, or their \
          folder",
     )?;
-    let of = whole.shard.of;
-    let mut numbers = vec![whole.shard.number];
+    let (first, of) = (whole.shard, whole.shard.of);
+    let mut numbers = BTreeSet::from([first.number]);
     for part in parts {
+        let shard = part.shard;
         if !part.is_of_run(&whole) {
             return Err(format!(
-                "shard {} is of another run than shard {}: other data or settings",
-                part.shard, whole.shard
+                "shard {shard} is of another run than shard {first}: other data or settings"
             ));
         }
-        if numbers.contains(&part.shard.number) {
-            return Err(format!("shard {} was given twice", part.shard));
+        if !numbers.insert(shard.number) {
+            return Err(format!("shard {shard} was given twice"));
         }
-        numbers.push(part.shard.number);
         for (row, more) in whole.rows.iter_mut().zip(part.rows) {
             row.answers.extend(more.answers);
         }
@@ -139,19 +139,10 @@ mod tests {
     use super::*;
 
     fn part(number: usize, answers: Vec<(usize, usize, usize)>) -> PaperPart {
-        let row = RowPart {
-            setting: "all".into(),
-            missing: vec![],
-            not_run: None,
-            folds: vec!["user1".into()],
-            library_trials: 2,
-            labels: vec!["a".into()],
-            answers,
-        };
+        let row = RowPart { folds: vec!["user1".into()], answers, ..RowPart::default() };
         let trials = vec![("a".into(), "expert".into(), 1), ("a".into(), "user1".into(), 1)];
-        let (data, settings) = ("d".into(), "s".into());
         let shard = Shard { number, of: 2 };
-        PaperPart { format: 1, data, synthetic: false, settings, shard, trials, rows: vec![row] }
+        PaperPart { shard, trials, rows: vec![row], ..PaperPart::default() }
     }
 
     #[test]

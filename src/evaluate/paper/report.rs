@@ -1,7 +1,7 @@
 //! The results of a run in all settings of the paper, compared with the published results.
 
 use super::part::{PaperPart, RowPart};
-use super::rows::{ALL, Published, Row, rows};
+use super::rows::{ALL, Row, rows};
 use crate::evaluate::{Confusion, Outcome, Prediction, Protocol};
 use crate::recognise::{log_discrepancy, medians};
 use crate::trial::TrialKey;
@@ -9,10 +9,8 @@ use crate::trial::TrialKey;
 /// Results in one setting. Our accuracies are fractions from 0 to 1, the paper's are percentages.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct ReportRow {
-    /// Where the paper has the setting: a table, `text` or the figure of `pairs`; `beside` if nowhere.
-    pub place: &'static str,
-    pub name: String,
-    pub protocol: &'static str,
+    #[serde(flatten)]
+    pub row: Row,
     pub sources: Vec<&'static str>,
     pub missing: Vec<String>,
     pub not_run: Option<String>,
@@ -28,7 +26,6 @@ pub struct ReportRow {
     pub queries: usize,
     /// Number of trials in the largest library of a fold.
     pub library_trials: usize,
-    pub published: Option<Published>,
     /// Our accuracy minus the paper's, in percentage points.
     pub difference_points: Option<f64>,
 }
@@ -88,8 +85,6 @@ fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow 
         Some(outcome.accuracy_mean * 100.0 - published.accuracy)
     };
     ReportRow {
-        place: row.place,
-        protocol: row.protocol.name(),
         sources,
         missing: part.missing.clone(),
         not_run: part.not_run.clone(),
@@ -102,8 +97,7 @@ fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow 
         queries: outcome.map_or(0, |o| o.queries),
         library_trials: part.library_trials,
         difference_points: outcome.and_then(difference),
-        published: row.published,
-        name: row.name,
+        row,
     }
 }
 
@@ -137,17 +131,12 @@ pub fn nearest(library: &[usize], terms: &[(f64, &LogScores)], keys: &[TrialKey]
     let scores: Vec<Vec<Option<f64>>> = library.iter().map(scores_of).collect();
     let weights: Vec<f64> = terms.iter().map(|(weight, _)| *weight).collect();
     let medians = medians(terms.len(), &scores);
-    let mut best: Option<(f64, usize)> = None;
-    for (&trial, scores) in library.iter().zip(&scores) {
-        let Some(log_ds) = log_discrepancy(&weights, scores, &medians) else { continue };
-        let better = best.is_none_or(|(least, found)| {
-            log_ds.total_cmp(&least).then_with(|| trial.cmp(&found)).is_lt()
-        });
-        if better {
-            best = Some((log_ds, trial));
-        }
-    }
-    best.map(|(_, trial)| trial)
+    let scored = library
+        .iter()
+        .zip(&scores)
+        .filter_map(|(&trial, scores)| Some((log_discrepancy(&weights, scores, &medians)?, trial)));
+    let nearest = scored.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    nearest.map(|(_, trial)| trial)
 }
 
 #[cfg(test)]

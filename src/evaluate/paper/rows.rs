@@ -15,12 +15,15 @@ pub struct Published {
 }
 
 /// One setting of the paper's evaluation, which is a row of the report.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize)]
 pub struct Row {
+    /// Where the paper has the setting: a table, `text` or the figure of `pairs`; `beside` if nowhere.
     pub place: &'static str,
     /// The name; no other row has the same name, protocol and place.
     pub name: String,
     pub protocol: Protocol,
+    /// The weight of each stream.
+    #[serde(skip)]
     pub terms: Vec<(f64, SampledSource)>,
     pub published: Option<Published>,
 }
@@ -47,41 +50,35 @@ fn mean(accuracy: f64, std: f64) -> Option<Published> {
     Some(Published { accuracy, std: (std > 0.0).then_some(std), precision: None })
 }
 
-struct Rows(Vec<Row>);
-
-impl Rows {
-    fn add(
-        &mut self,
-        place: &'static str,
-        protocol: Protocol,
-        name: impl Into<String>,
-        streams: Vec<SampledSource>,
-        published: Option<Published>,
-    ) -> &mut Row {
-        let terms = streams.into_iter().map(|stream| (1.0, stream)).collect();
-        let at = self.0.len();
-        self.0.push(Row { place, name: name.into(), protocol, terms, published });
-        &mut self.0[at]
-    }
+/// A row in which all streams have the same weight.
+fn row(
+    place: &'static str,
+    protocol: Protocol,
+    name: impl Into<String>,
+    streams: Vec<SampledSource>,
+    published: Option<Published>,
+) -> Row {
+    let terms = streams.into_iter().map(|stream| (1.0, stream)).collect();
+    Row { place, name: name.into(), protocol, terms, published }
 }
 
 /// All settings, in the order shown. The `Table I` row named [`ALL`] is the paper's main result.
 pub fn rows() -> Vec<Row> {
-    let mut rows = Rows(Vec::new());
+    let mut rows = Vec::new();
     table_1(&mut rows);
     text(&mut rows);
     table_2(&mut rows);
     pairs(&mut rows);
-    rows.0
+    rows
 }
 
 /// Name of the setting with all sources.
 pub const ALL: &str = "all eight";
 
-fn table_1(rows: &mut Rows) {
+fn table_1(rows: &mut Vec<Row>) {
     let protocol = Protocol::ExpertVsUsers;
     let mut add = |name: &str, streams, accuracy, std| {
-        rows.add(TABLE_1, protocol, name, streams, mean(accuracy, std));
+        rows.push(row(TABLE_1, protocol, name, streams, mean(accuracy, std)));
     };
     add("visual", used(&["ca1", "ca2"]), 74.8, 2.5);
     add("auditory", used(&["mi1", "mi2"]), 54.8, 16.3);
@@ -100,37 +97,25 @@ fn table_1(rows: &mut Rows) {
             _ => s,
         })
     };
-    add(
-        "all, without DFT (drag sound: its first 1.1 s)",
-        in_time(SampleView::TimeOfSerial),
-        95.1,
-        3.3,
-    );
+    let beginning = in_time(SampleView::TimeOfSerial);
+    add("all, without DFT (drag sound: its first 1.1 s)", beginning, 95.1, 3.3);
     add("all, without the shift", changed(|s| SampledSource { align: false, ..s }), 88.7, 6.7);
     let main = Published { accuracy: 97.2, std: Some(2.1), precision: Some(98.0) };
-    rows.add(TABLE_1, protocol, ALL, AS_USED.to_vec(), Some(main));
-    rows.add(
-        OURS,
-        protocol,
-        "all, without DFT (whole drag sound)",
-        in_time(SampleView::Time),
-        None,
-    );
+    rows.push(row(TABLE_1, protocol, ALL, AS_USED.to_vec(), Some(main)));
+    let whole = in_time(SampleView::Time);
+    rows.push(row(OURS, protocol, "all, without DFT (whole drag sound)", whole, None));
 }
 
-fn text(rows: &mut Rows) {
+fn text(rows: &mut Vec<Row>) {
     let (users, trials, others) =
         (Protocol::ExpertVsUsers, Protocol::LeaveOneTrialOut, Protocol::AllVsOneUser);
     let mut both = Vec::new();
     for stream in AS_USED {
-        if is_image(stream) {
-            both.push(stream);
-        } else {
-            both.extend(
-                [SampleView::Time, SampleView::Spectrum]
-                    .map(|view| SampledSource { view, ..stream }),
-            );
-        }
+        let views = match stream.view {
+            view @ SampleView::Pixels(_) => vec![view],
+            _ => vec![SampleView::Time, SampleView::Spectrum],
+        };
+        both.extend(views.into_iter().map(|view| SampledSource { view, ..stream }));
     }
     let shifted = changed(|s| SampledSource { align: s.align || is_image(s), ..s });
     let unshifted = changed(|s| SampledSource { align: false, ..s });
@@ -138,31 +123,44 @@ fn text(rows: &mut Rows) {
         SampledSource::as_used("ca1"),
         SampledSource { align: false, ..SampledSource::as_used("ac") },
     ];
-    rows.add(TEXT, users, "all, both domains", both, mean(98.2, 1.7));
-    let weighted =
-        rows.add(TEXT, users, "all, ca1 and ac weigh 3", AS_USED.to_vec(), mean(98.5, 1.2));
+    rows.push(row(TEXT, users, "all, both domains", both, mean(98.2, 1.7)));
+    let all = AS_USED.to_vec();
+    let mut weighted = row(TEXT, users, "all, ca1 and ac weigh 3", all.clone(), mean(98.5, 1.2));
     for (weight, stream) in &mut weighted.terms {
         if matches!(stream.source, "ca1" | "ac") {
             *weight = 3.0;
         }
     }
-    rows.add(TEXT, users, "all, images shifted, too", shifted, mean(97.1, 2.2));
+    rows.push(weighted);
+    rows.push(row(TEXT, users, "all, images shifted, too", shifted, mean(97.1, 2.2)));
     for (source, figures) in [("ca1", [42.0, 34.0, 27.0]), ("ca2", [19.0, 18.0, 17.0])] {
         let channels =
             [("hue", Colour::Hue), ("saturation", Colour::Saturation), ("value", Colour::Value)];
         for ((name, colour), figure) in channels.into_iter().zip(figures) {
             let stream = SampledSource::new(source, SampleView::Pixels(colour), false);
-            rows.add(TEXT, users, format!("{source}, {name}"), vec![stream], mean(figure, 0.0));
+            rows.push(row(
+                TEXT,
+                users,
+                format!("{source}, {name}"),
+                vec![stream],
+                mean(figure, 0.0),
+            ));
         }
     }
-    rows.add(TEXT, others, ALL, AS_USED.to_vec(), mean(99.4, 0.8));
-    rows.add(TEXT, others, "all, without the shift", unshifted.clone(), mean(99.1, 0.9));
-    rows.add(TEXT, others, "ca1", used(&["ca1"]), mean(88.9, 3.7));
-    rows.add(TEXT, others, "ca1 + ac", used(&["ca1", "ac"]), mean(96.9, 1.4));
-    rows.add(OURS, others, "ca1 + ac, without the shift", camera_and_ac.to_vec(), None);
-    rows.add(TEXT, trials, "ca1 + ac, without the shift", camera_and_ac.to_vec(), mean(97.1, 1.2));
-    rows.add(OURS, trials, ALL, AS_USED.to_vec(), None);
-    rows.add(OURS, trials, "all, without the shift", unshifted, None);
+    rows.push(row(TEXT, others, ALL, all.clone(), mean(99.4, 0.8)));
+    rows.push(row(TEXT, others, "all, without the shift", unshifted.clone(), mean(99.1, 0.9)));
+    rows.push(row(TEXT, others, "ca1", used(&["ca1"]), mean(88.9, 3.7)));
+    rows.push(row(TEXT, others, "ca1 + ac", used(&["ca1", "ac"]), mean(96.9, 1.4)));
+    rows.push(row(OURS, others, "ca1 + ac, without the shift", camera_and_ac.to_vec(), None));
+    rows.push(row(
+        TEXT,
+        trials,
+        "ca1 + ac, without the shift",
+        camera_and_ac.to_vec(),
+        mean(97.1, 1.2),
+    ));
+    rows.push(row(OURS, trials, ALL, all, None));
+    rows.push(row(OURS, trials, "all, without the shift", unshifted, None));
 }
 
 /// Cells of Table II for one source and protocol, each a mean and a standard deviation. The first index
@@ -189,7 +187,7 @@ const SINGLES: [(&str, Cells, Cells); 8] = [
             [[(65.5, 5.8), (74.2, 5.7)], [(61.4, 4.9), (70.4, 5.3)]]),
 ];
 
-fn table_2(rows: &mut Rows) {
+fn table_2(rows: &mut Vec<Row>) {
     for (source, users, trials) in SINGLES {
         let views = if source.starts_with("ca") {
             [("RGB", SampleView::Pixels(Colour::Rgb)), ("HSV", SampleView::Pixels(Colour::Hsv))]
@@ -205,7 +203,7 @@ fn table_2(rows: &mut Rows) {
                 for ((how, view), (accuracy, std)) in views.into_iter().zip(of_shift) {
                     let stream = SampledSource::new(source, view, align);
                     let name = format!("{source}, {how}, {shift}");
-                    rows.add(TABLE_2, protocol, name, vec![stream], mean(accuracy, std));
+                    rows.push(row(TABLE_2, protocol, name, vec![stream], mean(accuracy, std)));
                 }
             }
         }
@@ -213,13 +211,13 @@ fn table_2(rows: &mut Rows) {
 }
 
 /// Adds a row for each pair of sources. The paper prints one pair's accuracy and draws the rest.
-fn pairs(rows: &mut Rows) {
+fn pairs(rows: &mut Vec<Row>) {
     for (at, a) in AS_USED.iter().enumerate() {
         for b in &AS_USED[at + 1..] {
             let printed = (a.source, b.source) == ("ca1", "ac");
             let name = format!("{} + {}", a.source, b.source);
             let published = if printed { mean(87.9, 0.0) } else { None };
-            rows.add(FIGURE, Protocol::ExpertVsUsers, name, vec![*a, *b], published);
+            rows.push(row(FIGURE, Protocol::ExpertVsUsers, name, vec![*a, *b], published));
         }
     }
 }

@@ -1,6 +1,5 @@
 //! Reads and writes plans as `plan.toml`.
 
-use std::fmt::Write;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -65,13 +64,12 @@ struct PlanFile {
 impl Expected {
     /// A warning if the target is reached, but with too few queries to be sure.
     pub(crate) fn doubt(&self) -> Option<String> {
-        let percent = |x: f64| format!("{:.1} %", 100.0 * x);
+        let (target, low) = (percent(self.target), percent(self.accuracy_low));
         (self.reached && !self.shown).then(|| {
             format!(
-                "{} is not certain: after {} queries, the accuracy may be as low as {}; record more trials",
-                percent(self.target),
-                self.queries,
-                percent(self.accuracy_low)
+                "{target} is not certain: after {} queries, the accuracy may be as low as {low}; \
+                 record more trials",
+                self.queries
             )
         })
     }
@@ -129,53 +127,45 @@ impl Plan {
     /// The plan as TOML, with comments, in the form that [`Plan::read`] reads.
     pub fn to_toml(&self) -> String {
         let e = &self.expected;
-        let percent = |x: f64| format!("{:.1} %", 100.0 * x);
         let quoted = |text: &str| toml::Value::String(text.into()).to_string();
         let sources: Vec<String> = self.sources.iter().map(|id| quoted(id.as_str())).collect();
-        let mut out = String::new();
-        let mut line = |text: String| {
-            // Writing to a String cannot fail.
-            let _ = writeln!(out, "{text}");
+        let (of, synthetic) = match self.synthetic {
+            true => (" of a synthetic scene", "synthetic = true\n"),
+            false => ("", ""),
         };
-        line(format!(
-            "# The cheapest setting found for {} surfaces{}: `surfaced replay --plan` takes it.",
-            e.surfaces,
-            if self.synthetic { " of a synthetic scene" } else { "" }
-        ));
+        let [target, accuracy, low, high] =
+            [e.target, e.accuracy, e.accuracy_low, e.accuracy_high].map(percent);
+        let mut doubt = e.doubt().map_or_else(String::new, |doubt| format!("# {doubt}.\n"));
         if !e.reached {
-            line(format!(
-                "# It does NOT reach the target of {}; nothing that was tried does.",
-                percent(e.target)
-            ));
+            doubt = format!(
+                "# It does NOT reach the target of {target}; nothing that was tried does.\n"
+            );
         }
-        e.doubt().iter().for_each(|doubt| line(format!("# {doubt}.")));
-        line("format = 1".into());
-        line(format!("library = {}", quoted(&self.library)));
-        if self.synthetic {
-            line("synthetic = true".into());
-        }
-        line("\n# Sources to compare; devices for others need not be opened.".into());
-        line(format!("sources = [{}]", sources.join(", ")));
-        line(format!("method = {}", quoted(self.method.name().as_str())));
-        match self.scan_s {
-            Some(scan_s) => {
-                line(format!("# Seconds of the drag that are used.\nscan_s = {scan_s}"))
-            }
-            None if e.scan_s > 0.0 => line("# No scan_s: the whole drag is used.".into()),
-            None => line("# No scan_s: nothing of a drag is used.".into()),
-        }
-        line(format!(
-            "\n# By cross-validation inside the library: {} of {} queries ({} to {}).",
-            percent(e.accuracy),
-            e.queries,
-            percent(e.accuracy_low),
-            percent(e.accuracy_high)
-        ));
+        let scan = match self.scan_s {
+            Some(scan_s) => format!("# Seconds of the drag that are used.\nscan_s = {scan_s}"),
+            None if e.scan_s > 0.0 => "# No scan_s: the whole drag is used.".into(),
+            None => "# No scan_s: nothing of a drag is used.".into(),
+        };
         // `Expected` holds only numbers, text and booleans, which TOML can express.
         let expected = toml::to_string(e).expect("plain values");
-        line(format!("[expected]\n{}", expected.trim_end()));
-        out
+        format!(
+            "# The cheapest setting found for {} surfaces{of}: `surfaced replay --plan` takes it.\n\
+             {doubt}format = 1\nlibrary = {}\n{synthetic}\n\
+             # Sources to compare; devices for others need not be opened.\n\
+             sources = [{}]\nmethod = {}\n{scan}\n\n\
+             # By cross-validation inside the library: {accuracy} of {} queries ({low} to {high}).\n\
+             [expected]\n{expected}",
+            e.surfaces,
+            quoted(&self.library),
+            sources.join(", "),
+            quoted(self.method.name().as_str()),
+            e.queries,
+        )
     }
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
 }
 
 #[cfg(test)]

@@ -20,7 +20,386 @@
 //! `tests/it/plan.rs` checks their accuracy.
 
 mod file;
-mod search;
 
-pub use file::Plan;
-pub use search::{PlanOptions, Planned, search};
+use std::sync::Arc;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+pub use self::file::{Expected, Plan};
+use crate::evaluate::{
+    EvaluateError, Evaluation, Fold, Outcome, ProgressFn, Protocol, Run, Share, folds, percentile,
+};
+use crate::library::{Entry, Library};
+use crate::recognise::{
+    MethodName, MethodSpec, Model, QueryVector, RecogniseError, ScanTime, reaches, ready_model,
+};
+use crate::scene::{Phase, Scene, SourceId};
+use crate::trial::{Image, Signal, Trial, TrialKey};
+
+/// The accuracy that a plan must reach, and the folds that measure it.
+#[derive(Clone, Copy, Debug)]
+pub struct PlanOptions {
+    /// The accuracy that whole scans of the chosen sources must reach, a fraction.
+    pub target: f64,
+    /// The accuracy that scans of the planned time must reach; `None` allows at most one percentage
+    /// point less than from whole scans.
+    pub accuracy: Option<f64>,
+    pub protocol: Protocol,
+}
+
+/// The cost of one source, and the accuracy when this source is used alone.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SourceCost {
+    pub source: SourceId,
+    /// Median time to compare this source alone with the library by `embedding`, in milliseconds.
+    pub latency_ms: f64,
+    /// Length of a whole recording, in seconds; 0 for pictures.
+    pub scan_s: f64,
+    pub values: f64,
+    /// Share of queries that this source alone names correctly, by `embedding`.
+    pub accuracy: f64,
+    #[serde(skip)]
+    phase: Phase,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Planned {
+    pub plan: Plan,
+    /// All sources, the cheapest first.
+    pub sources: Vec<SourceCost>,
+    pub steps: Vec<String>,
+}
+
+/// Finds the cheapest plan for a library.
+pub fn search(
+    library: &Library,
+    options: PlanOptions,
+    progress: ProgressFn<'_>,
+) -> Result<Planned, EvaluateError> {
+    let PlanOptions { target, accuracy, protocol } = options;
+    let entries: Vec<Entry> =
+        library.entries.iter().filter(|entry| !entry.sources.is_empty()).cloned().collect();
+    let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let folds = folds(protocol, &keys)?;
+    // Finds how long scans of these sources must last, by leaving out trials of the library.
+    let scan_time = |sources: &[SourceId]| -> Option<ScanTime> {
+        let scene = library.scene.clone().only(sources).ok()?;
+        let within = entries.iter().map(|entry| entry.clone().within(&scene));
+        let entries: Vec<Entry> = within.filter(|entry| !entry.sources.is_empty()).collect();
+        let method = MethodSpec::from(MethodName::Embedding).build(&scene);
+        let all = (0..entries.len()).collect();
+        let step = |done, of| progress("finding the scan time", done, of);
+        let ready = ready_model(&*method, &entries, &all, None, &step).ok()?;
+        ready.model.scan_time(accuracy)
+    };
+    let (sources, queries) = study(&library.scene, &entries, &folds, progress)?;
+    let scan_time = &scan_time;
+    let mut search = PlanSearch { sources, queries, target, scan_time, steps: Vec::new() };
+    let choice = search.choose();
+    let sources = search.ids(&choice.sources);
+    let found = search.scan_time(&choice.sources);
+    let scan_s = found.as_ref().and_then(ScanTime::scan_s);
+    let scene = library.scene.clone().only(&sources)?;
+    let outcome = outcome(&scene, &entries, &folds, scan_s, progress)?;
+    let Share { right, of } = outcome.share;
+    search.steps.extend(found.as_ref().map(ScanTime::line));
+    search.steps.extend(scan_s.map(|s| format!("a scan of {s:.1} s: {right} of {of} right")));
+    let (accuracy_low, accuracy_high) = outcome.share.interval();
+    let expected = Expected {
+        target,
+        // The target also counts as missed if no scan time has the requested accuracy.
+        reached: search.reaches(choice.right) && found.is_none_or(|found| found.scan_s().is_some()),
+        shown: accuracy_low >= target,
+        accuracy: outcome.share.value(),
+        accuracy_low,
+        accuracy_high,
+        queries: of,
+        surfaces: outcome.classes,
+        protocol: protocol.name().into(),
+        latency_ms: outcome.query_ms_p50,
+        scan_s: scan_s.unwrap_or_else(|| search.scan_s(&choice.sources, None)),
+    };
+    let plan = Plan {
+        library: library.name.clone(),
+        synthetic: library.synthetic,
+        sources,
+        method: MethodName::Embedding.into(),
+        scan_s,
+        expected,
+    };
+    Ok(Planned { plan, sources: search.sources, steps: search.steps })
+}
+
+/// Names all queries by `embedding`, as `surfaced eval` does, from the first `scan_s` seconds of
+/// each drag, or from whole drags if `scan_s` is `None`.
+fn outcome(
+    scene: &Scene,
+    entries: &[Entry],
+    folds: &[Fold],
+    scan_s: Option<f64>,
+    progress: ProgressFn<'_>,
+) -> Result<Outcome, EvaluateError> {
+    let entries: Vec<Entry> = entries.iter().map(|entry| entry.clone().within(scene)).collect();
+    let has_any = |i: &usize| !entries[*i].sources.is_empty();
+    let folds = folds.iter().map(|fold| Fold {
+        name: fold.name.clone(),
+        library: fold.library.iter().copied().filter(has_any).collect(),
+        queries: fold.queries.iter().copied().filter(has_any).collect(),
+    });
+    let folds: Vec<Fold> = folds.filter(|fold| !fold.queries.is_empty()).collect();
+    let on = Evaluation::new(scene, &entries, &folds);
+    let evaluation = Evaluation { query_seconds: scan_s, progress, ..on };
+    let method = MethodSpec::from(MethodName::Embedding).build(scene);
+    Ok(evaluation.prepare(&*method)?.measure()?.outcome)
+}
+
+/// Indices of sources, and how many queries their whole scans name correctly.
+#[derive(Clone, Debug, PartialEq)]
+struct SourceChoice {
+    sources: Vec<usize>,
+    right: usize,
+}
+
+/// One query: its true surface, and its embedding by source; `None` if it holds too little data.
+type StudyQuery = (String, Option<QueryVector>);
+
+struct PlanSearch<'a> {
+    /// The sources, the cheapest first.
+    sources: Vec<SourceCost>,
+    queries: Vec<StudyQuery>,
+    target: f64,
+    scan_time: &'a dyn Fn(&[SourceId]) -> Option<ScanTime>,
+    steps: Vec<String>,
+}
+
+impl PlanSearch<'_> {
+    fn ids(&self, sources: &[usize]) -> Vec<SourceId> {
+        sources.iter().map(|&s| self.sources[s].source.clone()).collect()
+    }
+
+    /// The scan time that the sources need; `None` if none is dragged or no time can be found.
+    fn scan_time(&self, sources: &[usize]) -> Option<ScanTime> {
+        let is_dragged = sources.iter().any(|&s| self.sources[s].phase == Phase::Drag);
+        is_dragged.then(|| (self.scan_time)(&self.ids(sources))).flatten()
+    }
+
+    fn scan_s(&self, sources: &[usize], drag_s: Option<f64>) -> f64 {
+        sources.iter().map(|&s| self.sources[s].scan_within(drag_s)).fold(0.0, f64::max)
+    }
+
+    fn choice(&self, sources: &[usize]) -> SourceChoice {
+        let right = right(&self.sources, &self.queries, sources);
+        SourceChoice { sources: sources.to_vec(), right }
+    }
+
+    fn reaches(&self, right: usize) -> bool {
+        reaches(right, self.queries.len(), self.target)
+    }
+
+    fn choose(&mut self) -> SourceChoice {
+        if let Some(single) = self.cheapest_single() {
+            self.note(&single, "one source is enough:");
+            return single;
+        }
+        let grown = self.grow();
+        let least = if self.reaches(grown.right) { None } else { Some(grown.right) };
+        self.prune(grown, least)
+    }
+
+    /// The cheapest source that reaches the target alone: the one with the least scan time or,
+    /// among equals, with the fewest values to process. `None` if no source reaches the target.
+    fn cheapest_single(&self) -> Option<SourceChoice> {
+        let all = (0..self.sources.len()).map(|s| self.choice(&[s]));
+        let enough = all.filter(|choice| self.reaches(choice.right));
+        let cost = |choice: &SourceChoice| {
+            let drag_s = self.scan_time(&choice.sources).and_then(|found| found.scan_s());
+            self.sources[choice.sources[0]].cost(drag_s)
+        };
+        let costs = enough.map(|choice| (cost(&choice), choice));
+        costs.min_by(|a, b| compare(a.0, b.0)).map(|(_, choice)| choice)
+    }
+
+    /// Adds one source after another, each time the one that helps most (among equals the cheapest),
+    /// until the target is reached or no source helps. If the target is missed, takes all sources if
+    /// they do better.
+    fn grow(&mut self) -> SourceChoice {
+        let all: Vec<usize> = (0..self.sources.len()).collect();
+        let mut chosen = SourceChoice { sources: Vec::new(), right: 0 };
+        while !self.reaches(chosen.right) {
+            let others = all.iter().filter(|s| !chosen.sources.contains(s));
+            let tried = others.map(|&s| self.choice(&[&chosen.sources[..], &[s]].concat()));
+            // The last of the reversed list is the cheapest among equals.
+            match tried.rev().max_by_key(|tried| tried.right) {
+                // A plan has at least one source, even if none names a query correctly.
+                Some(better) if better.right > chosen.right || chosen.sources.is_empty() => {
+                    self.note(&better, "added the source that helps most:");
+                    chosen = better;
+                }
+                _ => break,
+            }
+        }
+        if !self.reaches(chosen.right) {
+            let all = self.choice(&all);
+            if all.right > chosen.right {
+                self.note(&all, "all sources together do better:");
+                return all;
+            }
+        }
+        chosen
+    }
+
+    /// Removes sources that are not needed, trying the most expensive first. A source is not needed
+    /// if the remaining ones still reach the target or, with `least`, name that many queries right.
+    fn prune(&mut self, mut chosen: SourceChoice, least: Option<usize>) -> SourceChoice {
+        for s in (0..self.sources.len()).rev() {
+            let others: Vec<usize> = chosen.sources.iter().copied().filter(|o| *o != s).collect();
+            if others.is_empty() || others.len() == chosen.sources.len() {
+                continue;
+            }
+            let tried = self.choice(&others);
+            if least.map_or_else(|| self.reaches(tried.right), |least| tried.right >= least) {
+                self.note(&tried, &format!("{} is not needed:", self.sources[s].source));
+                chosen = tried;
+            }
+        }
+        chosen
+    }
+
+    fn note(&mut self, choice: &SourceChoice, what: &str) {
+        let names = self.ids(&choice.sources);
+        let names: Vec<&str> = names.iter().map(SourceId::as_str).collect();
+        self.steps.push(format!(
+            "{what} {}, {:.1} s of scan: {} of {} right",
+            names.join(" + "),
+            self.scan_s(&choice.sources, None),
+            choice.right,
+            self.queries.len()
+        ));
+    }
+}
+
+impl SourceCost {
+    /// How long a scan must last to record this source, in seconds; `drag_s` limits the drag.
+    fn scan_within(&self, drag_s: Option<f64>) -> f64 {
+        match (self.phase, drag_s) {
+            (Phase::Drag, Some(drag_s)) => drag_s.min(self.scan_s),
+            _ => self.scan_s,
+        }
+    }
+
+    /// The scan time in seconds, and the number of values to process.
+    fn cost(&self, drag_s: Option<f64>) -> (f64, f64) {
+        let scan_s = self.scan_within(drag_s);
+        let is_picture = self.scan_s == 0.0;
+        (scan_s, if is_picture { self.values } else { self.values * scan_s / self.scan_s })
+    }
+}
+
+/// Orders (scan time, values to process) by scan time first.
+fn compare(a: (f64, f64), b: (f64, f64)) -> std::cmp::Ordering {
+    a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
+}
+
+/// The median latency of a source is over at most this many queries.
+const TIMED: usize = 15;
+
+/// Measures the cost of every source, and embeds every query. Returns the cheapest source first.
+fn study(
+    scene: &Scene,
+    entries: &[Entry],
+    folds: &[Fold],
+    progress: ProgressFn<'_>,
+) -> Result<(Vec<SourceCost>, Vec<StudyQuery>), EvaluateError> {
+    let method = MethodSpec::from(MethodName::Embedding).build(scene);
+    let evaluation = Evaluation { progress, ..Evaluation::new(scene, entries, folds) };
+    let run = evaluation.prepare(&*method)?;
+    let mut sources = studied(scene, entries)?;
+    sources.sort_by(|a, b| compare(a.cost(None), b.cost(None)));
+    let total = folds.iter().map(|fold| fold.queries.len()).sum();
+    let mut queries: Vec<StudyQuery> = Vec::with_capacity(total);
+    let mut latencies: Vec<Vec<f64>> = vec![Vec::new(); sources.len()];
+    for fold in folds {
+        let model = run.fit(&fold.library)?;
+        for &i in &fold.queries {
+            let trial = run.recording(i)?;
+            queries.push((trial.key.surface.clone(), by_sources(&run, &model, &trial)?));
+            if queries.len() <= TIMED {
+                for (source, latencies) in sources.iter().zip(&mut latencies) {
+                    latencies.extend(time_alone(&run, &model, &trial, &source.source));
+                }
+            }
+            progress("trying sources", queries.len(), total);
+        }
+    }
+    for (at, latencies) in latencies.into_iter().enumerate() {
+        sources[at].latency_ms = percentile(latencies, 0.5);
+        let right = right(&sources, &queries, &[at]);
+        sources[at].accuracy = right as f64 / queries.len() as f64;
+    }
+    Ok((sources, queries))
+}
+
+/// How many queries the sources with indices `chosen` name correctly from whole scans, by `embedding`
+/// with these sources alone.
+fn right(sources: &[SourceCost], queries: &[StudyQuery], chosen: &[usize]) -> usize {
+    let ids: Vec<&SourceId> = chosen.iter().map(|&s| &sources[s].source).collect();
+    let is_right = |(truth, by_sources): &&StudyQuery| {
+        let named = by_sources.as_ref().and_then(|query| query.surface(&ids));
+        named == Some(truth.as_str())
+    };
+    queries.par_iter().filter(is_right).count()
+}
+
+fn by_sources(
+    run: &Run<'_, '_>,
+    model: &Arc<dyn Model>,
+    trial: &Trial,
+) -> Result<Option<QueryVector>, RecogniseError> {
+    let query = run.query_of(model, trial.clone(), None)?;
+    let embedding = model.clone().embedding();
+    match embedding.map(|model| model.by_sources(&query.prepared)).transpose() {
+        Err(RecogniseError::TooLittle) => Ok(None),
+        other => other,
+    }
+}
+
+/// Milliseconds from the raw samples of one source to its answer; `None` if it gives no answer.
+fn time_alone(
+    run: &Run<'_, '_>,
+    model: &Arc<dyn Model>,
+    trial: &Trial,
+    id: &SourceId,
+) -> Option<f64> {
+    let signal = trial.signals.get(id)?.clone();
+    let alone = Trial { key: trial.key.clone(), signals: [(id.clone(), signal)].into() };
+    let query = run.query_of(model, alone, None).ok()?;
+    model.rank(&query.prepared).ok()?;
+    Some(query.started.elapsed().as_secs_f64() * 1e3)
+}
+
+/// The sources that at least one trial has. Scan time and values are measured on the first trial with
+/// the source; latency and accuracy are still 0.
+fn studied(scene: &Scene, entries: &[Entry]) -> Result<Vec<SourceCost>, RecogniseError> {
+    let mut sources = Vec::new();
+    for spec in scene.sources() {
+        let id = &spec.id;
+        let Some(entry) = entries.iter().find(|entry| entry.sources.contains(id)) else {
+            continue;
+        };
+        let (scan_s, values) = match entry.with_only(id).load()?.signals.get(id) {
+            Some(Signal::Series(series)) => (series.duration_s(), series.samples().len()),
+            Some(Signal::Image(_)) => (0.0, Image::ROWS * Image::COLS * 3),
+            None => continue,
+        };
+        sources.push(SourceCost {
+            source: id.clone(),
+            latency_ms: 0.0,
+            scan_s,
+            values: values as f64,
+            accuracy: 0.0,
+            phase: spec.phase,
+        });
+    }
+    Ok(sources)
+}

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 const LOSS: f64 = 0.05;
 
 /// Results of one method under one disturbance at one level of severity. Shares are from 0 to 1.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StressCell {
     pub accuracy: f64,
     /// Share of queries of known surfaces that would be called unknown.
@@ -72,7 +72,7 @@ impl MethodReport {
 }
 
 /// The JSON of `surfaced stress`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StressReport {
     pub data: String,
     pub synthetic: bool,
@@ -161,20 +161,10 @@ mod tests {
     fn series(name: &str, accuracies: &[f64]) -> DisturbanceSeries {
         let level = |(i, &accuracy): (usize, &f64)| DisturbanceLevel {
             level: i as f64,
-            cell: StressCell {
-                accuracy,
-                known_rejected: 0.05,
-                unknown_rejected: Some(0.5),
-                calibration_error: None,
-                refused: 0,
-            },
+            cell: StressCell { accuracy, ..StressCell::default() },
         };
-        DisturbanceSeries::new(
-            name,
-            "unit",
-            accuracies.iter().enumerate().map(level).collect(),
-            0.9,
-        )
+        let levels = accuracies.iter().enumerate().map(level).collect();
+        DisturbanceSeries::new(name, "unit", levels, 0.9)
     }
 
     #[test]
@@ -189,16 +179,7 @@ mod tests {
         let clean = disturbances[0].levels[0].cell.clone();
         let method = MethodReport { method: "joint".into(), clean, disturbances };
         assert_eq!(method.fails_first(), ["b"]);
-        let report = StressReport {
-            data: "d".into(),
-            synthetic: false,
-            protocol: "p".into(),
-            sources: vec![],
-            queries: 10,
-            unknown_queries: 2,
-            methods: vec![method],
-        };
-        let table = report.markdown();
+        let table = StressReport { methods: vec![method], ..StressReport::default() }.markdown();
         assert!(
             table.contains("| b (unit) | 1 |") && table.contains("| c (unit) | – |"),
             "{table}"

@@ -10,15 +10,25 @@ use std::collections::BTreeMap;
 use rand_chacha::ChaCha8Rng;
 
 use crate::library::Entry;
-use crate::scene::{Domain, Phase, Scene, SourceSpec};
+use crate::scene::{Domain, Phase, Scene, SourceId, SourceSpec};
 use crate::seed::uniform;
 use crate::trial::{Image, Series, Signal, Trial};
 
-/// The side that a disturbance changes: queries or the library.
+/// The description of a source that a disturbance touches; `None` for other sources.
+pub type Touches<'a> = &'a dyn Fn(&SourceId) -> Option<&'a SourceSpec>;
+
+/// How a disturbance changes what it touches in a query, or how it changes the library. The numbers
+/// are levels.
 #[derive(Clone, Copy)]
 pub enum Kind {
-    Query(fn(&mut Trial, &mut Setting<'_>)),
-    Library(LibraryChange),
+    /// Changes each sample, given the spread of its channel.
+    Samples(fn(f64, ChannelSpread, f64) -> f64),
+    Series(fn(&SourceSpec, &mut Series, f64, &mut ChaCha8Rng)),
+    /// Changes each picture, given as RGB bytes.
+    Pictures(fn(&[u8], f64) -> Vec<u8>),
+    Trial(fn(&mut Trial, Touches<'_>, f64, &mut ChaCha8Rng)),
+    /// Changes the trials of a fold's library.
+    Library(fn(Vec<Entry>, f64, &mut ChaCha8Rng) -> Vec<Entry>),
 }
 
 /// A disturbance, and the severities at which it is applied.
@@ -36,45 +46,51 @@ pub struct Disturbance {
 
 #[rustfmt::skip] // One line for each disturbance.
 pub fn all() -> Vec<Disturbance> {
-    let query = |name, axis, levels, change, touches| {
-        Disturbance { name, axis, levels, kind: Kind::Query(change), touches, fewest: 1 }
-    };
-    let of_library = |name, axis, levels, change| {
-        Disturbance { name, axis, levels, kind: Kind::Library(change), touches: any, fewest: 1 }
+    use Kind::{Library, Pictures, Samples, Series, Trial};
+    let one = |name, axis, levels, kind, touches| {
+        Disturbance { name, axis, levels, kind, touches, fewest: 1 }
     };
     let several = |disturbance: Disturbance| Disturbance { fewest: 2, ..disturbance };
     vec![
-        query("white-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], trial::white, analog),
-        query("red-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], trial::red, analog),
-        query("room-noise", "sound over room, dB", &[30.0, 20.0, 10.0, 3.0, -10.0],
-            trial::room, sound),
-        query("gain", "factor", &[1.2, 1.5, 2.0, 4.0, 16.0], trial::gain, analog),
-        query("force", "factor", &[1.2, 1.5, 2.0, 3.0, 6.0], trial::force, analog),
-        query("offset", "deviations", &[0.2, 1.0, 3.0, 10.0, 100.0], trial::offset, analog),
-        query("saturation", "limit over peak", &[0.7, 0.4, 0.2, 0.1, 0.03],
-            trial::saturation, analog),
-        query("quantisation", "bits", &[12.0, 10.0, 8.0, 6.0, 3.0], trial::quantisation, analog),
-        query("dropped-samples", "share", &[0.001, 0.01, 0.05, 0.2, 0.6], trial::dropped, drag),
-        query("gaps", "share, held", &[0.01, 0.05, 0.1, 0.3, 0.7], trial::gaps, drag),
-        query("clock-error", "%", &[0.1, 0.5, 2.0, 5.0, 20.0], trial::clock, analog),
-        query("short-scan", "s", &[2.0, 1.0, 0.5, 0.25, 0.05], trial::short, drag),
-        query("slow-hand", "times closer than T*", &[1.5, 2.0, 4.0, 8.0, 32.0], trial::slow, slow),
-        several(query("dead-sensors", "sources", &[1.0, 2.0, 3.0, 4.0, 6.0], trial::dead, sensed)),
-        several(query("stuck-sensors", "sources", &[1.0, 2.0, 3.0, 4.0, 6.0],
-            trial::stuck, analog)),
-        query("swapped-channels", "channels turned by", &[1.0, 2.0], trial::swapped, many_channels),
-        query("darkness", "light", &[0.9, 0.75, 0.5, 0.25, 0.05], trial::dark, is_picture),
-        query("white-balance", "red over blue", &[1.05, 1.1, 1.25, 1.5, 3.0],
-            trial::tint, is_picture),
-        query("image-shift", "pixels", &[2.0, 8.0, 32.0, 80.0, 160.0], trial::shift, is_picture),
-        query("blur", "pixels", &[1.0, 2.0, 4.0, 10.0, 40.0], trial::blur, is_picture),
-        query("stick-slip", "depth", &[0.1, 0.3, 0.6, 0.9, 1.0], trial::stick_slip, drag),
-        query("lift-offs", "share of the drag", &[0.02, 0.05, 0.15, 0.4, 0.8],
-            trial::lift_offs, drag),
-        of_library("few-trials", "library trials a surface", &[7.0, 5.0, 3.0, 2.0, 1.0], few),
-        of_library("mislabelled", "share of the library", &[0.02, 0.05, 0.1, 0.2, 0.5],
-            mislabelled),
-        of_library("twins", "difference of twins, % of pitch", &[10.0, 5.0, 2.0, 1.0, 0.3], twins),
+        one("white-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], Series(trial::white), analog),
+        one("red-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], Series(trial::red), analog),
+        one("room-noise", "sound over room, dB", &[30.0, 20.0, 10.0, 3.0, -10.0],
+            Series(trial::room), sound),
+        one("gain", "factor", &[1.2, 1.5, 2.0, 4.0, 16.0], Samples(trial::gain), analog),
+        one("force", "factor", &[1.2, 1.5, 2.0, 3.0, 6.0], Series(trial::force), analog),
+        one("offset", "deviations", &[0.2, 1.0, 3.0, 10.0, 100.0], Samples(trial::offset), analog),
+        one("saturation", "limit over peak", &[0.7, 0.4, 0.2, 0.1, 0.03],
+            Samples(trial::saturation), analog),
+        one("quantisation", "bits", &[12.0, 10.0, 8.0, 6.0, 3.0],
+            Samples(trial::quantisation), analog),
+        one("dropped-samples", "share", &[0.001, 0.01, 0.05, 0.2, 0.6],
+            Series(trial::dropped), drag),
+        one("gaps", "share, held", &[0.01, 0.05, 0.1, 0.3, 0.7], Series(trial::gaps), drag),
+        one("clock-error", "%", &[0.1, 0.5, 2.0, 5.0, 20.0], Series(trial::clock), analog),
+        one("short-scan", "s", &[2.0, 1.0, 0.5, 0.25, 0.05], Series(trial::short), drag),
+        one("slow-hand", "times closer than T*", &[1.5, 2.0, 4.0, 8.0, 32.0],
+            Series(trial::slow), slow),
+        several(one("dead-sensors", "sources", &[1.0, 2.0, 3.0, 4.0, 6.0],
+            Trial(trial::dead), sensed)),
+        several(one("stuck-sensors", "sources", &[1.0, 2.0, 3.0, 4.0, 6.0],
+            Trial(trial::stuck), analog)),
+        one("swapped-channels", "channels turned by", &[1.0, 2.0],
+            Series(trial::swapped), many_channels),
+        one("darkness", "light", &[0.9, 0.75, 0.5, 0.25, 0.05], Pictures(trial::dark), is_picture),
+        one("white-balance", "red over blue", &[1.05, 1.1, 1.25, 1.5, 3.0],
+            Pictures(trial::tint), is_picture),
+        one("image-shift", "pixels", &[2.0, 8.0, 32.0, 80.0, 160.0],
+            Pictures(trial::shift), is_picture),
+        one("blur", "pixels", &[1.0, 2.0, 4.0, 10.0, 40.0], Pictures(trial::blur), is_picture),
+        one("stick-slip", "depth", &[0.1, 0.3, 0.6, 0.9, 1.0], Series(trial::stick_slip), drag),
+        one("lift-offs", "share of the drag", &[0.02, 0.05, 0.15, 0.4, 0.8],
+            Trial(trial::lift_offs), drag),
+        one("few-trials", "library trials a surface", &[7.0, 5.0, 3.0, 2.0, 1.0],
+            Library(few), any),
+        one("mislabelled", "share of the library", &[0.02, 0.05, 0.1, 0.2, 0.5],
+            Library(mislabelled), any),
+        one("twins", "difference of twins, % of pitch", &[10.0, 5.0, 2.0, 1.0, 0.3],
+            Library(twins), any),
     ]
 }
 
@@ -83,13 +99,42 @@ impl Disturbance {
     pub fn fits(&self, sources: &[&SourceSpec]) -> bool {
         sources.iter().filter(|spec| (self.touches)(spec)).count() >= self.fewest
     }
-}
 
-pub struct Setting<'a> {
-    pub level: f64,
-    pub scene: &'a Scene,
-    /// A random generator, seeded for this trial, disturbance and level.
-    pub rng: ChaCha8Rng,
+    /// A query at a level of this disturbance; unchanged by a disturbance of the library.
+    pub fn disturbed(
+        &self,
+        trial: &Trial,
+        level: f64,
+        scene: &Scene,
+        mut rng: ChaCha8Rng,
+    ) -> Trial {
+        let mut trial = trial.clone();
+        let touches = |id: &SourceId| scene.get(id.as_str()).filter(|spec| (self.touches)(spec));
+        if let Kind::Trial(change) = self.kind {
+            change(&mut trial, &touches, level, &mut rng);
+        }
+        for (id, signal) in &mut trial.signals {
+            let Some(spec) = touches(id) else { continue };
+            match (self.kind, signal) {
+                (Kind::Samples(change), Signal::Series(series)) => {
+                    for channel in 0..series.channels() {
+                        let spread = ChannelSpread::of(series.channel(channel));
+                        for x in series.view_mut().column_mut(channel) {
+                            *x = to_sample(change(f64::from(*x), spread, level));
+                        }
+                    }
+                }
+                (Kind::Series(change), Signal::Series(series)) => {
+                    change(spec, series, level, &mut rng);
+                }
+                (Kind::Pictures(change), Signal::Image(image)) => {
+                    change_picture(image, |rgb| change(rgb, level));
+                }
+                _ => {}
+            }
+        }
+        trial
+    }
 }
 
 fn any(_: &SourceSpec) -> bool {
@@ -126,53 +171,15 @@ fn is_picture(spec: &SourceSpec) -> bool {
     spec.domain == Domain::Image
 }
 
-/// Calls `change`, with the generator and the level, for each series if `touches` accepts its source.
-fn each_series(
-    trial: &mut Trial,
-    setting: &mut Setting<'_>,
-    touches: fn(&SourceSpec) -> bool,
-    mut change: impl FnMut(&SourceSpec, &mut Series, &mut ChaCha8Rng, f64),
-) {
-    for (id, signal) in &mut trial.signals {
-        if let (Some(spec), Signal::Series(series)) = (setting.scene.get(id.as_str()), signal)
-            && touches(spec)
-        {
-            change(spec, series, &mut setting.rng, setting.level);
-        }
-    }
-}
-
-/// Changes each sample of the series that `touches` accepts. `change` gets the sample, the mean,
-/// deviation and peak of its channel, and the level.
-fn each_sample(
-    trial: &mut Trial,
-    setting: &mut Setting<'_>,
-    touches: fn(&SourceSpec) -> bool,
-    change: impl Fn(f64, ChannelSpread, f64) -> f64,
-) {
-    each_series(trial, setting, touches, |_, series, _, level| {
-        for channel in 0..series.channels() {
-            let spread = ChannelSpread::of(series.channel(channel));
-            for x in series.view_mut().column_mut(channel) {
-                *x = to_sample(change(f64::from(*x), spread, level));
-            }
-        }
-    });
-}
-
 /// Converts to f32 and keeps the sample finite.
 fn to_sample(x: f64) -> f32 {
     x.clamp(f64::from(-f32::MAX), f64::from(f32::MAX)) as f32
 }
 
-/// Changes the pictures of a trial; `change` gets and returns RGB bytes.
-fn each_picture(trial: &mut Trial, change: impl Fn(&[u8]) -> Vec<u8>) {
-    for signal in trial.signals.values_mut() {
-        if let Signal::Image(image) = signal
-            && let Ok(changed) = Image::new(Image::COLS, Image::ROWS, change(image.rgb()))
-        {
-            *image = changed;
-        }
+/// Changes a picture; `change` gets and returns RGB bytes.
+fn change_picture(image: &mut Image, change: impl Fn(&[u8]) -> Vec<u8>) {
+    if let Ok(changed) = Image::new(Image::COLS, Image::ROWS, change(image.rgb())) {
+        *image = changed;
     }
 }
 
@@ -185,7 +192,7 @@ fn replace(series: &mut Series, samples: Vec<f32>) {
 
 /// Mean, deviation and largest magnitude of a channel.
 #[derive(Clone, Copy)]
-struct ChannelSpread {
+pub struct ChannelSpread {
     mean: f64,
     deviation: f64,
     peak: f64,
@@ -204,9 +211,6 @@ impl ChannelSpread {
         Self { mean, deviation: (squares / n - mean * mean).max(0.0).sqrt(), peak }
     }
 }
-
-/// Changes a library by a level. The generator is seeded for this disturbance, level and fold.
-pub type LibraryChange = fn(Vec<Entry>, f64, &mut ChaCha8Rng) -> Vec<Entry>;
 
 /// Keeps at most `most` trials of each surface, picked at random.
 pub fn few(library: Vec<Entry>, most: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
@@ -264,7 +268,6 @@ mod tests {
 
     use super::*;
     use crate::dataset::synth::{self, Parameters};
-    use crate::scene::SourceId;
     use crate::seed;
     use crate::trial::TrialKey;
 
@@ -280,14 +283,11 @@ mod tests {
     }
 
     fn disturbed(d: &Disturbance, level: f64, trial: &Trial, scene: &Scene, seed: u64) -> Trial {
-        let Kind::Query(change) = d.kind else { panic!("{} is for the library", d.name) };
-        let mut trial = trial.clone();
-        change(&mut trial, &mut Setting { level, scene, rng: seed::rng(seed, &[b"test"]) });
-        trial
+        d.disturbed(trial, level, scene, seed::rng(seed, &[b"test"]))
     }
 
     fn of_queries() -> Vec<Disturbance> {
-        all().into_iter().filter(|d| matches!(d.kind, Kind::Query(_))).collect()
+        all().into_iter().filter(|d| !matches!(d.kind, Kind::Library(_))).collect()
     }
 
     #[test]

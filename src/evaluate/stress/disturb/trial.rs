@@ -4,10 +4,7 @@ use std::f64::consts::TAU;
 
 use rand_chacha::ChaCha8Rng;
 
-use super::{
-    ChannelSpread, Setting, analog, drag, each_picture, each_sample, each_series, many_channels,
-    replace, sensed, slow as in_time, sound, to_sample,
-};
+use super::{ChannelSpread, Touches, change_picture, replace, to_sample};
 use crate::scene::SourceSpec;
 use crate::seed::{nearly_normal, uniform};
 use crate::trial::{Image, Series, Signal, Trial};
@@ -16,41 +13,35 @@ use crate::trial::{Image, Series, Signal, Trial};
 const FORCE_POWER: f64 = 0.7;
 
 /// Multiplies every analog series by a factor, like a higher gain of all amplifiers.
-pub fn gain(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_sample(trial, setting, analog, |x, _, factor| factor * x);
+pub fn gain(x: f64, _: ChannelSpread, factor: f64) -> f64 {
+    factor * x
 }
 
 /// Presses harder: loads grow by a factor, vibrations less, and reflectance stays the same.
-pub fn force(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, analog, |spec, series, _, factor| {
-        let gain = match spec.id.as_str() {
-            "ir" => 1.0,
-            "fr" => factor,
-            _ => factor.powf(FORCE_POWER),
-        };
-        series.view_mut().mapv_inplace(|x| to_sample(gain * f64::from(x)));
-    });
+pub fn force(spec: &SourceSpec, series: &mut Series, factor: f64, _: &mut ChaCha8Rng) {
+    let gain = match spec.id.as_str() {
+        "ir" => 1.0,
+        "fr" => factor,
+        _ => factor.powf(FORCE_POWER),
+    };
+    series.view_mut().mapv_inplace(|x| to_sample(gain * f64::from(x)));
 }
 
 /// Adds a constant to each channel; the level is in standard deviations of the channel.
-pub fn offset(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_sample(trial, setting, analog, |x, spread, level| x + level * spread.deviation);
+pub fn offset(x: f64, spread: ChannelSpread, level: f64) -> f64 {
+    x + level * spread.deviation
 }
 
 /// Clips each channel at a distance from its mean: level · (peak − |mean|).
-pub fn saturation(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_sample(trial, setting, analog, |x, spread, share| {
-        let limit = share * (spread.peak - spread.mean.abs()).max(spread.deviation);
-        spread.mean + (x - spread.mean).clamp(-limit, limit)
-    });
+pub fn saturation(x: f64, spread: ChannelSpread, share: f64) -> f64 {
+    let limit = share * (spread.peak - spread.mean.abs()).max(spread.deviation);
+    spread.mean + (x - spread.mean).clamp(-limit, limit)
 }
 
 /// Rounds to a number of bits, with the channel's largest magnitude as full scale.
-pub fn quantisation(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_sample(trial, setting, analog, |x, spread, bits| {
-        let step = 2.0 * spread.peak / bits.exp2();
-        if step > 0.0 { (x / step).round() * step } else { x }
-    });
+pub fn quantisation(x: f64, spread: ChannelSpread, bits: f64) -> f64 {
+    let step = 2.0 * spread.peak / bits.exp2();
+    if step > 0.0 { (x / step).round() * step } else { x }
 }
 
 const SLIPS_HZ: f64 = 5.0;
@@ -60,26 +51,25 @@ const IN_THE_AIR: f64 = 0.02;
 
 /// The stylus sticks and slips five times a second: at each slip, every signal of the drag loses a
 /// share of its strength, which is the level, and then swells again.
-pub fn stick_slip(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, drag, |spec, series, _, depth| {
-        if spec.sigma.is_some() {
-            return;
-        }
-        let rate_hz = series.rate_hz();
-        for (i, mut row) in series.view_mut().rows_mut().into_iter().enumerate() {
-            let phase = (i as f64 / rate_hz * SLIPS_HZ).fract();
-            let gain = 1.0 - depth * (1.0 - phase);
-            row.mapv_inplace(|x| to_sample(gain * f64::from(x)));
-        }
-    });
+pub fn stick_slip(spec: &SourceSpec, series: &mut Series, depth: f64, _: &mut ChaCha8Rng) {
+    if spec.sigma.is_some() {
+        return;
+    }
+    let rate_hz = series.rate_hz();
+    for (i, mut row) in series.view_mut().rows_mut().into_iter().enumerate() {
+        let phase = (i as f64 / rate_hz * SLIPS_HZ).fract();
+        let gain = 1.0 - depth * (1.0 - phase);
+        row.mapv_inplace(|x| to_sample(gain * f64::from(x)));
+    }
 }
 
 /// The stylus leaves the surface for 100 ms at a time, in all sources at once. The level is the mean
 /// share of the drag in the air.
-pub fn lift_offs(trial: &mut Trial, setting: &mut Setting<'_>) {
+pub fn lift_offs(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaCha8Rng) {
     let pieces = (trial.longest_s(|_| true).unwrap_or(0.0) / LIFT_S).ceil() as usize;
-    let up: Vec<bool> = (0..pieces).map(|_| uniform(&mut setting.rng) < setting.level).collect();
-    each_series(trial, setting, drag, |_, series, _, _| {
+    let up: Vec<bool> = (0..pieces).map(|_| uniform(rng) < level).collect();
+    for (id, signal) in &mut trial.signals {
+        let (Signal::Series(series), Some(_)) = (signal, touches(id)) else { continue };
         let rate_hz = series.rate_hz();
         for (i, mut row) in series.view_mut().rows_mut().into_iter().enumerate() {
             let piece = (i as f64 / rate_hz / LIFT_S) as usize;
@@ -87,27 +77,22 @@ pub fn lift_offs(trial: &mut Trial, setting: &mut Setting<'_>) {
                 row.mapv_inplace(|x| to_sample(IN_THE_AIR * f64::from(x)));
             }
         }
-    });
+    }
 }
 
 /// Makes sensors dead, as many as the level says: series become zeros, and pictures black.
-pub fn dead(trial: &mut Trial, setting: &mut Setting<'_>) {
-    for signal in picked(trial, setting, sensed) {
+pub fn dead(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaCha8Rng) {
+    for signal in picked(trial, touches, level, rng) {
         match signal {
             Signal::Series(series) => series.view_mut().fill(0.0),
-            Signal::Image(image) => {
-                let black = vec![0; image.rgb().len()];
-                if let Ok(black) = Image::new(Image::COLS, Image::ROWS, black) {
-                    *image = black;
-                }
-            }
+            Signal::Image(image) => change_picture(image, |rgb| vec![0; rgb.len()]),
         }
     }
 }
 
 /// Makes sensors stuck, as many as the level says: a series repeats its first value.
-pub fn stuck(trial: &mut Trial, setting: &mut Setting<'_>) {
-    for signal in picked(trial, setting, analog) {
+pub fn stuck(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaCha8Rng) {
+    for signal in picked(trial, touches, level, rng) {
         if let Signal::Series(series) = signal {
             let first = series.view().row(0).to_owned();
             series.view_mut().rows_mut().into_iter().for_each(|mut row| row.assign(&first));
@@ -116,96 +101,84 @@ pub fn stuck(trial: &mut Trial, setting: &mut Setting<'_>) {
 }
 
 /// Rotates the channels by the level: if it is 1, the second takes the place of the first, and so on.
-pub fn swapped(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, many_channels, |_, series, _, by| {
-        for mut row in series.view_mut().rows_mut() {
-            if let Some(row) = row.as_slice_mut() {
-                let by = by as usize % row.len();
-                row.rotate_left(by);
-            }
+pub fn swapped(_: &SourceSpec, series: &mut Series, by: f64, _: &mut ChaCha8Rng) {
+    for mut row in series.view_mut().rows_mut() {
+        if let Some(row) = row.as_slice_mut() {
+            let by = by as usize % row.len();
+            row.rotate_left(by);
         }
-    });
+    }
 }
 
 /// Picks as many signals as the level says, at random; at least one signal remains unpicked.
 fn picked<'t>(
     trial: &'t mut Trial,
-    setting: &mut Setting<'_>,
-    touches: fn(&SourceSpec) -> bool,
+    touches: Touches<'_>,
+    level: f64,
+    rng: &mut ChaCha8Rng,
 ) -> Vec<&'t mut Signal> {
-    let rng = &mut setting.rng;
     let all = trial.signals.len();
     let mut signals: Vec<(f64, &mut Signal)> = (trial.signals.iter_mut())
-        .filter(|(id, _)| setting.scene.get(id.as_str()).is_some_and(touches))
+        .filter(|(id, _)| touches(id).is_some())
         .map(|(_, signal)| (uniform(rng), signal))
         .collect();
     signals.sort_by(|a, b| a.0.total_cmp(&b.0));
-    signals.truncate((setting.level as usize).min(all.saturating_sub(1)));
+    signals.truncate((level as usize).min(all.saturating_sub(1)));
     signals.into_iter().map(|(_, signal)| signal).collect()
 }
 
 const GAP_S: f64 = 0.05;
 
 /// Drops exactly a share of the frames, at random places; later frames move up.
-pub fn dropped(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, drag, |_, series, rng, share| {
-        let mut left = series.frames();
-        let mut wanted = ((1.0 - share) * left as f64).round() as usize;
-        // Selection sampling (Knuth, The Art of Computer Programming 2, 3.4.2, algorithm S).
-        let keep = |_: &&[f32]| {
-            let keep = uniform(rng) * (left as f64) < wanted as f64;
-            left -= 1;
-            wanted -= usize::from(keep);
-            keep
-        };
-        let frames = series.samples().chunks_exact(series.channels());
-        let kept = frames.filter(keep).flatten().copied().collect();
-        replace(series, kept);
-    });
+pub fn dropped(_: &SourceSpec, series: &mut Series, share: f64, rng: &mut ChaCha8Rng) {
+    let mut left = series.frames();
+    let mut wanted = ((1.0 - share) * left as f64).round() as usize;
+    // Selection sampling (Knuth, The Art of Computer Programming 2, 3.4.2, algorithm S).
+    let keep = |_: &&[f32]| {
+        let keep = uniform(rng) * (left as f64) < wanted as f64;
+        left -= 1;
+        wanted -= usize::from(keep);
+        keep
+    };
+    let frames = series.samples().chunks_exact(series.channels());
+    let kept = frames.filter(keep).flatten().copied().collect();
+    replace(series, kept);
 }
 
 /// Holds the last value during gaps of 50 ms; the level is the mean share of time in gaps.
-pub fn gaps(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, drag, |_, series, rng, share| {
-        let (channels, piece) = (series.channels(), (GAP_S * series.rate_hz()).ceil() as usize);
-        let mut samples = series.samples().to_vec();
-        for start in (piece..series.frames()).step_by(piece.max(1)) {
-            if uniform(rng) < share {
-                let end = (start + piece).min(series.frames());
-                let held = samples[(start - 1) * channels..start * channels].to_vec();
-                for frame in samples[start * channels..end * channels].chunks_exact_mut(channels) {
-                    frame.copy_from_slice(&held);
-                }
+pub fn gaps(_: &SourceSpec, series: &mut Series, share: f64, rng: &mut ChaCha8Rng) {
+    let (channels, piece) = (series.channels(), (GAP_S * series.rate_hz()).ceil() as usize);
+    let mut samples = series.samples().to_vec();
+    for start in (piece..series.frames()).step_by(piece.max(1)) {
+        if uniform(rng) < share {
+            let end = (start + piece).min(series.frames());
+            let held = samples[(start - 1) * channels..start * channels].to_vec();
+            for frame in samples[start * channels..end * channels].chunks_exact_mut(channels) {
+                frame.copy_from_slice(&held);
             }
         }
-        replace(series, samples);
-    });
+    }
+    replace(series, samples);
 }
 
 /// Makes the clock wrong by the level, in percent, so that pitch and length change.
-pub fn clock(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, analog, |_, series, _, percent| {
-        stretch(series, 1.0 + percent / 100.0);
-    });
+pub fn clock(_: &SourceSpec, series: &mut Series, percent: f64, _: &mut ChaCha8Rng) {
+    stretch(series, 1.0 + percent / 100.0);
 }
 
 /// Keeps only the first seconds of the drag; the level is their number.
-pub fn short(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, drag, |_, series, _, seconds| {
-        let frames = (seconds * series.rate_hz()).round() as usize;
-        *series = series.crop(0, frames);
-    });
+pub fn short(_: &SourceSpec, series: &mut Series, seconds: f64, _: &mut ChaCha8Rng) {
+    let frames = (seconds * series.rate_hz()).round() as usize;
+    *series = series.crop(0, frames);
 }
 
 /// Moves the hand slower by a factor, the level, in a scan of the same length. So the time between
 /// independent samples is longer than T* by that factor.
-pub fn slow(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, in_time, |_, series, _, factor| {
-        let frames = series.frames();
-        *series = series.crop(0, (frames as f64 / factor).ceil() as usize);
-        stretch(series, 1.0 / factor);
-        *series = series.crop(0, frames);
-    });
+pub fn slow(_: &SourceSpec, series: &mut Series, factor: f64, _: &mut ChaCha8Rng) {
+    let frames = series.frames();
+    *series = series.crop(0, (frames as f64 / factor).ceil() as usize);
+    stretch(series, 1.0 / factor);
+    *series = series.crop(0, frames);
 }
 
 /// Reads a series `pace` times as fast, by linear interpolation.
@@ -237,22 +210,20 @@ const HUM_HZ: [f64; 3] = [50.0, 100.0, 150.0];
 const HUM_SHARE: f64 = 0.2;
 
 /// Adds white noise; the level is the ratio of the signal's deviation to the noise's, in dB.
-pub fn white(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, analog, |_, series, rng, db| {
-        add(series, db, rng, |rng, frames, _| {
-            (0..frames).map(|_| f64::from(nearly_normal(rng))).collect()
-        });
+pub fn white(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
+    add(series, db, rng, |rng, frames, _| {
+        (0..frames).map(|_| f64::from(nearly_normal(rng))).collect()
     });
 }
 
 /// Adds noise that is strongest at low frequencies, as from handling, cables and drift.
-pub fn red(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, analog, |_, series, rng, db| add(series, db, rng, red_noise));
+pub fn red(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
+    add(series, db, rng, red_noise);
 }
 
 /// Adds room noise to the microphone's sources: red noise that swells and fades, and hum.
-pub fn room(trial: &mut Trial, setting: &mut Setting<'_>) {
-    each_series(trial, setting, sound, |_, series, rng, db| add(series, db, rng, room_noise));
+pub fn room(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
+    add(series, db, rng, room_noise);
 }
 
 fn red_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
@@ -300,44 +271,33 @@ fn add(
 }
 
 /// Darkens pictures by a factor; dark areas lose detail to rounding.
-pub fn dark(trial: &mut Trial, setting: &mut Setting<'_>) {
-    let factor = setting.level;
-    each_picture(trial, |rgb| rgb.iter().map(|&x| (f64::from(x) * factor).round() as u8).collect());
+pub fn dark(rgb: &[u8], factor: f64) -> Vec<u8> {
+    rgb.iter().map(|&x| (f64::from(x) * factor).round() as u8).collect()
 }
 
 /// Makes the light warmer, in that the ratio of red to blue grows by a factor.
-pub fn tint(trial: &mut Trial, setting: &mut Setting<'_>) {
-    let root = setting.level.sqrt();
-    let gains = [root, 1.0, 1.0 / root];
-    each_picture(trial, |rgb| {
-        let channel = |(i, &x): (usize, &u8)| (f64::from(x) * gains[i % 3]).round() as u8;
-        rgb.iter().enumerate().map(channel).collect()
-    });
+pub fn tint(rgb: &[u8], ratio: f64) -> Vec<u8> {
+    let gains = [ratio.sqrt(), 1.0, 1.0 / ratio.sqrt()];
+    let channel = |(i, &x): (usize, &u8)| (f64::from(x) * gains[i % 3]).round() as u8;
+    rgb.iter().enumerate().map(channel).collect()
 }
 
 /// Shifts pictures by the level, in pixels, along rows and columns, cyclically.
-pub fn shift(trial: &mut Trial, setting: &mut Setting<'_>) {
-    let by = setting.level as usize;
-    each_picture(trial, |rgb| {
-        let mut moved = Vec::with_capacity(rgb.len());
-        for row in 0..Image::ROWS {
-            let from = (row + by) % Image::ROWS * Image::COLS * 3;
-            let line = &rgb[from..from + Image::COLS * 3];
-            let cut = by % Image::COLS * 3;
-            moved.extend_from_slice(&line[cut..]);
-            moved.extend_from_slice(&line[..cut]);
-        }
-        moved
-    });
+pub fn shift(rgb: &[u8], pixels: f64) -> Vec<u8> {
+    let width = Image::COLS * 3;
+    let mut moved = rgb.to_vec();
+    moved.rotate_left(pixels as usize % Image::ROWS * width);
+    for line in moved.chunks_exact_mut(width) {
+        line.rotate_left(pixels as usize % Image::COLS * 3);
+    }
+    moved
 }
 
-/// Blurs pictures. A pixel becomes the mean over a square that extends `level` pixels to each side.
-pub fn blur(trial: &mut Trial, setting: &mut Setting<'_>) {
-    let radius = setting.level as usize;
-    each_picture(trial, |rgb| {
-        let across = blur_lines(rgb, Image::ROWS, Image::COLS, Image::COLS * 3, 3, radius);
-        blur_lines(&across, Image::COLS, Image::ROWS, 3, Image::COLS * 3, radius)
-    });
+/// Blurs pictures. A pixel becomes the mean over a square that extends `radius` pixels to each side.
+pub fn blur(rgb: &[u8], radius: f64) -> Vec<u8> {
+    let radius = radius as usize;
+    let across = blur_lines(rgb, Image::ROWS, Image::COLS, Image::COLS * 3, 3, radius);
+    blur_lines(&across, Image::COLS, Image::ROWS, 3, Image::COLS * 3, radius)
 }
 
 /// Takes running means along `lines` lines, which begin `line_step` bytes apart. Each has `len` pixels,
