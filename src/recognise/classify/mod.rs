@@ -285,19 +285,14 @@ fn by_surface(
     log_scores: &[f64],
     query: ArrayView1<'_, f64>,
 ) -> Vec<Candidate> {
-    let mut nearest: Vec<Option<(f64, usize)>> = vec![None; training.surfaces.len()];
-    for (i, (row, &class)) in training.features.rows().into_iter().zip(&training.class).enumerate()
-    {
-        let distance = squared_distance(row, query);
-        if nearest[class].is_none_or(|(least, _)| distance < least) {
-            nearest[class] = Some((distance, i));
-        }
-    }
-    (nearest.into_iter().zip(log_scores))
-        .filter_map(|(nearest, &log_ds)| {
-            Some(Candidate { key: training.keys[nearest?.1].clone(), log_ds })
-        })
-        .collect()
+    let distances = training.features.rows().into_iter().map(|row| squared_distance(row, query));
+    let distances: Vec<f64> = distances.collect();
+    let candidate = |(class, &log_ds): (usize, &f64)| {
+        let of_class = (0..distances.len()).filter(|&i| training.class[i] == class);
+        let nearest = of_class.min_by(|&a, &b| distances[a].total_cmp(&distances[b]))?;
+        Some(Candidate { key: training.keys[nearest].clone(), log_ds })
+    };
+    log_scores.iter().enumerate().filter_map(candidate).collect()
 }
 
 fn squared_distance(a: ArrayView1<'_, f64>, b: ArrayView1<'_, f64>) -> f64 {

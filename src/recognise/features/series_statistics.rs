@@ -1,6 +1,6 @@
 //! Features of a series: moments and ratios in time, and a log-band spectrum.
 
-use super::windowed_frames::{FrameView, VIEWS};
+use super::windowed_frames::{FrameView, VIEWS, points};
 use crate::scene::Domain;
 use crate::trial::Series;
 
@@ -22,7 +22,8 @@ pub fn features(series: &Series, domain: &Domain) -> Vec<f64> {
         Domain::Spectrum { band_hz } => (VIEWS[0].0, VIEWS[0].1, band_hz),
         Domain::Time { .. } | Domain::Image => (SLOW.0, SLOW.1, (0.0, SLOW.2)),
     };
-    let view = FrameView::new(series.rate_hz(), series.channels(), band_hz, frame_s, bands);
+    let (rate_hz, channels) = (series.rate_hz(), series.channels());
+    let view = FrameView::new(points(frame_s, rate_hz), rate_hz, channels, band_hz, bands);
     features.extend(levels(&view, series.samples()));
     features
 }

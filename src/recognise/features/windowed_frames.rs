@@ -34,22 +34,15 @@ pub struct FrameView {
     pub edges: Vec<usize>,
 }
 
-impl FrameView {
-    /// A view with frames of `frame_s` seconds, rounded (in log2) to a power of two of samples. It has
-    /// at most `bands` bands; each band is at least one bin wide, and none lies above half the rate.
-    pub fn new(
-        rate_hz: f64,
-        channels: usize,
-        band_hz: (f64, f64),
-        frame_s: f64,
-        bands: usize,
-    ) -> Self {
-        let exponent = (frame_s * rate_hz).log2().round().clamp(1.0, 24.0);
-        Self::of_points(1 << exponent as u32, rate_hz, channels, band_hz, bands)
-    }
+/// The number of samples in a frame of `frame_s` seconds, rounded (in log2) to a power of two.
+pub(super) fn points(frame_s: f64, rate_hz: f64) -> usize {
+    1 << (frame_s * rate_hz).log2().round().clamp(1.0, 24.0) as u32
+}
 
-    /// A view with frames of `points` samples, a power of two.
-    pub fn of_points(
+impl FrameView {
+    /// A view with frames of `points` samples, a power of two. It has at most `bands` bands; each band is
+    /// at least one bin wide, and none lies above half the rate.
+    pub fn new(
         points: usize,
         rate_hz: f64,
         channels: usize,
@@ -241,7 +234,7 @@ mod tests {
 
     fn view(index: usize) -> FrameView {
         let (frame_s, bands) = VIEWS[index];
-        FrameView::new(44_100.0, 1, (0.0, 7500.0), frame_s, bands)
+        FrameView::new(points(frame_s, 44_100.0), 44_100.0, 1, (0.0, 7500.0), bands)
     }
 
     #[test]
@@ -262,15 +255,16 @@ mod tests {
             ]
         );
         assert_eq!((view(0).points, view(1).points), (2048, 512));
-        let slow = FrameView::new(10_000.0, 3, (0.0, 1000.0), VIEWS[1].0, VIEWS[1].1);
+        let (points, bands) = (points(VIEWS[1].0, 10_000.0), VIEWS[1].1);
+        let slow = FrameView::new(points, 10_000.0, 3, (0.0, 1000.0), bands);
         assert_eq!((slow.points, slow.edges.last()), (128, Some(&13)));
     }
 
     #[test]
     fn a_band_above_half_the_rate_or_of_no_width_still_has_a_bin() {
-        assert_eq!(FrameView::new(100.0, 1, (300.0, 400.0), 0.1, 8).bands(), 1);
-        assert!(FrameView::new(100.0, 1, (20.0, 20.01), 0.1, 8).edges.len() > 1);
-        let narrow = FrameView::new(44_100.0, 1, (0.0, 80.0), 0.0464, 40);
+        assert_eq!(FrameView::new(8, 100.0, 1, (300.0, 400.0), 8).bands(), 1);
+        assert!(FrameView::new(8, 100.0, 1, (20.0, 20.01), 8).edges.len() > 1);
+        let narrow = FrameView::new(2048, 44_100.0, 1, (0.0, 80.0), 40);
         assert_eq!(narrow.edges.last(), Some(&4), "80 Hz are fewer than four bins of 21.5 Hz");
     }
 

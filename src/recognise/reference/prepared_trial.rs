@@ -14,7 +14,7 @@ use crate::trial::{Signal, Trial, TrialKey};
 /// One source of a trial, cut to some length and sampled.
 pub struct SampledSource {
     /// One set of samples for each repetition; empty if positions are drawn for each pair of trials.
-    pub sets: Vec<SampleSet>,
+    pub sets: Vec<Arc<SampleSet>>,
     /// All samples; `None` unless positions are drawn for each pair of trials.
     pub domain: Option<DomainSamples>,
 }
@@ -74,7 +74,7 @@ impl PreparedTrial {
         let mut sources = Vec::new();
         for (id, shape) in &self.shapes {
             let (_, cut) = cuts.get(id)?.first()?;
-            sources.push((id, shape, &cut.sets));
+            sources.push((id, shape, cut.sets.iter().map(|set| &**set).collect::<Vec<_>>()));
         }
         let sampled = sources.iter().all(|(_, _, sets)| !sets.is_empty());
         sampled.then(|| postcard::to_allocvec(&sources).ok())?
@@ -89,6 +89,7 @@ impl PreparedTrial {
                 return None;
             }
             let frames = shape.map_or(0, |(_, frames)| frames);
+            let sets = sets.into_iter().map(Arc::new).collect();
             shapes.insert(id.clone(), shape);
             cuts.insert(id, vec![(frames, Arc::new(SampledSource { sets, domain: None }))]);
         }
