@@ -57,13 +57,12 @@ pub(super) fn judge(
     settled_s: Option<f64>,
 ) -> (AnswerState, Vec<String>) {
     let Verdict { ranking, rejection, .. } = verdict;
-    let of = ranking.ranked.len();
-    if let (Some(p), Some(rejection), true) = (ranking.p_value, rejection, verdict.is_unknown()) {
-        let reason = format!(
-            "matches none of your {of} surfaces (p = {}; unknown at {} or below)",
-            digits(p),
-            digits(rejection.rate)
-        );
+    if let (Some(p), Some(rejection)) = (ranking.p_value, rejection)
+        && rejection.rejects(p)
+    {
+        let (of, p, rate) = (ranking.ranked.len(), digits(p), digits(rejection.rate));
+        let reason =
+            format!("matches none of your {of} surfaces (p = {p}; unknown at {rate} or below)");
         return (AnswerState::Unknown, vec![reason]);
     }
     let doubts = doubts(verdict, scan, settled_s);
@@ -114,9 +113,8 @@ fn doubts(verdict: &Verdict, scan: &Scan, settled_s: Option<f64>) -> Vec<String>
         _ => {}
     }
     if let Some(confidence) = ranking.confidence.filter(|confidence| *confidence < EVEN) {
-        let percent = 100.0 * confidence;
-        doubts
-            .push(format!("{} is the most probable surface, by {percent:.0} %", ranking.surface()));
+        let (percent, surface) = (100.0 * confidence, ranking.surface());
+        doubts.push(format!("{surface} is the most probable surface, by {percent:.0} %"));
     }
     doubts
 }

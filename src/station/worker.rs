@@ -9,10 +9,10 @@ use crossbeam_channel::{Receiver, Sender};
 use super::answer::{Answer, AnswerState, Unnamed};
 use super::certainty::{Verdict, judge, unknown_share};
 use super::event::{AnsweredScan, Guess, SurfaceProbability};
-use super::recogniser::{Ranked, Recogniser};
+use super::recogniser::{FlawsBySource, Recogniser};
 use super::store::StoredScan;
 use super::trial_need::{Purpose, TrialNeed};
-use crate::recognise::{Follower, FreshFrames, GuessSoFar, RecogniseError};
+use crate::recognise::{Follower, FreshFrames, GuessSoFar, Ranking, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::SourceId;
 
@@ -102,8 +102,13 @@ fn name(
         Err(why) => return unnamed(scan, &why, latency_ms(), false),
     };
     let ranked = followed.finish(&scan, &by);
-    let ranked = || ranked.map_or_else(|| by.rank(&scan), Ok);
-    let verdict = caught(|| ranked().map(|ranked| by.verdict(&scan, ranked)));
+    let verdict = caught(|| -> Result<_, RecogniseError> {
+        let (ranking, flaws) = match ranked {
+            Some(ranked) => ranked,
+            None => (by.rank(&scan)?, FlawsBySource::new()),
+        };
+        Ok(by.verdict(&scan, ranking, flaws))
+    });
     let latency_ms = latency_ms();
     let (why, too_little) = match verdict {
         Some(Ok(verdict)) => {
@@ -149,7 +154,7 @@ fn named(
 /// The surface that the recogniser names for a scan kept as a trial.
 fn nearest(stored: &StoredScan) -> Option<String> {
     let (scan, by) = stored.kept.as_ref()?;
-    let verdict = caught(|| Some(by.verdict(scan, by.rank(scan).ok()?)))??;
+    let verdict = caught(|| Some(by.verdict(scan, by.rank(scan).ok()?, FlawsBySource::new())))??;
     (!verdict.is_unknown()).then(|| verdict.ranking.surface().to_string())
 }
 
@@ -190,7 +195,8 @@ impl Followed {
                 Some(Err(_)) | None => self.follower = None,
             }
         }
-        let mut news = Guess::nothing(progress.number, progress.scan_s);
+        let (scan, scan_s) = (progress.number, progress.scan_s);
+        let mut news = Guess { scan, scan_s, ..Guess::default() };
         if let Some(guess) = &self.last {
             let named = guess.named.iter().cloned();
             let name = |(surface, probability)| SurfaceProbability { surface, probability };
@@ -209,9 +215,9 @@ impl Followed {
         news
     }
 
-    /// The ranking of a scan, computed from the sums of its follower. `None` if the scan was not
+    /// The ranking of a scan, computed from the sums of its follower, and the flaws of its sources. `None` if the scan was not
     /// followed, lost samples, or began with another library; then `rank` compares the whole scan.
-    fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranked> {
+    fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<(Ranking, FlawsBySource)> {
         let (followed_by, follower) =
             self.follower.as_mut().filter(|_| self.scan == scan.number)?;
         let whole = scan.lost_samples == 0 && scan.spoiled.is_empty();
@@ -220,8 +226,7 @@ impl Followed {
         }
         let ranking = caught(|| follower.finish(&scan.trial)).flatten()?;
         let flaws_of = |id: &SourceId| Some((id.clone(), follower.flaws(id)?));
-        let flaws = scan.trial.signals.keys().filter_map(flaws_of).collect();
-        Some(Ranked { ranking, flaws })
+        Some((ranking, scan.trial.signals.keys().filter_map(flaws_of).collect()))
     }
 
     /// The scan time, in seconds, at which the answer to a scan was settled.
