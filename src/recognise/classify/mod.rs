@@ -13,8 +13,6 @@ mod neighbours;
 mod smartcore_models;
 mod svm;
 
-pub use neighbours::Distance;
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -57,7 +55,10 @@ pub enum Classifier {
     /// Support vector machines with RBF kernel, one for each pair of surfaces.
     Svm,
     /// k nearest neighbours; k is chosen by naming each library trial by the others.
-    Neighbours(Distance),
+    Neighbours,
+    /// The same with features decorrelated by the library's covariance, which is shrunk towards the
+    /// identity by a tenth.
+    Mahalanobis,
     /// AdaBoost for many classes (SAMME, Zhu et al. 2009, "Multi-class AdaBoost"): 50 trees, each
     /// trained on trials drawn by weight, and at most two levels deeper than one leaf per surface
     /// needs.
@@ -76,7 +77,8 @@ impl Classifier {
         match self {
             Self::NaiveBayes => smartcore_models::naive_bayes(training),
             Self::Svm => svm::learn(training),
-            Self::Neighbours(distance) => neighbours::learn(training, distance),
+            Self::Neighbours => neighbours::learn(training, false),
+            Self::Mahalanobis => neighbours::learn(training, true),
             Self::AdaBoost { seed } => smartcore_models::boosted(training, seed),
             Self::RandomForest { seed } => smartcore_models::forest(training, seed),
         }
