@@ -83,11 +83,6 @@ impl Classifier {
             Self::RandomForest { seed } => smartcore_models::forest(training, seed),
         }
     }
-
-    /// Whether 1/(score of a surface) is a probability.
-    fn states_probabilities(self) -> bool {
-        matches!(self, Self::NaiveBayes | Self::RandomForest { .. })
-    }
 }
 
 /// A library in the form that classifiers are trained on.
@@ -275,8 +270,10 @@ impl Model for FeatureModel {
         };
         // There is at least one candidate, since the library has at least one trial.
         let mut ranking = rank(candidates, k, sources).expect("at least one candidate");
-        ranking.confidence =
-            classifier.states_probabilities().then(|| ranking.ranked[0].score.recip());
+        // The scores of these two are the inverse of probabilities.
+        if let Classifier::NaiveBayes | Classifier::RandomForest { .. } = classifier {
+            ranking.confidence = Some(ranking.ranked[0].score.recip());
+        }
         Ok(ranking)
     }
 }

@@ -93,7 +93,9 @@ impl FrameView {
         let (width, hop, channels) = (self.width(), self.hop(), self.channels);
         let mut values = vec![0.0; self.frames_in(samples.len() / channels) * width];
         values.par_chunks_mut(width * FRAMES_A_TASK).enumerate().for_each(|(task, rows)| {
-            with_workspace(self.points, |workspace| {
+            WORKSPACES.with_borrow_mut(|all| {
+                let new = || Workspace::new(self.points);
+                let workspace = all.entry(self.points).or_insert_with(new);
                 for (i, row) in rows.chunks_exact_mut(width).enumerate() {
                     let start = (task * FRAMES_A_TASK + i) * hop * channels;
                     let frame = &samples[start..start + self.points * channels];
@@ -157,12 +159,6 @@ struct Workspace {
 
 thread_local! {
     static WORKSPACES: RefCell<HashMap<usize, Workspace>> = RefCell::new(HashMap::new());
-}
-
-fn with_workspace(points: usize, work: impl FnOnce(&mut Workspace)) {
-    WORKSPACES.with_borrow_mut(|all| {
-        work(all.entry(points).or_insert_with(|| Workspace::new(points)));
-    });
 }
 
 impl Workspace {
