@@ -58,7 +58,7 @@ impl SourceViews {
         let (low, high) = spec.domain.band_hz().unwrap_or((0.0, UNSAID_HZ));
         let band_hz = (low, high.min(0.5 * library_hz));
         let view = |points: usize, bands| {
-            FrameView::new(at_rate(points), rate_hz, spec.channels, band_hz, bands)
+            FrameView::of_points(at_rate(points), rate_hz, spec.channels, band_hz, bands)
         };
         Self([view(long.max(FEWEST), BANDS[0]), view(short, BANDS[1])])
     }
