@@ -32,7 +32,7 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .merge(library::router())
         .route("/library", get(library))
         .route("/events", get(events))
-        .route("/openapi.json", file("application/json", include_str!("openapi.json")))
+        .route("/openapi.json", get(open_api))
         .route("/start", order_by_post("start", Command::Start))
         .route("/stop", order_by_post("stop", Command::Stop))
         .route("/reload", order_by_post("reload", Command::Reload))
@@ -117,6 +117,10 @@ struct KeepRefused {
 async fn keep_refused(State(hub): Shared, said: Said) -> Result<Response, Problem> {
     let KeepRefused { scan } = body(said, "{\"scan\": 7}")?;
     send(&hub, "enroll/keep", Command::KeepRefused(scan))
+}
+
+async fn open_api() -> Response {
+    ([(CONTENT_TYPE, "application/json")], include_str!("openapi.json")).into_response()
 }
 
 fn order_by_post(accepted: &'static str, order: Command) -> MethodRouter<Arc<Hub>> {

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use serde::{Serialize, Serializer};
 
-use super::answer::{AnswerState, Damage, Remark, RemarkKind};
-use super::certainty::{Verdict, so_far};
+use super::answer::{Answer, AnswerState, Damage, Remark, RemarkKind};
+use super::certainty::{judge, so_far, unknown_share};
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
@@ -216,16 +216,37 @@ impl Recogniser {
         self.trials.get(key)
     }
 
-    /// The verdict on a scan with this ranking; `known` are the flaws found while the scan was followed.
-    pub fn verdict(&self, scan: &Scan, ranking: Ranking, known: FlawsBySource) -> Verdict {
-        let rejection = self.model(scan.truth.as_ref()).1.rejection.clone();
-        let needed_s = self.needed_s;
+    /// The answer to a scan with this ranking; `known` are the flaws found while the scan was followed,
+    /// and `settled_s` is when the answer was settled.
+    pub(super) fn answer(
+        &self,
+        scan: &Scan,
+        ranking: Ranking,
+        known: FlawsBySource,
+        settled_s: Option<f64>,
+    ) -> Answer {
+        let rejection = self.model(scan.truth.as_ref()).1.rejection.as_ref();
         let flaws = self.flaws(scan, known);
-        let damage = self.damage(scan.truth.as_ref(), &flaws);
         let remarks = self.remarks(scan, &ranking, &flaws);
         let left_out = self.left_out(scan, &ranking, &remarks);
-        let lacking = self.lacking(scan).cloned().collect();
-        Verdict { needed_s, rejection, left_out, lacking, remarks, damage, ranking }
+        let lacking: Vec<&str> = self.lacking(scan).map(SourceId::as_str).collect();
+        let mut answer = Answer {
+            margin: ranking.margin,
+            confidence: ranking.confidence,
+            fit: ranking.p_value,
+            unknown: unknown_share(ranking.p_value, rejection),
+            settled_s,
+            sources: ranking.sources,
+            needed_s: self.needed_s,
+            remarks,
+            ranked: ranking.ranked,
+            ..Answer::of(scan, 0.0)
+        };
+        answer.damage.extend(self.damage(scan.truth.as_ref(), &flaws));
+        (answer.state, answer.reasons) = judge(&answer, rejection, left_out, &lacking);
+        let is_known = answer.state != AnswerState::Unknown;
+        answer.surface = is_known.then(|| answer.ranked[0].surface.clone());
+        answer
     }
 
     /// Sources that both scan and library have but that were not compared, with reasons.
