@@ -226,7 +226,7 @@ fn play(
     drop(reading);
     station = station.recogniser(Arc::new(recogniser));
     if follows {
-        station = station.progress_every(LOOK_S);
+        station.options.progress_every_s = Some(LOOK_S);
     }
     let signals = match &server {
         Some(_) => Some(watch_signals(station.commands())?),

@@ -78,12 +78,8 @@ struct ScansRequest {
 
 type Asked = Result<Query<ScansRequest>, QueryRejection>;
 
-fn asked(request: Asked) -> Result<ScansRequest, Problem> {
-    request.map(|Query(asked)| asked).map_err(|rejection| Problem::Bad(rejection.body_text()))
-}
-
 async fn scans(State(fleet): Shared, request: Asked) -> Result<Response, Problem> {
-    let ScansRequest { limit, station, before_unix_ms } = asked(request)?;
+    let Query(ScansRequest { limit, station, before_unix_ms }) = request?;
     let most = limit.unwrap_or(USUAL).min(MOST);
     let before = before_unix_ms.unwrap_or(u64::MAX);
     let read = move || Ok(fleet.lock().cache.newest(most, station.as_deref(), before)?);
@@ -112,7 +108,7 @@ fn history(
     content_type: &'static str,
     write: impl FnOnce(&Snapshot, BufWriter<Pieces>) -> Result<(), Problem> + Send + 'static,
 ) -> Result<Response, Problem> {
-    let ScansRequest { limit, station, before_unix_ms } = asked(request)?;
+    let Query(ScansRequest { limit, station, before_unix_ms }) = request?;
     if limit.is_some() || before_unix_ms.is_some() {
         return Err(Problem::Bad("the history is given as a whole, or of a `station`".into()));
     }

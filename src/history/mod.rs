@@ -129,11 +129,6 @@ impl History {
         self.review.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether this history is on disk, not only in memory.
-    pub(crate) fn is_on_disk(&self) -> bool {
-        self.lock().disk.is_some()
-    }
-
     /// Adds an answer. If it cannot be written, it is kept in memory, and the error is returned.
     pub(crate) fn answered(&self, answer: &Answer) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();

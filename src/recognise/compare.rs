@@ -4,8 +4,7 @@ use std::sync::Arc;
 
 use super::error::RecogniseError;
 use super::reference::{
-    DomainSamples, PreparedTrial, SampledSource, aligned, keyed_positions, log_score,
-    score_samples, shared_sources,
+    DomainSamples, PreparedTrial, SampledSource, aligned, log_score, score_samples, shared_sources,
 };
 use crate::kernel::pair_test;
 use crate::library::Entry;
@@ -98,7 +97,7 @@ fn compare_source(
     let (mut sum, mut n, mut dims) = ([0.0; 5], 0, 0);
     for repetition in 0..options.repetitions {
         let TestOptions { samples, seed, .. } = *options;
-        let at = keyed_positions(&spec.id, z.extent(), samples, seed, repetition, None);
+        let at = z.positions(&spec.id, samples, seed, repetition, None);
         let (z, y) = (z.at(&at), y.at(&at));
         let result = score_samples(z.view(), y.view(), spec.align_mean, spec.sigma);
         let z = if spec.align_mean { aligned(z.view(), y.view()) } else { z };

@@ -115,20 +115,6 @@ pub fn medians(sources: usize, library: &[TrialScores]) -> Vec<f64> {
     (0..sources).map(median).collect()
 }
 
-pub fn candidates<'a>(
-    weights: &[f64],
-    library: &[TrialScores],
-    medians: &[f64],
-    keys: impl Iterator<Item = &'a TrialKey>,
-) -> Vec<Candidate> {
-    (library.iter().zip(keys))
-        .filter_map(|(scores, key)| {
-            let log_ds = log_discrepancy(weights, scores, medians)?;
-            Some(Candidate { key: key.clone(), log_ds })
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::classify::{Classifier, Distance, OnFeatures};
+use super::classify::{Classifier, OnFeatures};
 use super::embedding::{Embedding, EmbeddingOptions};
 use super::method::Method;
 use super::reference::{Reference, ReferenceOptions};
@@ -79,12 +79,10 @@ methods! {
     Svm(NoOptions) = "svm", "Hand-made features: support vector machine with RBF kernel",
         |scene, _| OnFeatures::new("svm", scene, Classifier::Svm);
     Knn(NoOptions) = "knn", "Hand-made features: nearest neighbours",
-        |scene, _| OnFeatures::new("knn", scene, Classifier::Neighbours(Distance::Euclidean));
+        |scene, _| OnFeatures::new("knn", scene, Classifier::Neighbours);
     Mahalanobis(NoOptions) = "mahalanobis",
         "Hand-made features: nearest neighbours by Mahalanobis distance",
-        |scene, _| {
-            OnFeatures::new("mahalanobis", scene, Classifier::Neighbours(Distance::Mahalanobis))
-        };
+        |scene, _| OnFeatures::new("mahalanobis", scene, Classifier::Mahalanobis);
     Adaboost(TreeOptions) = "adaboost", "Hand-made features: boosted trees",
         |scene, set| OnFeatures::new("adaboost", scene, Classifier::AdaBoost { seed: set.seed });
     RandomForest(TreeOptions) = "random-forest", "Hand-made features: random forest",

@@ -81,7 +81,7 @@ async fn events(
     State(hub): Shared,
     types: Result<Query<Types>, QueryRejection>,
 ) -> Result<Response, Problem> {
-    let Query(Types { types }) = types.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
+    let Query(Types { types }) = types?;
     let filter = types.as_deref().map_or(Ok(EventFilter::ALL), EventFilter::parse);
     let stream = hub.subscribe(filter.map_err(Problem::Bad)?).ok_or(Problem::Readers)?;
     let headers = [(CONTENT_TYPE, "text/event-stream"), (CACHE_CONTROL, "no-cache")];

@@ -245,7 +245,7 @@ impl Hub {
             StationEvent::Unnamed(unnamed) => Some(&unnamed.answer),
             _ => None,
         };
-        if let Some(answer) = answer.filter(|_| !self.history.is_on_disk()) {
+        if let Some(answer) = answer.filter(|_| self.history.root().is_none()) {
             // Without a disk, adding an answer cannot fail.
             let _ = self.history.answered(answer);
         }

@@ -1,7 +1,7 @@
 //! Helpers for handlers of requests, for bodies, labels, work on other threads, and refusals.
 
 use axum::body::Bytes;
-use axum::extract::rejection::BytesRejection;
+use axum::extract::rejection::{BytesRejection, QueryRejection};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Json, Response};
 use serde_json::json;
@@ -81,6 +81,12 @@ impl From<BytesRejection> for Problem {
             StatusCode::PAYLOAD_TOO_LARGE => Self::Large,
             _ => Self::Bad(rejection.body_text()),
         }
+    }
+}
+
+impl From<QueryRejection> for Problem {
+    fn from(rejection: QueryRejection) -> Self {
+        Self::Bad(rejection.body_text())
     }
 }
 

@@ -78,7 +78,7 @@ async fn scans(
     State(hub): Shared,
     page: Result<Query<PageRequest>, QueryRejection>,
 ) -> Result<Json<Value>, Problem> {
-    let Query(page) = page.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
+    let Query(page) = page?;
     let most = page.limit.unwrap_or(USUAL).min(MOST);
     let scans = aside(move || Ok(hub.history.newest(page.before.as_deref(), most)?)).await?;
     Ok(Json(json!({ "scans": scans })))

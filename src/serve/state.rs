@@ -271,10 +271,12 @@ mod tests {
     #[test]
     fn lift_is_advised_only_once_the_drag_is_enough() {
         let guess = |settled, needed_s, enough| Guess {
+            scan: 1,
+            scan_s: 0.85,
             settled,
             needed_s,
             enough,
-            ..Guess::nothing(1, 0.85)
+            ..Guess::default()
         };
         let counting = advice(guess(false, Some(1.0), false));
         assert_eq!((counting.what, counting.text.as_str()), (AdviceKind::Drag, "0.2 s more"));
@@ -305,7 +307,7 @@ mod tests {
     fn a_guess_lasts_as_long_as_its_scan() {
         let mut state = State::new();
         let phase = |scan, phase| StationEvent::Phase { scan, phase };
-        let guess = |scan| StationEvent::Guess(Guess::nothing(scan, 0.5));
+        let guess = |scan| StationEvent::Guess(Guess { scan, ..Guess::default() });
         state.take(&phase(1, Some(Phase::Drag)));
         state.take(&guess(1));
         assert_eq!(state.guess.as_ref().map(|guess| guess.scan), Some(1));

@@ -8,6 +8,7 @@ use std::pin::Pin;
 use std::task::{Context, Poll};
 
 use axum::body::Bytes;
+use clap::ValueEnum;
 use futures_core::Stream;
 use serde::Serialize;
 use serde_json::json;
@@ -20,48 +21,35 @@ const QUEUE: usize = 256;
 /// Replaceable events such as traces leave this many places of a queue free for others.
 const KEPT_FREE: usize = 128;
 
-/// Defines [`EventKind`] from one list of types and names.
-macro_rules! event_kinds {
-    ($($kind:ident = $name:literal,)*) => {
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub enum EventKind {
-            $($kind,)*
-        }
-
-        impl EventKind {
-            /// All types with their names, in the order of their definition.
-            const ALL: &[(Self, &str)] = &[$((Self::$kind, $name)),*];
-        }
-    };
-}
-
-event_kinds! {
-    State = "state",
-    Advice = "advice",
-    Device = "device",
-    Phase = "phase",
-    Guess = "guess",
-    Answer = "answer",
-    Unnamed = "unnamed",
-    Camera = "camera",
-    Outputs = "outputs",
-    Correction = "correction",
-    Check = "check",
-    Enrolled = "enrolled",
-    Enrolling = "enrolling",
-    Reading = "reading",
-    Library = "library",
-    Warning = "warning",
-    Streams = "streams",
-    Trace = "trace",
-    Spectrum = "spectrum",
-    Missed = "missed",
-    Finished = "finished",
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum EventKind {
+    State,
+    Advice,
+    Device,
+    Phase,
+    Guess,
+    Answer,
+    Unnamed,
+    Camera,
+    Outputs,
+    Correction,
+    Check,
+    Enrolled,
+    Enrolling,
+    Reading,
+    Library,
+    Warning,
+    Streams,
+    Trace,
+    Spectrum,
+    Missed,
+    Finished,
 }
 
 impl EventKind {
-    fn name(self) -> &'static str {
-        Self::ALL[self as usize].1
+    fn name(self) -> String {
+        // Only a variant that is skipped has no value.
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().into())
     }
 
     /// Whether an event of this type may be missed, since the next event of the type replaces it.
@@ -81,12 +69,13 @@ impl EventFilter {
     pub fn parse(names: &str) -> Result<Self, String> {
         let mut filter = 1 << EventKind::Missed as u32;
         for name in names.split(',').map(str::trim) {
-            let Some((kind, _)) = EventKind::ALL.iter().find(|(_, known)| *known == name) else {
-                let known: Vec<&str> = EventKind::ALL.iter().map(|(_, name)| *name).collect();
+            let kind = EventKind::from_str(name, false).map_err(|_| {
+                let known: Vec<String> =
+                    EventKind::value_variants().iter().map(|kind| kind.name()).collect();
                 let known = known.join(", ");
-                return Err(format!("there is no type of event {name:?}; there are {known}"));
-            };
-            filter |= 1 << *kind as u32;
+                format!("there is no type of event {name:?}; there are {known}")
+            })?;
+            filter |= 1 << kind as u32;
         }
         Ok(Self(filter))
     }

@@ -42,13 +42,6 @@ pub struct Guess {
     pub enough: bool,
 }
 
-impl Guess {
-    /// A guess about a scan that cannot be judged yet.
-    pub fn nothing(scan: u32, scan_s: f64) -> Self {
-        Self { scan, scan_s, ..Self::default() }
-    }
-}
-
 /// The outcome of a scan that was to be kept as a trial of a library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Enrolled {
@@ -179,12 +172,6 @@ pub trait Listener {
 }
 
 impl<L: Listener + ?Sized> Listener for &mut L {
-    fn on_event(&mut self, event: &StationEvent) {
-        (**self).on_event(event);
-    }
-}
-
-impl<L: Listener + ?Sized> Listener for Box<L> {
     fn on_event(&mut self, event: &StationEvent) {
         (**self).on_event(event);
     }

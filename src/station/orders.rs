@@ -54,8 +54,10 @@ impl Order {
         self.wanted().map(|wanted| wanted.saturating_sub(self.under_way))
     }
 
-    fn covers(&self, scan: u32) -> bool {
-        self.from <= scan && self.until.is_none_or(|until| scan < until)
+    /// Whether the order keeps the scan with this number.
+    fn keeps(&self, scan: u32) -> bool {
+        let covers = self.from <= scan && self.until.is_none_or(|until| scan < until);
+        covers && self.to_come() != Some(0)
     }
 
     /// Whether the order has all its trials, or covers no scan to come while no scan is being written.
@@ -99,7 +101,7 @@ impl Orders {
     /// The order that keeps the scan in progress, given its `number`; `None` if it is only to be named.
     pub fn covering(&self, number: u32) -> Option<&Enrolment> {
         let mut all = self.given.iter().rev().chain(&self.own);
-        all.find(|o| o.covers(number) && o.to_come() != Some(0)).map(|order| &order.enrolment)
+        all.find(|order| order.keeps(number)).map(|order| &order.enrolment)
     }
 
     /// Takes the order that keeps scan `number`, which has just ended; `None` if it is only to be named.
@@ -109,9 +111,8 @@ impl Orders {
         for order in &mut self.given {
             order.from = order.from.max(number);
         }
-        let all = self.given.iter_mut().rev().chain(&mut self.own);
-        let claimed = all.into_iter().find(|o| o.covers(number) && o.to_come() != Some(0));
-        let enrolment = claimed.map(|order| {
+        let mut all = self.given.iter_mut().rev().chain(&mut self.own);
+        let enrolment = all.find(|order| order.keeps(number)).map(|order| {
             order.under_way += 1;
             order.enrolment.clone()
         });
@@ -126,10 +127,9 @@ impl Orders {
             let ended = enrolled.outcome != EnrolledOutcome::Waiting;
             order.under_way = order.under_way.saturating_sub(u32::from(ended));
             order.kept += u32::from(enrolled.outcome == EnrolledOutcome::Kept);
-            let refused = enrolled.outcome == EnrolledOutcome::Refused;
-            let reasons = || enrolled.remarks.clone();
-            order.refused =
-                refused.then(|| RefusedScan { scan: enrolled.scan, reasons: reasons() });
+            let (scan, reasons) = (enrolled.scan, &enrolled.remarks);
+            order.refused = (enrolled.outcome == EnrolledOutcome::Refused)
+                .then(|| RefusedScan { scan, reasons: reasons.clone() });
             enrolled.wanted = match order.until {
                 None => order.wanted().unwrap_or(u32::MAX),
                 Some(_) => 0,

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use serde::{Serialize, Serializer};
 
-use super::answer::{AnswerState, Damage, Remark, RemarkKind};
-use super::certainty::{Verdict, so_far};
+use super::answer::{Answer, AnswerState, Damage, Remark, RemarkKind};
+use super::certainty::{judge, so_far, unknown_share};
 use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
@@ -18,13 +18,6 @@ use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, TrialKey, flaws};
 
 pub type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
-
-/// The ranking of a scan, and the flaws found while the scan was followed.
-pub struct Ranked {
-    pub ranking: Ranking,
-    /// Flaws of the sources followed so far; other sources have no entry.
-    pub flaws: FlawsBySource,
-}
 
 /// A function that reads the library from disk each time it is called.
 pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;
@@ -105,9 +98,11 @@ impl Recogniser {
         self.library.remarks.extend_from_slice(remarks);
     }
 
-    /// The index of a scan's model. `truth` only picks the model that was made without that scan.
-    fn model(&self, truth: Option<&TrialKey>) -> usize {
-        truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0)
+    /// A scan's model, and the options for following the scan. `truth` only picks the model that was made
+    /// without that scan.
+    fn model(&self, truth: Option<&TrialKey>) -> (&Arc<dyn Model>, &FollowOptions) {
+        let at = truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0);
+        (&self.models[at], &self.following[at])
     }
 
     /// Whether a source is a switch. In a scene, only switches have a fixed length scale (`sigma`).
@@ -137,7 +132,7 @@ impl Recogniser {
     /// Whether a channel (counted from 0) ever changes in the library; `truth` is the scan's
     /// [`Scan::truth`].
     pub(super) fn moves(&self, truth: Option<&TrialKey>, id: &SourceId, channel: usize) -> bool {
-        let embedding = self.models[self.model(truth)].clone().embedding();
+        let embedding = self.model(truth).0.clone().embedding();
         embedding.is_none_or(|embedding| embedding.moves(id, channel))
     }
 
@@ -159,7 +154,7 @@ impl Recogniser {
         guess: &GuessSoFar,
     ) -> Option<AnswerState> {
         let (_, probability) = guess.named.first()?;
-        so_far(guess.p_value, self.following[self.model(truth)].rejection.as_ref(), *probability)
+        so_far(guess.p_value, self.model(truth).1.rejection.as_ref(), *probability)
     }
 
     /// Remarks on flaws of the scan's channels, and on a drag that is too short.
@@ -185,15 +180,14 @@ impl Recogniser {
     ///
     /// # Errors
     /// If the scan has no source in common with the library, or does not fit the scene.
-    pub fn rank(&self, scan: &Scan) -> Result<Ranked, RecogniseError> {
-        let ranking = self.models[self.model(scan.truth.as_ref())].rank(&self.query(scan)?.0)?;
-        Ok(Ranked { ranking, flaws: FlawsBySource::new() })
+    pub fn rank(&self, scan: &Scan) -> Result<Ranking, RecogniseError> {
+        self.model(scan.truth.as_ref()).0.rank(&self.query(scan)?.0)
     }
 
     /// Prepares a scan as a query for its model. Sources with flaws are left out; each text names a
     /// source that was left out, and its flaw.
     fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
-        let model = &self.models[self.model(scan.truth.as_ref())];
+        let (model, _) = self.model(scan.truth.as_ref());
         let moves = |id: &SourceId, channel: usize| self.moves(scan.truth.as_ref(), id, channel);
         let (trial, left_out) = without_flawed(scan.trial.clone(), &self.scene, moves);
         let trial = Arc::new(trial);
@@ -206,32 +200,53 @@ impl Recogniser {
     /// # Errors
     /// Those of [`Recogniser::rank`].
     pub fn explain(&self, scan: &Scan) -> Result<Why, RecogniseError> {
-        let at = self.model(scan.truth.as_ref());
-        let (query, left_out) = self.query(scan)?;
-        let ranking = self.models[at].rank(&query)?;
-        let evidence = self.models[at].explain(&query)?;
-        let held = |id: &&SourceId| !scan.trial.signals.contains_key(*id);
-        let missing = self.library.sources.iter().filter(held);
-        let missing = missing.map(|id| format!("{id} is not in this scan"));
-        let left_out = left_out.into_iter().chain(missing).collect();
-        Ok(Why::new(&ranking, evidence.as_ref(), self.following[at].rejection.as_ref(), left_out))
+        let (model, following) = self.model(scan.truth.as_ref());
+        let (query, mut left_out) = self.query(scan)?;
+        let (ranking, evidence) = (model.rank(&query)?, model.explain(&query)?);
+        left_out.extend(self.lacking(scan).map(|id| format!("{id} is not in this scan")));
+        Ok(Why::new(ranking, evidence.as_ref(), following.rejection.as_ref(), left_out))
+    }
+
+    /// The sources of the library that a scan does not have.
+    fn lacking(&self, scan: &Scan) -> impl Iterator<Item = &SourceId> {
+        self.library.sources.iter().filter(|id| !scan.trial.signals.contains_key(*id))
     }
 
     pub fn trial(&self, key: &TrialKey) -> Option<&Entry> {
         self.trials.get(key)
     }
 
-    pub fn verdict(&self, scan: &Scan, ranked: Ranked) -> Verdict {
-        let Ranked { ranking, flaws } = ranked;
-        let rejection = self.following[self.model(scan.truth.as_ref())].rejection.clone();
-        let needed_s = self.needed_s;
-        let flaws = self.flaws(scan, flaws);
-        let damage = self.damage(scan.truth.as_ref(), &flaws);
+    /// The answer to a scan with this ranking; `known` are the flaws found while the scan was followed,
+    /// and `settled_s` is when the answer was settled.
+    pub(super) fn answer(
+        &self,
+        scan: &Scan,
+        ranking: Ranking,
+        known: FlawsBySource,
+        settled_s: Option<f64>,
+    ) -> Answer {
+        let rejection = self.model(scan.truth.as_ref()).1.rejection.as_ref();
+        let flaws = self.flaws(scan, known);
         let remarks = self.remarks(scan, &ranking, &flaws);
         let left_out = self.left_out(scan, &ranking, &remarks);
-        let is_lacking = |id: &&SourceId| !scan.trial.signals.contains_key(*id);
-        let lacking = self.library.sources.iter().filter(is_lacking).cloned().collect();
-        Verdict { needed_s, rejection, left_out, lacking, remarks, damage, ranking }
+        let lacking: Vec<&str> = self.lacking(scan).map(SourceId::as_str).collect();
+        let mut answer = Answer {
+            margin: ranking.margin,
+            confidence: ranking.confidence,
+            fit: ranking.p_value,
+            unknown: unknown_share(ranking.p_value, rejection),
+            settled_s,
+            sources: ranking.sources,
+            needed_s: self.needed_s,
+            remarks,
+            ranked: ranking.ranked,
+            ..Answer::of(scan, 0.0)
+        };
+        answer.damage.extend(self.damage(scan.truth.as_ref(), &flaws));
+        (answer.state, answer.reasons) = judge(&answer, rejection, left_out, &lacking);
+        let is_known = answer.state != AnswerState::Unknown;
+        answer.surface = is_known.then(|| answer.ranked[0].surface.clone());
+        answer
     }
 
     /// Sources that both scan and library have but that were not compared, with reasons.
@@ -248,8 +263,8 @@ impl Recogniser {
 
     /// Starts to follow a scan with this [`Scan::truth`]; `None` if the method cannot follow scans.
     pub fn follow(&self, truth: Option<&TrialKey>) -> Option<Follower> {
-        let at = self.model(truth);
-        Some(self.models[at].clone().embedding()?.follow(&self.following[at]))
+        let (model, following) = self.model(truth);
+        Some(model.clone().embedding()?.follow(following))
     }
 
     pub fn needed_s(&self) -> Option<f64> {

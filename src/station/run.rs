@@ -23,13 +23,7 @@ const WRITTEN: Duration = Duration::from_millis(3200);
 /// Time after [`Command::Quit`] for listeners to finish.
 const PASSED_ON: Duration = Duration::from_millis(3900);
 
-enum Naming {
-    Loading,
-    Ready(Arc<Recogniser>),
-    /// Scans cannot be named, for the reason in this text.
-    None(String),
-}
-
+/// A recogniser, or the reason why scans cannot be named.
 type LoadedRecogniser = Result<Arc<Recogniser>, String>;
 
 /// How many scans may wait to be named if devices cannot be paused; they span some 15 minutes.
@@ -62,7 +56,8 @@ pub(super) struct StationRun<'a> {
     /// Whether the station may pause all devices; true for recordings.
     waits: bool,
     load: Option<Load>,
-    naming: Naming,
+    /// `None` while the first library is read; then scans wait.
+    naming: Option<LoadedRecogniser>,
     loading: Option<Receiver<LoadedRecogniser>>,
     /// Whether to read the library once more, since it may have changed after `loading` began.
     load_again: bool,
@@ -112,7 +107,7 @@ impl<'a> StationRun<'a> {
             by_t_star,
             waits,
             load,
-            naming: Naming::None("no library is set".into()),
+            naming: Some(Err("no library is set".into())),
             loading: None,
             load_again: false,
             pending: VecDeque::new(),
@@ -295,14 +290,14 @@ impl StationRun<'_> {
         match loaded {
             Ok(recogniser) => {
                 self.emit(StationEvent::Library(recogniser.library()));
-                self.naming = Naming::Ready(recogniser);
+                self.naming = Some(Ok(recogniser));
             }
             Err(problem) => {
                 // The previous library stays in use, so the event names that library and the problem.
                 let mut state = match &self.naming {
-                    Naming::Ready(recogniser) => recogniser.library(),
+                    Some(Ok(recogniser)) => recogniser.library(),
                     _ => {
-                        self.naming = Naming::None(problem.clone());
+                        self.naming = Some(Err(problem.clone()));
                         LibraryState::default()
                     }
                 };
@@ -323,9 +318,7 @@ impl StationRun<'_> {
             self.load_again = true;
             return;
         }
-        if !matches!(self.naming, Naming::Ready(_)) {
-            self.naming = Naming::Loading;
-        }
+        self.naming.take_if(|naming| naming.is_err());
         self.emit(StationEvent::Reading);
         let (send, loaded) = crossbeam_channel::bounded(1);
         let work = move || {
@@ -343,11 +336,7 @@ impl StationRun<'_> {
         if let Some(recording) = &mut self.recording
             && let Some(enrolment) = self.orders.claim(scan.number)
         {
-            let by = match &self.naming {
-                Naming::Ready(by) => Some(by.clone()),
-                Naming::Loading | Naming::None(_) => None,
-            };
-            recording.store(scan, enrolment, by);
+            recording.store(scan, enrolment, self.naming.clone().and_then(Result::ok));
             return self.report_order();
         }
         self.pending.push_back(Job::Scan(scan));
@@ -380,10 +369,8 @@ impl StationRun<'_> {
     /// Hands jobs to the worker until it accepts no more.
     fn hand_on(&mut self) {
         while let Some(job) = self.pending.pop_front() {
-            let by = match &self.naming {
-                Naming::Loading => return self.pending.push_front(job),
-                Naming::Ready(by) => Ok(by.clone()),
-                Naming::None(why) => Err(why.clone()),
+            let Some(by) = self.naming.clone() else {
+                return self.pending.push_front(job);
             };
             let purpose = match &job {
                 Job::Progress(progress) => self.purpose(progress.number),
@@ -437,8 +424,8 @@ impl StationRun<'_> {
         let mut awaited = std::mem::take(&mut self.in_hand);
         awaited.extend(self.pending.drain(..).map(|job| Awaited::of(&job)));
         let busy = match &self.naming {
-            Naming::Loading => "the library was still being read",
-            _ => "time had run out",
+            None => "the library was still being read",
+            Some(_) => "time had run out",
         };
         for job in awaited {
             match job {

@@ -13,7 +13,8 @@ use crate::scan::Options;
 
 pub struct Station<'a> {
     pub(super) devices: Vec<Box<dyn Device>>,
-    pub(super) options: Options,
+    /// Options of the session.
+    pub options: Options,
     pub(super) recogniser: Option<Arc<Recogniser>>,
     pub(super) load: Option<Load>,
     pub(super) store: Option<ScanStore>,
@@ -63,12 +64,6 @@ impl<'a> Station<'a> {
 
     pub fn listener(mut self, listener: impl Listener + 'a) -> Self {
         self.listeners.push(Box::new(listener));
-        self
-    }
-
-    /// Reports the progress of scans at this interval, in seconds of drag.
-    pub fn progress_every(mut self, seconds: f64) -> Self {
-        self.options.progress_every_s = Some(seconds);
         self
     }
 

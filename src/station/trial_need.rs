@@ -54,7 +54,7 @@ impl TrialNeed {
         if let Purpose::Keep(by_t_star) = purpose {
             let judged = |fresh: &&Fresh| by_t_star.contains(&fresh.source);
             progress.fresh.iter().filter(judged).for_each(|fresh| self.add(fresh));
-            let least_s = Some(news.needed_s.unwrap_or(LEAST_S).max(LEAST_S));
+            let least_s = news.needed_s.unwrap_or(LEAST_S).max(LEAST_S);
             news.needed_s = self.needed_s(progress.scan_s, least_s);
             // A settled name alone does not make a good trial, so only the needed time counts.
             settled = false;
@@ -80,16 +80,16 @@ impl TrialNeed {
     }
 
     /// How long the drag must last, in seconds, at least `least_s`; `None` if that is not known yet.
-    fn needed_s(&self, scan_s: f64, least_s: Option<f64>) -> Option<f64> {
+    fn needed_s(&self, scan_s: f64, least_s: f64) -> Option<f64> {
         let mut needed_s = least_s;
         for source in self.of_source.values() {
             match source.needed_s {
-                Some(its_s) => needed_s = Some(needed_s.unwrap_or(0.0).max(its_s)),
+                Some(its_s) => needed_s = needed_s.max(its_s),
                 None if !source.moves && scan_s >= RESTS_S => {}
                 None => return None,
             }
         }
-        needed_s
+        Some(needed_s)
     }
 }
 
@@ -163,9 +163,9 @@ mod tests {
             let mut rng = crate::seed::rng(1, &[b"need"]);
             let mut need = TrialNeed::default();
             need.add(&fresh(simulate::ar1(9_000, tau, &mut rng)));
-            assert_eq!(need.needed_s(0.9, Some(0.5)), None);
+            assert_eq!(need.needed_s(0.9, 0.5), None);
             need.add(&fresh(simulate::ar1(11_000, tau, &mut rng)));
-            need.needed_s(2.0, Some(0.5)).unwrap()
+            need.needed_s(2.0, 0.5).unwrap()
         };
         let (fast, slow) = (after_2_s(2.0), after_2_s(20.0));
         assert!((0.5..1.0).contains(&fast) && slow > 3.0 * fast, "{fast} {slow}");
@@ -174,11 +174,8 @@ mod tests {
     #[test]
     fn a_source_that_rests_asks_for_nothing_and_without_sources_the_least_is_enough() {
         let mut need = TrialNeed::default();
-        assert_eq!((need.needed_s(0.1, Some(0.7)), need.needed_s(0.1, None)), (Some(0.7), None));
+        assert_eq!(need.needed_s(0.1, 0.7), Some(0.7));
         need.add(&fresh(vec![0.5; 12_000]));
-        assert_eq!(
-            (need.needed_s(0.5, Some(0.7)), need.needed_s(1.2, Some(0.7))),
-            (None, Some(0.7))
-        );
+        assert_eq!((need.needed_s(0.5, 0.7), need.needed_s(1.2, 0.7)), (None, Some(0.7)));
     }
 }

@@ -38,7 +38,7 @@ pub struct SourceSays {
 
 impl Why {
     pub(crate) fn new(
-        ranking: &Ranking,
+        ranking: Ranking,
         evidence: Option<&Evidence>,
         rejection: Option<&Rejection>,
         left_out: Vec<String>,
@@ -60,8 +60,8 @@ impl Why {
             threshold: rejection.map(|rejection| rejection.rate),
             threshold_trials: rejection.map(|rejection| rejection.trials),
             surfaces: ranking.ranked.len(),
-            nearest: ranking.nearest.clone(),
-            ranked: ranking.ranked.clone(),
+            nearest: ranking.nearest,
+            ranked: ranking.ranked,
         }
     }
 }
@@ -111,7 +111,7 @@ mod tests {
             confidence: None,
             p_value: None,
         };
-        let why = Why::new(&ranking, Some(&evidence), None, Vec::new());
+        let why = Why::new(ranking, Some(&evidence), None, Vec::new());
         let said: Vec<_> = why
             .sources
             .iter()

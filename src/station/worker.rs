@@ -6,13 +6,12 @@ use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::answer::{Answer, AnswerState, Unnamed};
-use super::certainty::{Verdict, judge, unknown_share};
+use super::answer::{Answer, Unnamed};
 use super::event::{AnsweredScan, Guess, SurfaceProbability};
-use super::recogniser::{Ranked, Recogniser};
+use super::recogniser::{FlawsBySource, Recogniser};
 use super::store::StoredScan;
 use super::trial_need::{Purpose, TrialNeed};
-use crate::recognise::{Follower, FreshFrames, GuessSoFar, RecogniseError};
+use crate::recognise::{Follower, FreshFrames, GuessSoFar, Ranking, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::SourceId;
 
@@ -102,13 +101,19 @@ fn name(
         Err(why) => return unnamed(scan, &why, latency_ms(), false),
     };
     let ranked = followed.finish(&scan, &by);
-    let ranked = || ranked.map_or_else(|| by.rank(&scan), Ok);
-    let verdict = caught(|| ranked().map(|ranked| by.verdict(&scan, ranked)));
+    let settled_s = followed.settled_s(scan.number);
+    let answer = caught(|| -> Result<_, RecogniseError> {
+        let (ranking, flaws) = match ranked {
+            Some(ranked) => ranked,
+            None => (by.rank(&scan)?, FlawsBySource::new()),
+        };
+        Ok(by.answer(&scan, ranking, flaws, settled_s))
+    });
     let latency_ms = latency_ms();
-    let (why, too_little) = match verdict {
-        Some(Ok(verdict)) => {
-            let settled_s = followed.settled_s(scan.number);
-            return named(scan, by, verdict, latency_ms, settled_s);
+    let (why, too_little) = match answer {
+        Some(Ok(answer)) => {
+            let answer = Arc::new(Answer { latency_ms, ..answer });
+            return (Arc::new(AnsweredScan { scan, answer, by: Some(by) }), None);
         }
         Some(Err(error)) => (error.to_string(), matches!(error, RecogniseError::TooLittle)),
         None => ("the method panicked; please report this".into(), false),
@@ -116,41 +121,10 @@ fn name(
     unnamed(scan, &why, latency_ms, too_little)
 }
 
-fn named(
-    scan: Box<Scan>,
-    by: Arc<Recogniser>,
-    verdict: Verdict,
-    latency_ms: f64,
-    settled_s: Option<f64>,
-) -> ScanAnswer {
-    let (state, reasons) = judge(&verdict, &scan, settled_s);
-    let unknown = unknown_share(&verdict);
-    let Verdict { ranking, needed_s, remarks, damage, .. } = verdict;
-    let alone = Answer::of(&scan, latency_ms);
-    let answer = Answer {
-        surface: (state != AnswerState::Unknown).then(|| ranking.surface().to_string()),
-        state,
-        reasons,
-        margin: ranking.margin,
-        confidence: ranking.confidence,
-        fit: ranking.p_value,
-        unknown,
-        settled_s,
-        sources: ranking.sources,
-        needed_s,
-        remarks,
-        ranked: ranking.ranked,
-        damage: alone.damage.iter().cloned().chain(damage).collect(),
-        ..alone
-    };
-    (Arc::new(AnsweredScan { scan, answer: Arc::new(answer), by: Some(by) }), None)
-}
-
 /// The surface that the recogniser names for a scan kept as a trial.
 fn nearest(stored: &StoredScan) -> Option<String> {
     let (scan, by) = stored.kept.as_ref()?;
-    let verdict = caught(|| Some(by.verdict(scan, by.rank(scan).ok()?)))??;
-    (!verdict.is_unknown()).then(|| verdict.ranking.surface().to_string())
+    caught(|| by.answer(scan, by.rank(scan).ok()?, FlawsBySource::new(), None).surface)?
 }
 
 /// Damage is reported only after a drag of this many seconds.
@@ -190,7 +164,8 @@ impl Followed {
                 Some(Err(_)) | None => self.follower = None,
             }
         }
-        let mut news = Guess::nothing(progress.number, progress.scan_s);
+        let (scan, scan_s) = (progress.number, progress.scan_s);
+        let mut news = Guess { scan, scan_s, ..Guess::default() };
         if let Some(guess) = &self.last {
             let named = guess.named.iter().cloned();
             let name = |(surface, probability)| SurfaceProbability { surface, probability };
@@ -209,9 +184,9 @@ impl Followed {
         news
     }
 
-    /// The ranking of a scan, computed from the sums of its follower. `None` if the scan was not
+    /// The ranking of a scan, computed from the sums of its follower, and the flaws of its sources. `None` if the scan was not
     /// followed, lost samples, or began with another library; then `rank` compares the whole scan.
-    fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<Ranked> {
+    fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<(Ranking, FlawsBySource)> {
         let (followed_by, follower) =
             self.follower.as_mut().filter(|_| self.scan == scan.number)?;
         let whole = scan.lost_samples == 0 && scan.spoiled.is_empty();
@@ -220,8 +195,7 @@ impl Followed {
         }
         let ranking = caught(|| follower.finish(&scan.trial)).flatten()?;
         let flaws_of = |id: &SourceId| Some((id.clone(), follower.flaws(id)?));
-        let flaws = scan.trial.signals.keys().filter_map(flaws_of).collect();
-        Some(Ranked { ranking, flaws })
+        Some((ranking, scan.trial.signals.keys().filter_map(flaws_of).collect()))
     }
 
     /// The scan time, in seconds, at which the answer to a scan was settled.
@@ -260,7 +234,7 @@ mod tests {
     use crate::recognise::features::FeatureVector;
     use crate::recognise::{Model, Prepared, RankedSurface, Ranking, RecogniseError};
     use crate::scene::Scene;
-    use crate::station::LibraryState;
+    use crate::station::{AnswerState, LibraryState};
     use crate::trial::{Trial, TrialKey};
 
     /// A method that names every scan oak, and panics in one of its functions.

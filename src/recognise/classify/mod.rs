@@ -13,8 +13,6 @@ mod neighbours;
 mod smartcore_models;
 mod svm;
 
-pub use neighbours::Distance;
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -57,7 +55,10 @@ pub enum Classifier {
     /// Support vector machines with RBF kernel, one for each pair of surfaces.
     Svm,
     /// k nearest neighbours; k is chosen by naming each library trial by the others.
-    Neighbours(Distance),
+    Neighbours,
+    /// The same with features decorrelated by the library's covariance, which is shrunk towards the
+    /// identity by a tenth.
+    Mahalanobis,
     /// AdaBoost for many classes (SAMME, Zhu et al. 2009, "Multi-class AdaBoost"): 50 trees, each
     /// trained on trials drawn by weight, and at most two levels deeper than one leaf per surface
     /// needs.
@@ -76,15 +77,11 @@ impl Classifier {
         match self {
             Self::NaiveBayes => smartcore_models::naive_bayes(training),
             Self::Svm => svm::learn(training),
-            Self::Neighbours(distance) => neighbours::learn(training, distance),
+            Self::Neighbours => neighbours::learn(training, false),
+            Self::Mahalanobis => neighbours::learn(training, true),
             Self::AdaBoost { seed } => smartcore_models::boosted(training, seed),
             Self::RandomForest { seed } => smartcore_models::forest(training, seed),
         }
-    }
-
-    /// Whether 1/(score of a surface) is a probability.
-    fn states_probabilities(self) -> bool {
-        matches!(self, Self::NaiveBayes | Self::RandomForest { .. })
     }
 }
 
@@ -273,8 +270,10 @@ impl Model for FeatureModel {
         };
         // There is at least one candidate, since the library has at least one trial.
         let mut ranking = rank(candidates, k, sources).expect("at least one candidate");
-        ranking.confidence =
-            classifier.states_probabilities().then(|| ranking.ranked[0].score.recip());
+        // The scores of these two are the inverse of probabilities.
+        if let Classifier::NaiveBayes | Classifier::RandomForest { .. } = classifier {
+            ranking.confidence = Some(ranking.ranked[0].score.recip());
+        }
         Ok(ranking)
     }
 }
@@ -285,19 +284,14 @@ fn by_surface(
     log_scores: &[f64],
     query: ArrayView1<'_, f64>,
 ) -> Vec<Candidate> {
-    let mut nearest: Vec<Option<(f64, usize)>> = vec![None; training.surfaces.len()];
-    for (i, (row, &class)) in training.features.rows().into_iter().zip(&training.class).enumerate()
-    {
-        let distance = squared_distance(row, query);
-        if nearest[class].is_none_or(|(least, _)| distance < least) {
-            nearest[class] = Some((distance, i));
-        }
-    }
-    (nearest.into_iter().zip(log_scores))
-        .filter_map(|(nearest, &log_ds)| {
-            Some(Candidate { key: training.keys[nearest?.1].clone(), log_ds })
-        })
-        .collect()
+    let distances = training.features.rows().into_iter().map(|row| squared_distance(row, query));
+    let distances: Vec<f64> = distances.collect();
+    let candidate = |(class, &log_ds): (usize, &f64)| {
+        let of_class = (0..distances.len()).filter(|&i| training.class[i] == class);
+        let nearest = of_class.min_by(|&a, &b| distances[a].total_cmp(&distances[b]))?;
+        Some(Candidate { key: training.keys[nearest].clone(), log_ds })
+    };
+    log_scores.iter().enumerate().filter_map(candidate).collect()
 }
 
 fn squared_distance(a: ArrayView1<'_, f64>, b: ArrayView1<'_, f64>) -> f64 {

@@ -12,21 +12,10 @@ const SHRINKAGE: f64 = 0.1;
 /// Least squared distance; keeps its logarithm and inverse finite.
 const FLOOR: f64 = 1e-12;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Distance {
-    /// Distance between standardised features.
-    Euclidean,
-    /// Distance between features decorrelated by the library's covariance. The covariance is shrunk
-    /// towards the identity by a tenth.
-    Mahalanobis,
-}
-
-pub(super) fn learn(training: &TrainingSet, distance: Distance) -> Scorer {
-    // Lower Cholesky factor of the covariance; `None` if features are not decorrelated.
-    let factor = match distance {
-        Distance::Euclidean => None,
-        Distance::Mahalanobis => cholesky(covariance(&training.features)),
-    };
+/// Distances are between standardised features, which are decorrelated first if `decorrelates`.
+pub(super) fn learn(training: &TrainingSet, decorrelates: bool) -> Scorer {
+    // Lower Cholesky factor of the covariance.
+    let factor = decorrelates.then(|| cholesky(covariance(&training.features))).flatten();
     // Decorrelates columns, one for each trial, so that their distances are Euclidean.
     let decorrelated = move |mut columns: Array2<f64>| {
         factor.iter().for_each(|factor| solve_lower(factor, &mut columns));

@@ -1,8 +1,9 @@
 //! Classifiers built from parts of smartcore: Gaussian naive Bayes, a random forest and AdaBoost.
 
-use ndarray::{Array2, ArrayView1, Axis};
+use ndarray::{ArrayView1, ArrayView2, Axis};
 use rand::Rng;
 use rayon::prelude::*;
+use smartcore::api::Predictor;
 use smartcore::ensemble::random_forest_classifier::{
     RandomForestClassifier, RandomForestClassifierParameters,
 };
@@ -26,37 +27,42 @@ const SPARE_LEVELS: u32 = 2;
 const PERFECT: f64 = 1e-10;
 
 type FeatureMatrix = DenseMatrix<f64>;
-/// A forest of one tree. Smartcore gives the winner of a forest, but not how many trees chose it.
-type RandomTree = RandomForestClassifier<f64, u32, FeatureMatrix, Vec<u32>>;
-type Tree = DecisionTreeClassifier<f64, u32, FeatureMatrix, Vec<u32>>;
 
 /// Converts trials to smartcore's form.
-fn matrix(features: &Array2<f64>, class: &[usize]) -> (FeatureMatrix, Vec<u32>) {
+fn matrix(features: ArrayView2<'_, f64>) -> FeatureMatrix {
     let (rows, columns) = features.dim();
     let matrix = DenseMatrix::new(rows, columns, features.iter().copied().collect(), false);
-    let classes = class.iter().map(|&class| class as u32).collect();
     // Fails only if the number of values is not rows × columns.
-    (matrix.expect("as many values as places"), classes)
+    matrix.expect("as many values as places")
 }
 
-/// Converts a query to smartcore's form.
-fn row(query: ArrayView1<'_, f64>) -> FeatureMatrix {
-    let values = query.to_vec();
-    // Fails only if the number of values is not rows × columns.
-    DenseMatrix::new(1, values.len(), values, false).expect("one row")
+fn labels(class: impl Iterator<Item = usize>) -> Vec<u32> {
+    class.map(|class| class as u32).collect()
 }
 
-/// Converts votes to scores: −ln of each surface's share. One extra vote, divided equally among the
-/// surfaces, keeps every share above 0.
-fn shares(votes: &[f64]) -> Scores {
-    let each = 1.0 / votes.len() as f64;
-    let total: f64 = votes.iter().sum::<f64>() + 1.0;
-    Scores::Surfaces(votes.iter().map(|votes| -((votes + each) / total).ln()).collect())
+/// A scorer by trees that vote with weights. Each score is −ln of the surface's share of the votes. One
+/// extra vote, divided equally among the surfaces, keeps every share above 0.
+fn by_votes<T>(trees: Vec<(f64, T)>, surfaces: usize) -> Scorer
+where
+    T: Predictor<FeatureMatrix, Vec<u32>> + Send + Sync + 'static,
+{
+    Box::new(move |query: ArrayView1<'_, f64>| {
+        let query = matrix(query.insert_axis(Axis(0)));
+        let mut votes = vec![0.0; surfaces];
+        for (weight, tree) in &trees {
+            if let Ok(class) = tree.predict(&query) {
+                votes[class[0] as usize] += weight;
+            }
+        }
+        let each = 1.0 / surfaces as f64;
+        let total: f64 = votes.iter().sum::<f64>() + 1.0;
+        Scores::Surfaces(votes.iter().map(|votes| -((votes + each) / total).ln()).collect())
+    })
 }
 
 /// Each score is −ln of the surface's posterior probability.
 pub(super) fn naive_bayes(training: &TrainingSet) -> Scorer {
-    let (x, y) = matrix(&training.features, &training.class);
+    let (x, y) = (matrix(training.features.view()), labels(training.class.iter().copied()));
     // Fails only for an empty library or a class without trials; a library has neither.
     let fitted = GaussianNB::fit(&x, &y, GaussianNBParameters::default())
         .expect("a row for every class and a class for every row");
@@ -75,41 +81,33 @@ pub(super) fn naive_bayes(training: &TrainingSet) -> Scorer {
     })
 }
 
-/// Each score is −ln of the share of trees that vote for the surface.
 pub(super) fn forest(training: &TrainingSet, seed: u64) -> Scorer {
-    let (x, y) = matrix(&training.features, &training.class);
+    let (x, y) = (matrix(training.features.view()), labels(training.class.iter().copied()));
     let tree = |number: u64| {
         let key: [&[u8]; 3] = [b"tree", &seed.to_le_bytes(), &number.to_le_bytes()];
         let parameters = RandomForestClassifierParameters::default()
             .with_n_trees(1)
             .with_seed(seed::stable_hash(&key));
         // No tree grows if a bootstrap holds only one surface.
-        RandomForestClassifier::fit(&x, &y, parameters).ok()
+        RandomForestClassifier::fit(&x, &y, parameters).ok().map(|tree| (1.0, tree))
     };
-    let trees: Vec<RandomTree> = (0..TREES).into_par_iter().filter_map(tree).collect();
-    let surfaces = training.surfaces.len();
-    Box::new(move |query: ArrayView1<'_, f64>| {
-        let query = row(query);
-        let mut votes = vec![0.0; surfaces];
-        for class in trees.iter().filter_map(|tree| tree.predict(&query).ok()) {
-            votes[class[0] as usize] += 1.0;
-        }
-        shares(&votes)
-    })
+    // A forest of one tree each. Smartcore gives the winner of a forest, but not how many trees chose it.
+    let trees: Vec<_> = (0..TREES).into_par_iter().filter_map(tree).collect();
+    by_votes(trees, training.surfaces.len())
 }
 
 pub(super) fn boosted(training: &TrainingSet, seed: u64) -> Scorer {
     let TrainingSet { features, class, surfaces, .. } = training;
     let (n, surfaces) = (class.len(), surfaces.len());
-    let (x, _) = matrix(features, class);
+    let x = matrix(features.view());
     let levels = surfaces.next_power_of_two().ilog2() + SPARE_LEVELS;
     let mut weights = vec![1.0 / n as f64; n];
-    let mut trees: Vec<(f64, Tree)> = Vec::new();
+    let mut trees = Vec::new();
     for round in 0..ROUNDS {
         let mut rng = seed::rng(seed, &[b"adaboost", &round.to_le_bytes()]);
         let drawn = draw(&weights, &mut rng);
-        let of_drawn: Vec<usize> = drawn.iter().map(|&i| class[i]).collect();
-        let (drawn_x, drawn_y) = matrix(&features.select(Axis(0), &drawn), &of_drawn);
+        let drawn_x = matrix(features.select(Axis(0), &drawn).view());
+        let drawn_y = labels(drawn.iter().map(|&i| class[i]));
         let parameters = DecisionTreeClassifierParameters::default().with_max_depth(levels as u16);
         // No tree grows if the drawn trials are all of one surface.
         let Ok(tree) = DecisionTreeClassifier::fit(&drawn_x, &drawn_y, parameters) else {
@@ -128,25 +126,17 @@ pub(super) fn boosted(training: &TrainingSet, seed: u64) -> Scorer {
         weights.iter_mut().for_each(|weight| *weight /= total);
         trees.push((alpha, tree));
     }
-    Box::new(move |query: ArrayView1<'_, f64>| {
-        let query = row(query);
-        let mut votes = vec![0.0; surfaces];
-        for (alpha, tree) in &trees {
-            if let Ok(class) = tree.predict(&query) {
-                votes[class[0] as usize] += alpha;
-            }
-        }
-        shares(&votes)
-    })
+    by_votes(trees, surfaces)
 }
 
 /// Draws indices in proportion to `weights`, as many as there are weights.
 fn draw(weights: &[f64], rng: &mut impl Rng) -> Vec<usize> {
-    let add = |sum: &mut f64, weight: &f64| {
-        *sum += weight;
-        Some(*sum)
+    let mut sum = 0.0;
+    let add = |weight: &f64| {
+        sum += weight;
+        sum
     };
-    let cumulative: Vec<f64> = weights.iter().scan(0.0, add).collect();
+    let cumulative: Vec<f64> = weights.iter().map(add).collect();
     let last = weights.len() - 1;
     let one = |_| {
         let at = seed::uniform(rng) * cumulative[last];

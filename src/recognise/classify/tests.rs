@@ -63,8 +63,8 @@ fn check(classifier: Classifier) {
 #[test]
 fn every_classifier_keeps_the_promises() {
     check(Classifier::NaiveBayes);
-    check(Classifier::Neighbours(Distance::Euclidean));
-    check(Classifier::Neighbours(Distance::Mahalanobis));
+    check(Classifier::Neighbours);
+    check(Classifier::Mahalanobis);
     check(Classifier::Svm);
     check(Classifier::RandomForest { seed: 1 });
     check(Classifier::AdaBoost { seed: 1 });

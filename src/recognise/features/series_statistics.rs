@@ -1,9 +1,11 @@
 //! Features of a series: moments and ratios in time, and a log-band spectrum.
 
-use super::windowed_frames::{FrameView, VIEWS};
+use super::windowed_frames::{FrameView, points};
 use crate::scene::Domain;
 use crate::trial::Series;
 
+/// For series of domain `spectrum`: frame duration in seconds, and number of bands.
+const FAST: (f64, usize) = (0.0464, 40);
 /// For series of domain `time`: frame duration in seconds, number of bands, highest frequency in Hz.
 const SLOW: (f64, usize, f64) = (0.2, 16, 500.0);
 /// Number of parts of a series. Their mean levels show its slow drift.
@@ -19,10 +21,11 @@ pub fn features(series: &Series, domain: &Domain) -> Vec<f64> {
         features.extend(moments(&values, series.rate_hz()));
     }
     let (frame_s, bands, band_hz) = match *domain {
-        Domain::Spectrum { band_hz } => (VIEWS[0].0, VIEWS[0].1, band_hz),
+        Domain::Spectrum { band_hz } => (FAST.0, FAST.1, band_hz),
         Domain::Time { .. } | Domain::Image => (SLOW.0, SLOW.1, (0.0, SLOW.2)),
     };
-    let view = FrameView::new(series.rate_hz(), series.channels(), band_hz, frame_s, bands);
+    let (rate_hz, channels) = (series.rate_hz(), series.channels());
+    let view = FrameView::of_points(points(frame_s, rate_hz), rate_hz, channels, band_hz, bands);
     features.extend(levels(&view, series.samples()));
     features
 }

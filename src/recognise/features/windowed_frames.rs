@@ -1,7 +1,6 @@
 //! Log-band frames: the power of a sound or vibration in frequency bands, frame by frame.
 //!
-//! A source with a spectrum is cut into frames in two ways, called views: long frames (about 46 ms, 40
-//! bands) and short frames (about 12 ms, 24 bands). Successive frames overlap by half. The mean of
+//! A [`FrameView`] is one way to cut a source into frames. Successive frames overlap by half. The mean of
 //! each frame is subtracted first, since a sensor's offset would leak into the lowest bands. The frame
 //! is windowed (periodic Hann) and transformed. Its power is averaged over bands with edges equally
 //! spaced in ln(1 + f/f0); f0 is a tenth of the highest frequency. The value of a band is A = ln(mean
@@ -15,9 +14,6 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use realfft::{RealFftPlanner, RealToComplex};
-
-/// The views of a source: duration of a frame in seconds, and number of bands.
-pub(super) const VIEWS: [(f64, usize); 2] = [(0.0464, 40), (0.0116, 24)];
 
 /// Added to the power of each band, so that the logarithm of a silent band is finite.
 const POWER_FLOOR: f32 = 1e-14;
@@ -34,21 +30,14 @@ pub struct FrameView {
     pub edges: Vec<usize>,
 }
 
-impl FrameView {
-    /// A view with frames of `frame_s` seconds, rounded (in log2) to a power of two of samples. It has
-    /// at most `bands` bands; each band is at least one bin wide, and none lies above half the rate.
-    pub fn new(
-        rate_hz: f64,
-        channels: usize,
-        band_hz: (f64, f64),
-        frame_s: f64,
-        bands: usize,
-    ) -> Self {
-        let exponent = (frame_s * rate_hz).log2().round().clamp(1.0, 24.0);
-        Self::of_points(1 << exponent as u32, rate_hz, channels, band_hz, bands)
-    }
+/// The number of samples in a frame of `frame_s` seconds, rounded (in log2) to a power of two.
+pub(super) fn points(frame_s: f64, rate_hz: f64) -> usize {
+    1 << (frame_s * rate_hz).log2().round().clamp(1.0, 24.0) as u32
+}
 
-    /// A view with frames of `points` samples, a power of two.
+impl FrameView {
+    /// A view with frames of `points` samples, a power of two. It has at most `bands` bands; each band is
+    /// at least one bin wide, and none lies above half the rate.
     pub fn of_points(
         points: usize,
         rate_hz: f64,
@@ -100,7 +89,9 @@ impl FrameView {
         let (width, hop, channels) = (self.width(), self.hop(), self.channels);
         let mut values = vec![0.0; self.frames_in(samples.len() / channels) * width];
         values.par_chunks_mut(width * FRAMES_A_TASK).enumerate().for_each(|(task, rows)| {
-            with_workspace(self.points, |workspace| {
+            WORKSPACES.with_borrow_mut(|all| {
+                let new = || Workspace::new(self.points);
+                let workspace = all.entry(self.points).or_insert_with(new);
                 for (i, row) in rows.chunks_exact_mut(width).enumerate() {
                     let start = (task * FRAMES_A_TASK + i) * hop * channels;
                     let frame = &samples[start..start + self.points * channels];
@@ -164,12 +155,6 @@ struct Workspace {
 
 thread_local! {
     static WORKSPACES: RefCell<HashMap<usize, Workspace>> = RefCell::new(HashMap::new());
-}
-
-fn with_workspace(points: usize, work: impl FnOnce(&mut Workspace)) {
-    WORKSPACES.with_borrow_mut(|all| {
-        work(all.entry(points).or_insert_with(|| Workspace::new(points)));
-    });
 }
 
 impl Workspace {
@@ -239,9 +224,12 @@ pub fn sum(samples: &[f32]) -> f64 {
 mod tests {
     use super::*;
 
+    /// Duration of a frame in seconds, and number of bands.
+    const VIEWS: [(f64, usize); 2] = [(0.0464, 40), (0.0116, 24)];
+
     fn view(index: usize) -> FrameView {
         let (frame_s, bands) = VIEWS[index];
-        FrameView::new(44_100.0, 1, (0.0, 7500.0), frame_s, bands)
+        FrameView::of_points(points(frame_s, 44_100.0), 44_100.0, 1, (0.0, 7500.0), bands)
     }
 
     #[test]
@@ -262,15 +250,16 @@ mod tests {
             ]
         );
         assert_eq!((view(0).points, view(1).points), (2048, 512));
-        let slow = FrameView::new(10_000.0, 3, (0.0, 1000.0), VIEWS[1].0, VIEWS[1].1);
+        let (points, bands) = (points(VIEWS[1].0, 10_000.0), VIEWS[1].1);
+        let slow = FrameView::of_points(points, 10_000.0, 3, (0.0, 1000.0), bands);
         assert_eq!((slow.points, slow.edges.last()), (128, Some(&13)));
     }
 
     #[test]
     fn a_band_above_half_the_rate_or_of_no_width_still_has_a_bin() {
-        assert_eq!(FrameView::new(100.0, 1, (300.0, 400.0), 0.1, 8).bands(), 1);
-        assert!(FrameView::new(100.0, 1, (20.0, 20.01), 0.1, 8).edges.len() > 1);
-        let narrow = FrameView::new(44_100.0, 1, (0.0, 80.0), 0.0464, 40);
+        assert_eq!(FrameView::of_points(8, 100.0, 1, (300.0, 400.0), 8).bands(), 1);
+        assert!(FrameView::of_points(8, 100.0, 1, (20.0, 20.01), 8).edges.len() > 1);
+        let narrow = FrameView::of_points(2048, 44_100.0, 1, (0.0, 80.0), 40);
         assert_eq!(narrow.edges.last(), Some(&4), "80 Hz are fewer than four bins of 21.5 Hz");
     }
 

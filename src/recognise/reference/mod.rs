@@ -6,19 +6,16 @@
 //! table; both change a score by at most 1e-4 ([`SumPrecision`]). Successive halving is optional.
 //! Results depend neither on the number of threads nor on the order of the library.
 
-mod halving;
 mod model;
 pub(super) mod prepared_trial;
 mod sample_set;
 mod sampling;
 mod score;
 
-pub use halving::{STAGES, Stage};
-pub use model::ReferenceModel;
+pub use model::{ReferenceModel, STAGES, Stage};
 pub use prepared_trial::PreparedTrial;
 pub(super) use prepared_trial::{SampledSource, shared_sources};
 pub use sample_set::{SampleSet, Scratch};
-pub(super) use sampling::keyed_positions;
 pub use sampling::{DomainSamples, image_grid};
 pub(super) use score::aligned;
 pub use score::{QuerySet, SumPrecision, log_score, score_samples};

@@ -1,7 +1,7 @@
 //! A trial prepared for the method `reference`: its sources are cut to length and sampled.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::sample_set::SampleSet;
 use super::sampling::DomainSamples;
@@ -14,7 +14,7 @@ use crate::trial::{Signal, Trial, TrialKey};
 /// One source of a trial, cut to some length and sampled.
 pub struct SampledSource {
     /// One set of samples for each repetition; empty if positions are drawn for each pair of trials.
-    pub sets: Vec<SampleSet>,
+    pub sets: Vec<Arc<SampleSet>>,
     /// All samples; `None` unless positions are drawn for each pair of trials.
     pub domain: Option<DomainSamples>,
 }
@@ -25,17 +25,31 @@ type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 /// Number of lengths of a source kept in memory besides the trial's own; enough for `chart`.
 const KEPT_LENGTHS: usize = 3;
 
-/// Each source cut to the lengths used so far, with the length in frames.
-type SampledSources = BTreeMap<SourceId, Vec<(usize, Arc<SampledSource>)>>;
-
 /// A trial, prepared for comparison.
 pub struct PreparedTrial {
     entry: Entry,
-    /// Rate in Hz and frames of each source that the scene describes; `None` for an image.
-    shapes: BTreeMap<SourceId, Option<(f64, usize)>>,
+    sources: BTreeMap<SourceId, PreparedSource>,
     content: u64,
-    /// Each source cut to the lengths used so far; the trial's own length comes first.
-    cuts: Mutex<SampledSources>,
+}
+
+/// A source of a trial, at several lengths.
+struct PreparedSource {
+    /// Rate in Hz and number of frames; `None` for an image.
+    series: Option<(f64, usize)>,
+    /// The source cut to the lengths used so far (in frames); the trial's own length comes first.
+    cuts: Mutex<Vec<(usize, Arc<SampledSource>)>>,
+}
+
+impl PreparedSource {
+    fn new(series: Option<(f64, usize)>, whole: SampledSource) -> Self {
+        let frames = series.map_or(0, |(_, frames)| frames);
+        Self { series, cuts: Mutex::new(vec![(frames, Arc::new(whole))]) }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<(usize, Arc<SampledSource>)>> {
+        // If a thread panicked while it held the lock, at most one cut was not saved.
+        self.cuts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl PreparedTrial {
@@ -49,50 +63,46 @@ impl PreparedTrial {
         cut: impl Fn(&SourceSpec, &Signal, usize) -> SampledSource + Sync,
     ) -> Result<Self, RecogniseError> {
         let made = of_known_sources(&entry.key, trial, scene, |spec, signal| {
-            let shape = match signal {
+            let series = match signal {
                 Signal::Image(_) => None,
                 Signal::Series(series) => Some((series.rate_hz(), series.frames())),
             };
-            let frames = shape.map_or(0, |(_, frames)| frames);
             let content = if hashed { signal.content_hash() } else { 0 };
-            (shape, content, (frames, Arc::new(cut(spec, signal, frames))))
+            let whole = cut(spec, signal, series.map_or(0, |(_, frames)| frames));
+            (content, PreparedSource::new(series, whole))
         })?;
-        let (mut shapes, mut cuts, mut all) = (BTreeMap::new(), BTreeMap::new(), 0);
-        for (id, (shape, content, cut)) in made {
+        let (mut sources, mut all) = (BTreeMap::new(), 0);
+        for (id, (content, source)) in made {
             let parts = [all, content].map(u64::to_le_bytes);
             all = seed::stable_hash(&[&parts[0], id.as_str().as_bytes(), &parts[1]]);
-            shapes.insert(id.clone(), shape);
-            cuts.insert(id, vec![cut]);
+            sources.insert(id, source);
         }
-        Ok(Self { entry: entry.clone(), shapes, content: all, cuts: Mutex::new(cuts) })
+        Ok(Self { entry: entry.clone(), sources, content: all })
     }
 
     /// The trial as bytes, for a cache; `None` if positions are drawn for each pair of trials, since
     /// the bytes would then be as large as the recording.
     pub(in crate::recognise) fn encode(&self) -> Option<Vec<u8>> {
-        let cuts = self.lock();
-        let mut sources = Vec::new();
-        for (id, shape) in &self.shapes {
-            let (_, cut) = cuts.get(id)?.first()?;
-            sources.push((id, shape, &cut.sets));
-        }
-        let sampled = sources.iter().all(|(_, _, sets)| !sets.is_empty());
-        sampled.then(|| postcard::to_allocvec(&sources).ok())?
+        let whole = |source: &PreparedSource| Some(source.lock().first()?.1.clone());
+        let wholes: Vec<_> = self.sources.values().map(whole).collect::<Option<_>>()?;
+        let stored = self.sources.iter().zip(&wholes).map(|((id, source), whole)| {
+            let sets = whole.sets.iter().map(|set| &**set).collect::<Vec<_>>();
+            (!sets.is_empty()).then_some((id, source.series, sets))
+        });
+        postcard::to_allocvec(&stored.collect::<Option<Vec<_>>>()?).ok()
     }
 
     /// Decodes the bytes of `encode` for the trial of an entry; `None` if they are not valid.
     pub(in crate::recognise) fn decode(entry: &Entry, bytes: &[u8]) -> Option<Self> {
-        let sources: Vec<StoredSource> = postcard::from_bytes(bytes).ok()?;
-        let (mut shapes, mut cuts) = (BTreeMap::new(), BTreeMap::new());
-        for (id, shape, mut sets) in sources {
-            if !sets.iter_mut().all(SampleSet::complete) {
-                return None;
-            }
-            let frames = shape.map_or(0, |(_, frames)| frames);
-            shapes.insert(id.clone(), shape);
-            cuts.insert(id, vec![(frames, Arc::new(SampledSource { sets, domain: None }))]);
-        }
-        Some(Self { entry: entry.clone(), shapes, content: 0, cuts: Mutex::new(cuts) })
+        let stored: Vec<StoredSource> = postcard::from_bytes(bytes).ok()?;
+        let source = |(id, series, mut sets): StoredSource| {
+            let is_sound = sets.iter_mut().all(SampleSet::complete);
+            let sets = sets.into_iter().map(Arc::new).collect();
+            let whole = SampledSource { sets, domain: None };
+            is_sound.then(|| (id, PreparedSource::new(series, whole)))
+        };
+        let sources = stored.into_iter().map(source).collect::<Option<_>>()?;
+        Some(Self { entry: entry.clone(), sources, content: 0 })
     }
 
     pub fn key(&self) -> &TrialKey {
@@ -106,14 +116,14 @@ impl PreparedTrial {
     }
 
     fn rate_hz(&self, id: &SourceId) -> Option<f64> {
-        self.shapes.get(id)?.map(|(rate_hz, _)| rate_hz)
+        self.sources.get(id)?.series.map(|(rate_hz, _)| rate_hz)
     }
 
     /// Number of frames of a source that both trials have: that of the shorter trial; 0 for images;
     /// `None` if a trial lacks the source.
     pub(super) fn common_frames(&self, other: &Self, id: &SourceId) -> Option<usize> {
-        match (self.shapes.get(id)?, other.shapes.get(id)?) {
-            (Some((_, mine)), Some((_, others))) => Some(*mine.min(others)),
+        match (self.sources.get(id)?.series, other.sources.get(id)?.series) {
+            (Some((_, mine)), Some((_, others))) => Some(mine.min(others)),
             _ => Some(0),
         }
     }
@@ -125,15 +135,13 @@ impl PreparedTrial {
         frames: usize,
         cut: impl Fn(&Signal) -> SampledSource,
     ) -> Result<Arc<SampledSource>, RecogniseError> {
-        if let Some(cuts) = self.lock().get(id)
-            && let Some((_, cut)) = cuts.iter().find(|(at, _)| *at == frames)
-        {
+        let source = &self.sources[id];
+        if let Some((_, cut)) = source.lock().iter().find(|(at, _)| *at == frames) {
             return Ok(cut.clone());
         }
         let trial = self.entry.load()?;
         let made = Arc::new(cut(&trial.signals[id]));
-        let mut cuts = self.lock();
-        let kept = cuts.entry(id.clone()).or_default();
+        let mut kept = source.lock();
         // Another thread may have made the same cut meanwhile. Waiting for that thread could last for
         // ever: its parallel work may run a task that waits for this very cut.
         if !kept.iter().any(|(at, _)| *at == frames) {
@@ -143,11 +151,6 @@ impl PreparedTrial {
             kept.push((frames, made.clone()));
         }
         Ok(made)
-    }
-
-    fn lock(&self) -> std::sync::MutexGuard<'_, SampledSources> {
-        // If a thread panicked while it held the lock, at most one cut was not saved.
-        self.cuts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -161,12 +164,12 @@ pub fn shared_sources<'a>(
     library: &[Arc<PreparedTrial>],
 ) -> Result<Vec<&'a SourceSpec>, RecogniseError> {
     let sources: Vec<&SourceSpec> = (scene.sources())
-        .filter(|s| query.shapes.contains_key(&s.id))
-        .filter(|s| library.iter().any(|trial| trial.shapes.contains_key(&s.id)))
+        .filter(|s| query.sources.contains_key(&s.id))
+        .filter(|s| library.iter().any(|trial| trial.sources.contains_key(&s.id)))
         .collect();
     if sources.is_empty() {
-        let of_library = library.iter().flat_map(|trial| trial.shapes.keys());
-        return Err(nothing_in_common(query.shapes.keys(), of_library));
+        let of_library = library.iter().flat_map(|trial| trial.sources.keys());
+        return Err(nothing_in_common(query.sources.keys(), of_library));
     }
     for spec in &sources {
         let Some(query_hz) = query.rate_hz(&spec.id) else { continue };

@@ -54,10 +54,17 @@ impl Values {
         }
     }
 
-    pub(super) fn len(&self) -> usize {
+    fn len(&self) -> usize {
         match self {
             Self::Single(values) => values.len(),
             Self::Double(values) => values.len(),
+        }
+    }
+
+    fn at(&self, i: usize) -> f64 {
+        match self {
+            Self::Single(values) => f64::from(values[i]),
+            Self::Double(values) => values[i],
         }
     }
 }
@@ -85,18 +92,13 @@ impl SampleSet {
         let mut values = Vec::with_capacity(samples.len());
         let (mut mean, mut centre) = (Vec::new(), Vec::new());
         for column in samples.columns() {
-            let start = values.len();
-            values.extend(column.iter().copied());
+            let mut sorted = column.to_vec();
+            sorted.sort_unstable_by(f64::total_cmp);
+            centre.push(sorted[n / 2]);
             mean.push(column.sum() / n as f64);
-            if samples.ncols() == 1 {
-                values.sort_unstable_by(f64::total_cmp);
-                centre.push(values[n / 2]);
-            } else {
-                let mut sorted = values[start..].to_vec();
-                centre.push(*sorted.select_nth_unstable_by(n / 2, f64::total_cmp).1);
-            }
+            if samples.ncols() == 1 { values = sorted } else { values.extend(column) }
         }
-        let distinct = DistinctPoints::find(&values, n, samples.ncols());
+        let distinct = DistinctPoints::find(|i| values[i], n, samples.ncols());
         let coarseness = coarseness(&values, n, &centre);
         let clustered = distinct.is_some() || is_clustered(&values, n, sigma);
         let values = Values::new(values);
@@ -109,11 +111,7 @@ impl SampleSet {
         if count == 0 || dims == 0 || count % dims != 0 || self.centre.len() != dims {
             return false;
         }
-        let n = count / dims;
-        self.distinct = match &self.values {
-            Values::Single(values) => DistinctPoints::find(values, n, dims),
-            Values::Double(values) => DistinctPoints::find(values, n, dims),
-        };
+        self.distinct = DistinctPoints::find(|i| self.values.at(i), count / dims, dims);
         true
     }
 
@@ -171,33 +169,24 @@ impl SampleSet {
 
     pub(super) fn fill<T: Number>(&self, points: &mut Points<T>, sigma: f64, origin: &[f64]) {
         let n = self.n();
-        match &self.values {
-            Values::Single(v) => points.fill(self.dims(), sigma, |c| {
-                v[c * n..(c + 1) * n].iter().map(move |&x| f64::from(x) - origin[c])
-            }),
-            Values::Double(v) => points.fill(self.dims(), sigma, |c| {
-                v[c * n..(c + 1) * n].iter().map(move |&x| x - origin[c])
-            }),
-        }
+        points.fill(self.dims(), sigma, |c| {
+            (c * n..(c + 1) * n).map(move |i| self.values.at(i) - origin[c])
+        });
+    }
+
+    /// The samples of the first channel.
+    fn first_channel(&self) -> impl Iterator<Item = f64> {
+        (0..self.n()).map(|i| self.values.at(i))
     }
 
     /// The kernel sum over the first channel's samples at length scale `sigma`, as a function of x.
     pub(super) fn line(&self, sigma: f64) -> LineSum {
-        let n = self.n();
-        match &self.values {
-            Values::Single(v) => {
-                LineSum::new(v[..n].iter().map(|&x| f64::from(x)), self.centre[0], sigma)
-            }
-            Values::Double(v) => LineSum::new(v[..n].iter().copied(), self.centre[0], sigma),
-        }
+        LineSum::new(self.first_channel(), self.centre[0], sigma)
     }
 
     /// Kernel sum between the first channel's samples, moved by `shift`, and those of `line`.
     pub(super) fn sum_on_line(&self, line: &LineSum, shift: f64) -> f64 {
-        match &self.values {
-            Values::Single(v) => line.sum(v[..self.n()].iter().map(|&x| f64::from(x)), shift),
-            Values::Double(v) => line.sum(v[..self.n()].iter().copied(), shift),
-        }
+        line.sum(self.first_channel(), shift)
     }
 
     /// Σ k(aᵢ, bⱼ) over distinct samples, b from `other` and moved by `shift`; `None` if many.
@@ -217,12 +206,12 @@ impl SampleSet {
 }
 
 impl DistinctPoints {
-    /// Takes values channel after channel; `None` if more than [`MOST_DISTINCT`] are distinct.
-    fn find<T: Copy + Into<f64>>(values: &[T], n: usize, dims: usize) -> Option<Self> {
+    /// `value` gives values channel after channel; `None` if more than [`MOST_DISTINCT`] are distinct.
+    fn find(value: impl Fn(usize) -> f64, n: usize, dims: usize) -> Option<Self> {
         let mut found = Self { points: Vec::new(), counts: Vec::new() };
         let mut point = vec![0.0; dims];
         for i in 0..n {
-            point.iter_mut().enumerate().for_each(|(c, x)| *x = values[c * n + i].into());
+            point.iter_mut().enumerate().for_each(|(c, x)| *x = value(c * n + i));
             match found.points.chunks(dims).position(|known| known == point) {
                 Some(at) => found.counts[at] += 1.0,
                 None if found.counts.len() == MOST_DISTINCT => return None,

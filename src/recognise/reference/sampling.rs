@@ -2,8 +2,8 @@
 //! or pixels.
 
 use ndarray::Array2;
+use rand::RngExt;
 use rand::seq::index;
-use rand::{Rng, RngExt};
 
 use crate::recognise::features::hsv;
 use crate::scene::{Colour, Domain, SourceId, SourceSpec};
@@ -12,73 +12,14 @@ use crate::spectrum::amplitude_spectrum;
 use crate::trial::{Image, Signal};
 
 /// Number of rows in the grid of pixels drawn from an image.
-pub const IMAGE_ROWS: usize = 25;
-pub const IMAGE_COLS: usize = 16;
+const IMAGE_ROWS: usize = 25;
+const IMAGE_COLS: usize = 16;
 const IMAGE_ROW_STEP: usize = 17;
 const IMAGE_COL_STEP: usize = 18;
 /// The origin of the grid lies in the first 55 rows and 32 columns.
 const IMAGE_ORIGINS: (usize, usize) = (55, 32);
 /// The first sample lies within this share of a time series, at its beginning.
 const START_SHARE: f64 = 0.0115;
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DomainExtent {
-    /// A time series with this number of frames.
-    Time(usize),
-    /// A spectrum with this number of bins.
-    Spectrum(usize),
-    /// An image; positions are row · [`Image::COLS`] + column.
-    Image,
-}
-
-/// Draws the positions of `n` samples in their domain. They count from 0 and keep the order drawn.
-///
-/// - Time: every T = ⌊(N − 0.0115 N)/n⌋ frames, from a start in the first 1.15 %. A series that is too
-///   short for this (T = 0) gives all its samples.
-/// - Spectrum: `n` distinct random bins in random order; all bins if there are fewer.
-/// - Image: a grid of 25 × 16 pixels with a random origin; `n` is not used.
-pub fn draw_positions(extent: DomainExtent, n: usize, rng: &mut impl Rng) -> Vec<usize> {
-    match extent {
-        DomainExtent::Time(frames) => {
-            let start_span = frames as f64 * START_SHARE;
-            let step = ((frames as f64 - start_span) / n as f64).floor() as usize;
-            if step == 0 {
-                (0..frames).collect()
-            } else {
-                let start = rng.random_range(0..(start_span as usize).max(1));
-                (0..n).map(|i| start + i * step).collect()
-            }
-        }
-        DomainExtent::Spectrum(bins) => index::sample(rng, bins, n.min(bins)).into_vec(),
-        DomainExtent::Image => {
-            let a0 = rng.random_range(1..=IMAGE_ORIGINS.0);
-            let b0 = rng.random_range(1..=IMAGE_ORIGINS.1);
-            image_grid(a0, b0)
-        }
-    }
-}
-
-/// Draws the positions of one repetition, seeded by the arguments. Without `pair`, all trials of a
-/// library get the same positions. With `pair`, the content hashes of a query and a library trial,
-/// each pair gets its own positions.
-pub fn keyed_positions(
-    source: &SourceId,
-    extent: DomainExtent,
-    n: usize,
-    seed: u64,
-    repetition: usize,
-    pair: Option<(u64, u64)>,
-) -> Vec<usize> {
-    let size = match extent {
-        DomainExtent::Time(size) | DomainExtent::Spectrum(size) => size as u64,
-        DomainExtent::Image => 0,
-    };
-    let (z, y) = pair.unwrap_or_default();
-    let numbers = [size, repetition as u64, z, y].map(u64::to_le_bytes);
-    let mut key: Vec<&[u8]> = vec![source.as_str().as_bytes()];
-    key.extend(numbers.iter().map(<[u8; 8]>::as_slice));
-    draw_positions(extent, n, &mut seed::rng(seed, &key))
-}
 
 /// The grid of pixels from origin row `a0` and column `b0`, both counted from 1 as in the paper. Rows
 /// vary fastest. The order matters, since σ is computed from the first samples.
@@ -118,11 +59,50 @@ impl DomainSamples {
         Self::Spectrum(Array2::from_shape_fn(shape, |(bin, c)| spectra[c][bin] as f32))
     }
 
-    pub(crate) fn extent(&self) -> DomainExtent {
+    /// Draws the positions of `n` samples for one repetition, seeded by the arguments. They count from 0
+    /// and keep the order drawn.
+    ///
+    /// - Time: every T = ⌊(N − 0.0115 N)/n⌋ frames, from a start in the first 1.15 %. A series that is
+    ///   too short for this (T = 0) gives all its samples.
+    /// - Spectrum: `n` distinct random bins in random order; all bins if there are fewer.
+    /// - Pixels: a grid of 25 × 16 with a random origin; `n` is not used. A position is row ·
+    ///   [`Image::COLS`] + column.
+    ///
+    /// Without `pair`, all trials of a library get the same positions. With `pair`, the content hashes of
+    /// a query and a library trial, each pair gets its own positions.
+    pub(crate) fn positions(
+        &self,
+        source: &SourceId,
+        n: usize,
+        seed: u64,
+        repetition: usize,
+        pair: Option<(u64, u64)>,
+    ) -> Vec<usize> {
+        let size = match self {
+            Self::Time(rows) | Self::Spectrum(rows) => rows.nrows(),
+            Self::Pixels(..) => 0,
+        };
+        let (z, y) = pair.unwrap_or_default();
+        let [size_bytes, repetition, z, y] =
+            [size as u64, repetition as u64, z, y].map(u64::to_le_bytes);
+        let key = [source.as_str().as_bytes(), &size_bytes, &repetition, &z, &y];
+        let rng = &mut seed::rng(seed, &key);
         match self {
-            Self::Time(rows) => DomainExtent::Time(rows.nrows()),
-            Self::Spectrum(rows) => DomainExtent::Spectrum(rows.nrows()),
-            Self::Pixels(..) => DomainExtent::Image,
+            Self::Time(_) => {
+                let start_span = size as f64 * START_SHARE;
+                let step = ((size as f64 - start_span) / n as f64).floor() as usize;
+                if step == 0 {
+                    return (0..size).collect();
+                }
+                let start = rng.random_range(0..(start_span as usize).max(1));
+                (0..n).map(|i| start + i * step).collect()
+            }
+            Self::Spectrum(_) => index::sample(rng, size, n.min(size)).into_vec(),
+            Self::Pixels(..) => {
+                let a0 = rng.random_range(1..=IMAGE_ORIGINS.0);
+                let b0 = rng.random_range(1..=IMAGE_ORIGINS.1);
+                image_grid(a0, b0)
+            }
         }
     }
 
@@ -159,12 +139,16 @@ impl DomainSamples {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::seed::rng;
+
+    fn drawn(domain: &DomainSamples, seed: u64) -> Vec<usize> {
+        domain.positions(&SourceId::new("x").unwrap(), 400, seed, 0, None)
+    }
 
     #[test]
     fn time_samples_of_lmt108_are_118_apart() {
+        let series = DomainSamples::Time(Array2::zeros((48_000, 1)));
         for seed in 0..200 {
-            let at = draw_positions(DomainExtent::Time(48_000), 400, &mut rng(seed, &[]));
+            let at = drawn(&series, seed);
             assert_eq!(at.len(), 400);
             assert!(at[0] < 552 && at.windows(2).all(|w| w[1] - w[0] == 118));
         }
@@ -172,7 +156,7 @@ mod tests {
 
     #[test]
     fn bins_are_distinct() {
-        let mut at = draw_positions(DomainExtent::Spectrum(500), 400, &mut rng(1, &[]));
+        let mut at = drawn(&DomainSamples::Spectrum(Array2::zeros((500, 1))), 1);
         assert!(!at.is_sorted(), "the order is drawn, too");
         at.sort_unstable();
         at.dedup();
@@ -181,9 +165,9 @@ mod tests {
 
     #[test]
     fn a_short_extent_gives_all_it_has() {
-        for extent in [DomainExtent::Time(90), DomainExtent::Spectrum(90)] {
-            let at = draw_positions(extent, 400, &mut rng(1, &[]));
-            assert_eq!(at.len(), 90);
+        let rows = Array2::zeros((90, 1));
+        for domain in [DomainSamples::Time(rows.clone()), DomainSamples::Spectrum(rows)] {
+            assert_eq!(drawn(&domain, 1).len(), 90);
         }
     }
 

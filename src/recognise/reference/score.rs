@@ -1,5 +1,6 @@
 //! The score of one source: n·MMD²_b between the samples of a query and of a library trial.
 
+use std::ops::Deref;
 use std::sync::OnceLock;
 
 use ndarray::{Array2, ArrayView2, Axis};
@@ -79,8 +80,8 @@ pub enum SumPrecision {
 /// Each kind saves time: a query of eight sources takes four times as long without the sum over
 /// distinct samples and 1.3 times without the line; lanes take a tenth of the time of f64. Measured by
 /// `cargo bench --bench reference -- sums`.
-pub struct QuerySet<'a> {
-    set: &'a SampleSet,
+pub struct QuerySet<S> {
+    set: S,
     align_mean: bool,
     precision: SumPrecision,
     strategy: SumStrategy,
@@ -97,9 +98,9 @@ enum SumStrategy {
     InF64,
 }
 
-impl<'a> QuerySet<'a> {
+impl<S: Deref<Target = SampleSet>> QuerySet<S> {
     /// Prepares the samples of a query. Their σ is the length scale of all comparisons.
-    pub fn new(set: &'a SampleSet, align_mean: bool, precision: SumPrecision) -> Self {
+    pub fn new(set: S, align_mean: bool, precision: SumPrecision) -> Self {
         let sigma = set.sigma;
         let strategy = if precision == SumPrecision::Oracle {
             SumStrategy::InF64
@@ -148,14 +149,14 @@ impl<'a> QuerySet<'a> {
         let sigma = self.set.sigma;
         let none = vec![0.0; y.dims()];
         let yz = self.set.distinct_sum(y, sigma, shift)?;
-        let [yy, zz] = [y, self.set].map(|set| set.distinct_sum(set, sigma, &none));
+        let [yy, zz] = [y, &*self.set].map(|set| set.distinct_sum(set, sigma, &none));
         Some(CrossSums { yz, yy: yy?, zz: zz? })
     }
 
     /// Sums on a line or in lanes; `None` if they would not be exact enough.
     fn fast_sums(&self, y: &SampleSet, shift: &[f64], scratch: &mut Scratch) -> Option<CrossSums> {
         let sigma = self.set.sigma;
-        let clustered = [self.set, y].iter().all(|set| set.is_clustered_at(sigma));
+        let clustered = [&*self.set, y].iter().all(|set| set.is_clustered_at(sigma));
         let (yz, zz) = match &self.strategy {
             SumStrategy::Line(line, zz) => (y.sum_on_line(line, shift[0]), *zz),
             SumStrategy::Lanes(z_lanes, zz) if y.fits_lanes(sigma) && !clustered => {

@@ -25,27 +25,6 @@ pub(crate) use lines::fitting;
 pub use output_address::{HttpAddress, MqttAddress, OutputsConfig, TlsFiles};
 pub(crate) use output_address::{is_segment, machine_name};
 
-impl StationConfig {
-    pub fn embedded() -> Self {
-        // A test parses the embedded file, so this cannot fail.
-        Self::parse(DEFAULTS, Path::new("configs/stylus.toml")).expect("the defaults parse")
-    }
-
-    /// Reads a file, and uses the defaults for missing keys.
-    ///
-    /// # Errors
-    /// If the file cannot be read, is not TOML, has an unknown key, or has an impossible value;
-    /// the error states the line if it is known.
-    pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| ConfigError(format!("{}: {error}", path.display())))?;
-        Self::parse(&text, path)
-    }
-}
-
-#[cfg(test)]
-mod tests;
-
 /// A mistake in a configuration. The text names the file, the line if known, and what was expected.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
@@ -105,6 +84,22 @@ enum DevicePart {
 }
 
 impl StationConfig {
+    pub fn embedded() -> Self {
+        // A test parses the embedded file, so this cannot fail.
+        Self::parse(DEFAULTS, Path::new("configs/stylus.toml")).expect("the defaults parse")
+    }
+
+    /// Reads a file, and uses the defaults for missing keys.
+    ///
+    /// # Errors
+    /// If the file cannot be read, is not TOML, has an unknown key, or has an impossible value;
+    /// the error states the line if it is known.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| ConfigError(format!("{}: {error}", path.display())))?;
+        Self::parse(&text, path)
+    }
+
     /// Reduces this station to the devices and cuts that scans of `sources` need. Scans are
     /// detected by a device that shows contact. If no kept device does, one is added (the stylus
     /// first, then lines, then the microphone).
@@ -146,7 +141,6 @@ impl StationConfig {
 
     fn part_of(&self, stream: &SourceId) -> Option<DevicePart> {
         let camera = self.camera.as_ref();
-        let flash = camera.and_then(|camera| camera.flash.as_ref());
         let of_stylus = |of: &StylusConfig| of.streams.iter().any(|w| w.id == *stream);
         let of_lines = |of: &LinesConfig| of.streams.iter().any(|s| s.id == *stream);
         if self.stylus.as_ref().is_some_and(of_stylus) {
@@ -158,7 +152,36 @@ impl StationConfig {
         } else if camera.is_some_and(|of| of.source == *stream) {
             Some(DevicePart::Camera)
         } else {
+            let flash = camera?.flash.as_ref();
             flash.is_some_and(|of| of.source == *stream).then_some(DevicePart::Flash)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::serial::Value;
+    use crate::scan::detect::SensorKind;
+    use crate::scene::Phase;
+
+    #[test]
+    fn the_embedded_file_describes_a_whole_station() {
+        let config = StationConfig::embedded();
+        let stylus = config.stylus.unwrap();
+        let of_stylus: Vec<_> =
+            stylus.streams.iter().map(|s| (s.id.as_str(), s.channels.len(), s.value)).collect();
+        let full = |id, channels| (id, channels, Value::FullScale);
+        let expected = [full("ac", 3), full("fr", 2), full("ir", 1), ("me", 1, Value::Unit)];
+        assert_eq!((stylus.rate_hz, &of_stylus[..]), (10_000, &expected[..]));
+        let sources: Vec<_> = config.detection.cuts.iter().map(|cut| cut.source.as_str()).collect();
+        assert_eq!(sources, ["ac", "fr", "ir", "me", "mi1", "mi2", "ca1", "ca2"]);
+        let tap = config.detection.cuts.iter().find(|cut| cut.source.as_str() == "mi1").unwrap();
+        assert_eq!((tap.stream.as_str(), tap.phase), ("sound", Phase::Tap));
+        let groups: Vec<Vec<_>> = (config.detection.groups.iter())
+            .map(|group| group.iter().map(|(id, feel)| (id.as_str(), *feel)).collect())
+            .collect();
+        let stylus = vec![("ac", SensorKind::Vibration), ("fr", SensorKind::Force)];
+        assert_eq!(groups, [stylus, vec![("sound", SensorKind::Vibration)]]);
     }
 }

@@ -1,3 +1,4 @@
+use std::path::Path;
 use std::time::Instant;
 
 use super::super::orders::Keep;
@@ -20,6 +21,11 @@ fn scan_at(number: u32, level: f32) -> Box<Scan> {
     Box::new(Scan { scan_s: 0.01, ..Scan::of_signals(number, signals.into()) })
 }
 
+fn start(folder: &Path) -> RecordingThread {
+    let store = ScanStore::new(folder.to_path_buf(), Scene::lmt108());
+    RecordingThread::start(store).unwrap()
+}
+
 fn enrolment() -> Enrolment {
     let (surface, user) = ("oak".into(), "anna".into());
     Enrolment { order: 0, keep: Keep { surface, user, trials: None, good_only: false } }
@@ -31,8 +37,7 @@ fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
     // A file lies where the library's folder should be.
     let folder = dir.path().join("library");
     std::fs::write(&folder, "").unwrap();
-    let mut thread =
-        RecordingThread::start(ScanStore::new(folder.clone(), Scene::lmt108())).unwrap();
+    let mut thread = start(&folder);
     let stored = thread.stored.clone();
     let outcomes = |n: usize| -> Vec<_> {
         let next = || stored.recv().unwrap().enrolled;
@@ -57,11 +62,7 @@ fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
 #[test]
 fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
     let dir = tempfile::tempdir().unwrap();
-    let start = || {
-        let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
-        RecordingThread::start(store).unwrap()
-    };
-    let mut both = [start(), start()];
+    let mut both = [start(dir.path()), start(dir.path())];
     // Both have the same process number, as programs in two containers may.
     for number in 1..=8 {
         for (thread, level) in both.iter_mut().zip([0.0, 0.5]) {
@@ -90,8 +91,7 @@ fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
 #[test]
 fn a_trial_that_a_script_adds_meanwhile_keeps_its_number() {
     let dir = tempfile::tempdir().unwrap();
-    let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
-    let mut thread = RecordingThread::start(store).unwrap();
+    let mut thread = start(dir.path());
     let stored = thread.stored.clone();
     let number = || stored.recv().unwrap().enrolled.trial;
     thread.store(scan(1), enrolment(), None);
@@ -125,8 +125,7 @@ fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
 #[test]
 fn a_scan_that_was_refused_is_kept_once_somebody_says_so() {
     let dir = tempfile::tempdir().unwrap();
-    let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
-    let mut thread = RecordingThread::start(store).unwrap();
+    let mut thread = start(dir.path());
     let stored = thread.stored.clone();
     let strict = Enrolment { order: 0, keep: Keep { good_only: true, ..enrolment().keep } };
     thread.store(scan(1), strict.clone(), None);

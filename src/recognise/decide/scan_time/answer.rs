@@ -1,5 +1,7 @@
 //! How long a scan must last, or why no scan time is known.
 
+use serde::ser::{Serialize, SerializeStruct, Serializer};
+
 use crate::recognise::follow::FollowOptions;
 
 /// The accuracy that a scan time must reach.
@@ -61,8 +63,7 @@ pub enum Shortfall {
 }
 
 /// How long a scan must last, or why no scan time can be given.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-#[serde(into = "ScanTimeDocument")]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ScanTime {
     /// The wanted accuracy: the share of scans to be named right.
     pub target: f64,
@@ -80,44 +81,25 @@ pub struct ScanTime {
     pub shortfall: Option<Shortfall>,
 }
 
-#[derive(serde::Serialize)]
-struct ScanTimeDocument {
-    target: f64,
-    /// How long to drag, in seconds. If it is null or the whole length, `reason` says why.
-    scan_s: Option<f64>,
-    /// Share of scans that are named right by then, and its 95 % interval.
-    accuracy: Option<f64>,
-    accuracy_low: Option<f64>,
-    accuracy_high: Option<f64>,
-    /// Median length of the library's trials, and the share named right after their whole length.
-    whole_s: Option<f64>,
-    accuracy_whole: Option<f64>,
-    trials: usize,
-    /// Number of people in the library, and whether each was left out in turn.
-    people: usize,
-    across_people: bool,
-    reason: Option<String>,
-    /// About how many trials to record, if `reason` is that there are too few.
-    more_trials: Option<usize>,
-}
-
-impl From<ScanTime> for ScanTimeDocument {
-    fn from(answer: ScanTime) -> Self {
-        let (at, whole) = (answer.enough, answer.whole);
-        Self {
-            target: answer.target,
-            scan_s: answer.scan_s(),
-            accuracy: at.map(|at| at.accuracy),
-            accuracy_low: at.map(|at| at.accuracy_low),
-            accuracy_high: at.map(|at| at.accuracy_high),
-            whole_s: whole.map(|whole| whole.scan_s),
-            accuracy_whole: whole.map(|whole| whole.accuracy),
-            trials: answer.trials,
-            people: answer.people,
-            across_people: answer.across_people,
-            reason: answer.reason(),
-            more_trials: answer.more_trials(),
-        }
+impl Serialize for ScanTime {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let (at, whole) = (self.enough, self.whole);
+        let mut document = to.serialize_struct("ScanTime", 12)?;
+        document.serialize_field("target", &self.target)?;
+        // If it is null or the whole length, `reason` says why.
+        document.serialize_field("scan_s", &self.scan_s())?;
+        document.serialize_field("accuracy", &at.map(|at| at.accuracy))?;
+        document.serialize_field("accuracy_low", &at.map(|at| at.accuracy_low))?;
+        document.serialize_field("accuracy_high", &at.map(|at| at.accuracy_high))?;
+        // The median length of the library's trials.
+        document.serialize_field("whole_s", &whole.map(|whole| whole.scan_s))?;
+        document.serialize_field("accuracy_whole", &whole.map(|whole| whole.accuracy))?;
+        document.serialize_field("trials", &self.trials)?;
+        document.serialize_field("people", &self.people)?;
+        document.serialize_field("across_people", &self.across_people)?;
+        document.serialize_field("reason", &self.reason())?;
+        document.serialize_field("more_trials", &self.more_trials())?;
+        document.end()
     }
 }
 

@@ -77,13 +77,12 @@ impl LeftOutAccuracy {
         // If no trial can be tested for an unknown surface, no scan time needs to wait for the test.
         let judged = |trial: &FollowedTrial, step: usize| trial.looks[step - 1].p_value.is_some();
         let judges = trials.iter().any(|t| looked_after(t.drag_s).any(|step| judged(t, step)));
+        let look = |trial: &FollowedTrial, at: usize| trial.looks.get(steps.get(at)? - 1).copied();
         let is_measured = |trial: &FollowedTrial, at: usize| {
-            let look = steps.get(at).and_then(|step| trial.looks.get(step - 1));
-            !judges || look.is_none_or(|look| look.p_value.is_some())
+            !judges || look(trial, at).is_none_or(|look| look.p_value.is_some())
         };
         let is_right = |trial: &FollowedTrial, at: usize| {
-            let look = steps.get(at).and_then(|step| trial.looks.get(step - 1));
-            look.map_or(trial.whole, |look| look.class) == trial.truth
+            look(trial, at).map_or(trial.whole, |look| look.class) == trial.truth
         };
         let measured = |at| trials.iter().filter(|trial| is_measured(trial, at)).count();
         let count = trials.iter().map(|trial| trial.group + 1).max().unwrap_or(0);
