@@ -16,7 +16,7 @@ use crate::library::loader::{Headers, Seen, SourceFiles};
 use crate::library::recording;
 use crate::library::{Library, LibraryError, Opened};
 use crate::printable::counted;
-use crate::scene::{Declared, Domain, Scene, SourceId, SourceSpec};
+use crate::scene::{Domain, Scene, SourceBlock, SourceId, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};
 
 /// Names of the database's folders. One such folder is enough to recognise the database.
@@ -218,11 +218,12 @@ fn source_files(
 ) -> Result<SourceFiles, LibraryError> {
     Ok(match spec.id.as_str() {
         // Indexing is safe: `complete` has checked that there is a file.
-        "mi1" | "mi2" => headers.series(
-            spec,
-            Declared { band: true, ..Declared::default() },
-            &paths.remove(0),
-        )?,
+        "mi1" | "mi2" => {
+            // The band of a sound is as binding as one in `library.toml`.
+            let band_hz = spec.domain.band_hz().map(<[f64; 2]>::from);
+            let declared = SourceBlock { band_hz, ..SourceBlock::default() };
+            headers.series(spec, &declared, &paths.remove(0))?
+        }
         "ca1" | "ca2" => SourceFiles::Picture(paths.remove(0)),
         _ => {
             let fail = |problem| LibraryError::file(&paths[0], problem);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::{LibraryError, LoadTrial, Outline, Outlines, files, picture, series_file, text};
 use crate::printable::counted;
-use crate::scene::{Declared, Domain, SourceId, SourceSpec};
+use crate::scene::{Domain, SourceBlock, SourceId, SourceSpec};
 use crate::trial::{Series, Signal, SignalError, Trial, TrialKey};
 
 #[derive(Debug)]
@@ -143,8 +143,8 @@ pub(crate) struct Headers {
 }
 
 impl Headers {
-    /// Checks that a WAV or FLAC file can be the data of a source. `declared` says which keys
-    /// `library.toml` sets for the source.
+    /// Checks that a WAV or FLAC file can be the data of a source. `declared` is what `library.toml`
+    /// itself says of the source.
     ///
     /// # Errors
     /// If the source is an image, the file cannot be read, or its channels or rate differ from the
@@ -152,7 +152,7 @@ impl Headers {
     pub fn series(
         &mut self,
         spec: &SourceSpec,
-        declared: Declared,
+        declared: &SourceBlock,
         path: &Path,
     ) -> Result<SourceFiles, LibraryError> {
         let id = &spec.id;
@@ -165,7 +165,7 @@ impl Headers {
         }
         let header = series_file::probe(path)?;
         if let Err(problem) = spec.check_rate(header.rate_hz) {
-            if declared.band {
+            if declared.band_hz.is_some() {
                 return fail(problem);
             }
             let lowest = self.lowest_hz.entry(id.clone()).or_insert(header.rate_hz);

@@ -18,7 +18,7 @@ use super::files::{self, Listed, number_in};
 use super::loader::{FileTrial, Headers, Seen, SourceFiles};
 use super::{About, Entry, Library, LibraryError, Opened, loose, series_file};
 use crate::printable::counted;
-use crate::scene::{Declared, Domain, LibraryToml, Scene, SourceId};
+use crate::scene::{Domain, LibraryToml, Scene, SourceBlock, SourceId};
 use crate::trial::{EXPERT, TrialKey, UNLABELLED, normal};
 
 pub(crate) const DESCRIPTION: &str = "library.toml";
@@ -120,9 +120,8 @@ struct RecordingOpening<'a> {
     root: &'a Path,
     name: String,
     scene: Scene,
-    declared: BTreeMap<SourceId, Declared>,
-    /// The sources that `library.toml` describes.
-    own: Vec<SourceId>,
+    /// What `library.toml` says of each source that it describes.
+    declared: BTreeMap<SourceId, SourceBlock>,
     /// Sources without a described number of channels; their first recording gives it.
     unknown: BTreeSet<SourceId>,
     synthetic: bool,
@@ -140,7 +139,6 @@ impl<'a> RecordingOpening<'a> {
             name: String::new(),
             scene,
             declared: BTreeMap::new(),
-            own: Vec::new(),
             unknown: BTreeSet::new(),
             synthetic: false,
             headers: Headers::default(),
@@ -155,12 +153,10 @@ impl<'a> RecordingOpening<'a> {
             opening.synthetic = described.synthetic;
             opening.declared = described.declared;
             opening.name.clone_from(&described.sources.name);
-            opening.own = described.sources.sources().map(|spec| spec.id.clone()).collect();
-            let told = |id: &&SourceId| {
-                opening.declared.get(*id).is_some_and(|d| d.channels)
-                    || opening.scene.get(id.as_str()).is_some()
-            };
-            opening.unknown = opening.own.iter().filter(|id| !told(id)).cloned().collect();
+            let untold = opening.declared.iter().filter(|(id, block)| {
+                block.channels.is_none() && opening.scene.get(id.as_str()).is_none()
+            });
+            opening.unknown = untold.map(|(id, _)| id.clone()).collect();
             opening.scene = opening.scene.with(described.sources);
         }
         Ok(opening)
@@ -235,16 +231,11 @@ impl<'a> RecordingOpening<'a> {
             .filter(|key| key.surface == surface && key.user == EXPERT)
             .map(|key| key.number)
             .collect();
-        let only = match self.own.as_slice() {
-            [one] => Some(one),
-            _ => None,
-        };
+        let only = self.declared.keys().next().filter(|_| self.declared.len() == 1);
         let names: Vec<&str> = files.iter().map(|item| item.stem_and_extension().0).collect();
         let places = loose::places(&names, &self.scene, only, &taken);
         for (item, place) in files.iter().zip(places) {
-            let Some(spec) = self.scene.get(place.source.as_str()) else { continue };
-            let declared = self.declared.get(&place.source).copied().unwrap_or_default();
-            match self.headers.series(spec, declared, &item.path) {
+            match self.series(&place.source, &item.path) {
                 Err(error) => self.bad.push(error),
                 Ok(file) => {
                     if place.guessed {
@@ -256,6 +247,13 @@ impl<'a> RecordingOpening<'a> {
                 }
             }
         }
+    }
+
+    /// Checks that a file can be the data of a source of the scene.
+    fn series(&mut self, id: &SourceId, path: &Path) -> Result<SourceFiles, LibraryError> {
+        let spec = self.scene.get(id.as_str()).expect("a source of the scene");
+        let declared = self.declared.get(id).cloned().unwrap_or_default();
+        self.headers.series(spec, &declared, path)
     }
 
     fn trial(&mut self, surface: &str, folder: &Listed) {
@@ -360,21 +358,19 @@ impl<'a> RecordingOpening<'a> {
             self.pass_over(&item.path, what);
             return Ok(None);
         };
-        if !picture {
-            let id = spec.id.clone();
-            let declared = self.declared.get(stem).copied().unwrap_or_default();
-            if self.unknown.remove(&id) {
-                self.learn(id.clone(), &item.path)?;
-            }
-            let Some(spec) = self.scene.get(stem) else { return Ok(None) };
-            let files = self.headers.series(spec, declared, &item.path)?;
-            return Ok(Some((spec.id.clone(), files)));
-        }
-        if spec.domain != Domain::Image {
+        let id = spec.id.clone();
+        if picture && spec.domain != Domain::Image {
             let problem = format!("a picture, but source `{stem}` is not; expected {stem}.wav");
             return Err(LibraryError::file(&item.path, problem));
         }
-        Ok(Some((spec.id.clone(), SourceFiles::Picture(item.path.clone()))))
+        if picture {
+            return Ok(Some((id, SourceFiles::Picture(item.path.clone()))));
+        }
+        if self.unknown.remove(&id) {
+            self.learn(id.clone(), &item.path)?;
+        }
+        let files = self.series(&id, &item.path)?;
+        Ok(Some((id, files)))
     }
 }
 

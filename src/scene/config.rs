@@ -20,30 +20,30 @@ struct SceneFile {
     sources: BTreeMap<String, toml::Spanned<SourceBlock>>,
 }
 
-#[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum DomainName {
+pub(crate) enum DomainName {
     Spectrum,
     Time,
     Image,
 }
 
 /// One source as a file describes it.
-#[derive(Clone, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SourceBlock {
-    what: Option<String>,
-    sensor: Option<String>,
-    phase: Option<Phase>,
-    domain: Option<DomainName>,
-    colour: Option<Colour>,
+    pub what: Option<String>,
+    pub sensor: Option<String>,
+    pub phase: Option<Phase>,
+    pub domain: Option<DomainName>,
+    pub colour: Option<Colour>,
     pub channels: Option<usize>,
-    rate_hz: Option<f64>,
-    band_hz: Option<[f64; 2]>,
-    align_mean: Option<bool>,
-    weight: Option<f64>,
-    sigma: Option<f64>,
-    score_offset: Option<f64>,
+    pub rate_hz: Option<f64>,
+    pub band_hz: Option<[f64; 2]>,
+    pub align_mean: Option<bool>,
+    pub weight: Option<f64>,
+    pub sigma: Option<f64>,
+    pub score_offset: Option<f64>,
 }
 
 impl Scene {
@@ -84,20 +84,12 @@ pub(crate) fn line_of(text: &str, at: usize) -> usize {
     1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }
 
-/// The rate that a `library.toml` gives a source, and whether the file sets a band and channels.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Declared {
-    pub rate_hz: Option<f64>,
-    pub band: bool,
-    pub channels: bool,
-}
-
 #[derive(Clone, Debug, PartialEq)]
 pub struct LibraryToml {
     /// The sources that the file describes, and the library's name.
     pub sources: Scene,
     /// The file's own description of each source, which takes precedence over the defaults.
-    pub declared: BTreeMap<SourceId, Declared>,
+    pub(crate) declared: BTreeMap<SourceId, SourceBlock>,
     /// Whether the file holds `synthetic = true`.
     pub synthetic: bool,
 }
@@ -111,9 +103,7 @@ impl LibraryToml {
     pub fn parse(text: &str, defaults: &Scene) -> Result<Self, SceneError> {
         let file = SceneFile::parse(text)?;
         let declared = |(name, block): (&String, &toml::Spanned<SourceBlock>)| {
-            let SourceBlock { rate_hz, band_hz, channels, .. } = *block.get_ref();
-            let (band, channels) = (band_hz.is_some(), channels.is_some());
-            Some((SourceId::new(name).ok()?, Declared { rate_hz, band, channels }))
+            Some((SourceId::new(name).ok()?, block.get_ref().clone()))
         };
         let declared = file.sources.iter().filter_map(declared).collect();
         let sources = scene(file.name.unwrap_or_default(), file.sources, text, Some(defaults))?;
@@ -123,12 +113,13 @@ impl LibraryToml {
 
 impl SceneFile {
     fn parse(text: &str) -> Result<Self, SceneError> {
-        let file: Self = toml::from_str(text)?;
+        let file: Self = toml::from_str(text).map_err(|error| SceneError(error.to_string()))?;
         match *file.format.get_ref() {
             1 => Ok(file),
             found => {
                 let line = line_of(text, file.format.span().start);
-                Err(SceneError::Format { line, found })
+                let problem = "but this program reads format 1; update surfaced";
+                Err(SceneError(format!("line {line}: format = {found}, {problem}")))
             }
         }
     }
@@ -144,10 +135,9 @@ pub(crate) fn scene(
 ) -> Result<Scene, SceneError> {
     let mut sources = BTreeMap::new();
     for (name, block) in blocks {
-        let fail = |problem: String| SceneError::Source {
-            line: line_of(text, block.span().start),
-            source_name: name.clone(),
-            problem,
+        let fail = |problem: String| {
+            let line = line_of(text, block.span().start);
+            SceneError(format!("line {line}: source `{name}`: {problem}"))
         };
         let id = SourceId::new(&name).map_err(|error| fail(error.to_string()))?;
         let default = defaults.and_then(|scene| scene.get(id.as_str()));
