@@ -74,12 +74,16 @@ pub(super) fn open(
                 Seen::count(&mut passed, what, key.to_string());
                 continue;
             };
-            match complete(spec, channels)? {
-                Ok(paths) => match source_files(&mut headers, spec, paths) {
-                    Ok(files) => drop(sources.insert(spec.id.clone(), files)),
-                    Err(error) => bad.push(error),
-                },
-                Err(why) => Seen::count(&mut passed, why, key.to_string()),
+            let missing = missing(spec, &channels)?;
+            if !missing.is_empty() {
+                let missing = missing.join(", ");
+                let what = format!("source `{source}` not used, files missing: {missing}");
+                Seen::count(&mut passed, what, key.to_string());
+                continue;
+            }
+            match source_files(&mut headers, spec, channels.into_values().collect()) {
+                Ok(files) => drop(sources.insert(spec.id.clone(), files)),
+                Err(error) => bad.push(error),
             }
         }
         if !sources.is_empty() {
@@ -178,15 +182,10 @@ impl FoundFiles {
     }
 }
 
-/// The files of a source, one for each channel, or a text that names the missing files.
-///
-/// # Errors
-/// If `scene` and database disagree about the source's number of channels.
-fn complete(
-    spec: &SourceSpec,
-    channels: Channels,
-) -> Result<Result<Vec<PathBuf>, String>, LibraryError> {
-    let names: &[&str] = match spec.id.as_str() {
+/// The names of the channels whose file is missing. Fails if scene and database disagree about the
+/// source's number of channels.
+fn missing(spec: &SourceSpec, found: &Channels) -> Result<Vec<&'static str>, LibraryError> {
+    let names: &[&'static str] = match spec.id.as_str() {
         "ac" => &["X", "Y", "Z"],
         "fr" => &["FSR1", "FSR2"],
         _ => &[""],
@@ -194,7 +193,7 @@ fn complete(
     let image = spec.domain == Domain::Image;
     let is_image = matches!(spec.id.as_str(), "ca1" | "ca2");
     if image != is_image || !image && spec.channels != names.len() {
-        let path = channels.into_values().next().unwrap_or_default();
+        let path = found.values().next().cloned().unwrap_or_default();
         let problem = format!(
             "the database has {} for source `{}`; correct its description in the configuration",
             if is_image { "an image".into() } else { counted(names.len(), "channel") },
@@ -202,13 +201,8 @@ fn complete(
         );
         return Err(LibraryError::file(&path, problem));
     }
-    let missing: Vec<_> =
-        (0..names.len()).filter(|at| !channels.contains_key(at)).map(|at| names[at]).collect();
-    if missing.is_empty() {
-        return Ok(Ok(channels.into_values().collect()));
-    }
-    let (id, missing) = (&spec.id, missing.join(", "));
-    Ok(Err(format!("source `{id}` not used, files missing: {missing}")))
+    let missing = (0..names.len()).filter(|at| !found.contains_key(at)).map(|at| names[at]);
+    Ok(missing.collect())
 }
 
 fn source_files(
@@ -217,7 +211,7 @@ fn source_files(
     mut paths: Vec<PathBuf>,
 ) -> Result<SourceFiles, LibraryError> {
     Ok(match spec.id.as_str() {
-        // Indexing is safe: `complete` has checked that there is a file.
+        // Indexing is safe: no file is missing.
         "mi1" | "mi2" => {
             // The band of a sound is as binding as one in `library.toml`.
             let band_hz = spec.domain.band_hz().map(<[f64; 2]>::from);

@@ -2,12 +2,17 @@
 //! and channels. Samples are read when a trial is loaded.
 
 use std::collections::BTreeMap;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use super::{LibraryError, LoadTrial, Outline, Outlines, files, picture, series_file, text};
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, Limits};
+
+use super::series_file::guarded;
+use super::{LibraryError, LoadTrial, Outline, Outlines, files, series_file, text};
+use crate::jpeg;
 use crate::printable::counted;
 use crate::scene::{Domain, SourceBlock, SourceId, SourceSpec};
-use crate::trial::{Series, Signal, SignalError, Trial, TrialKey};
+use crate::trial::{Image, Series, Signal, SignalError, Trial, TrialKey};
 
 #[derive(Debug)]
 pub(crate) enum SourceFiles {
@@ -103,7 +108,7 @@ impl SourceFiles {
                 let mixed = mixed_down(&series);
                 mixed.map(Signal::Series).map_err(|error| LibraryError::file(path, error))
             }
-            Self::Picture(path) => picture::read(path).map(Signal::Image),
+            Self::Picture(path) => read_picture(path).map(Signal::Image),
             Self::Columns { paths, rate_hz } => {
                 let series = text::read(paths, *rate_hz)?;
                 plausible(&paths[0], &series)?;
@@ -130,6 +135,56 @@ fn mixed_down(series: &Series) -> Result<Series, SignalError> {
     let channels = series.channels();
     let mean = |frame: &[f32]| frame.iter().sum::<f32>() / channels as f32;
     Series::new(series.rate_hz(), 1, series.samples().chunks_exact(channels).map(mean).collect())
+}
+
+/// Limits on a picture's sides (pixels) and memory (bytes); a hostile header may claim any size.
+const MAX_SIDE: u32 = 1 << 14;
+const MAX_BYTES: u64 = 1 << 28;
+/// Largest picture file, in bytes.
+const MOST_PICTURE: u64 = 1 << 26;
+
+/// Reads a picture of 320 × 480 pixels, or of 480 × 320.
+fn read_picture(path: &Path) -> Result<Image, LibraryError> {
+    let bytes = files::read_bytes(path, MOST_PICTURE)?;
+    let damaged = |why: &str| {
+        LibraryError::file(
+            path,
+            format!(
+                "the picture cannot be decoded ({why}); expected a whole PNG or JPEG file: copy it \
+                 again from where it came, take it again, or remove it"
+            ),
+        )
+    };
+    if jpeg::is_cut_short(&bytes) {
+        return Err(damaged("it is truncated"));
+    }
+    guarded(
+        || {
+            let decoder = decoder(&bytes).map_err(|error| damaged(&error.to_string()))?;
+            let (width, height) = decoder.dimensions();
+            let (width, height) = (width as usize, height as usize);
+            // Checks the size first: a picture of a wrong size need not be decoded.
+            if ![(Image::COLS, Image::ROWS), (Image::ROWS, Image::COLS)].contains(&(width, height))
+            {
+                return Err(LibraryError::file(path, SignalError::ImageSize { width, height }));
+            }
+            let picture = DynamicImage::from_decoder(decoder);
+            let picture = picture.map_err(|error| damaged(&error.to_string()))?;
+            Image::new(width, height, picture.into_rgb8().into_raw())
+                .map_err(|error| LibraryError::file(path, error))
+        },
+        damaged,
+    )
+}
+
+fn decoder(bytes: &[u8]) -> Result<impl ImageDecoder, ImageError> {
+    let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(MAX_BYTES);
+    reader.limits(limits);
+    reader.into_decoder()
 }
 
 /// Checks the headers of a library's WAV and FLAC files against the described channels and rates.

@@ -7,7 +7,6 @@ pub mod cache;
 pub(crate) mod files;
 pub(crate) mod loader;
 mod loose;
-mod picture;
 pub mod recording;
 pub(crate) mod series_file;
 mod text;
