@@ -107,26 +107,21 @@ const CONFIRM: Duration = Duration::from_millis(500);
 
 /// A switch for the camera's light on the stylus. All clones switch the same light.
 #[derive(Clone, Debug, Default)]
-pub struct Light(Arc<[AtomicBool; 2]>);
+pub struct Light {
+    wanted: Arc<AtomicBool>,
+    /// The light's state in the last report of the stylus.
+    reported: Arc<AtomicBool>,
+}
 
 impl Light {
     /// Asks for the light on or off. The driver repeats the command until the stylus confirms it.
     pub fn set(&self, on: bool) {
-        self.0[0].store(on, Ordering::Release);
+        self.wanted.store(on, Ordering::Release);
     }
 
     /// Whether the light is on, according to the last report of the stylus.
     pub fn is_on(&self) -> bool {
-        self.0[1].load(Ordering::Acquire)
-    }
-
-    fn wanted(&self) -> bool {
-        self.0[0].load(Ordering::Acquire)
-    }
-
-    /// Stores the light's state that the stylus reported.
-    fn confirm(&self, on: bool) {
-        self.0[1].store(on, Ordering::Release);
+        self.reported.load(Ordering::Acquire)
     }
 
     /// Switches the light, and waits until the stylus confirms it. Fails after 0.5 s.
@@ -283,7 +278,7 @@ impl Connection<'_> {
             IntakeEvent::Refused(why) => *refused = Some(why),
             IntakeEvent::Restarted => errors.counts.add("restarts of its sample counter", 1),
             IntakeEvent::Status(new) => {
-                light.confirm(new.light);
+                light.reported.store(new.light, Ordering::Release);
                 if new.crystal_failed && !status.is_some_and(|old| old.crystal_failed) {
                     link.warn("its crystal has failed: its rate is accurate to 1 % only");
                 }
@@ -317,7 +312,7 @@ impl Connection<'_> {
     }
 
     fn update_light(&mut self, now: Instant) {
-        let wanted = self.light.wanted();
+        let wanted = self.light.wanted.load(Ordering::Acquire);
         // A reset switches the light off. The next status shows this, so it is switched on again.
         let differs = self.status.is_some_and(|status| status.light != wanted);
         if differs && self.light_sent_at.is_none_or(|at| now - at >= REPEAT) {

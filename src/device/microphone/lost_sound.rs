@@ -40,14 +40,8 @@ pub(super) struct Carried {
 
 impl<'a> Listening<'a> {
     pub fn new(sink: &'a mut SeriesSink) -> Self {
-        Self {
-            sink,
-            pace: Pace::default(),
-            level: LevelWatch::new(),
-            before: Before::Frames,
-            last_s: 0.0,
-            received: false,
-        }
+        let (pace, level, before) = (Pace::default(), LevelWatch::default(), Before::Frames);
+        Self { sink, pace, level, before, last_s: 0.0, received: false }
     }
 
     /// To be called when a stream was opened, with a new ring.
