@@ -21,7 +21,7 @@ use crate::dataset;
 use crate::library::files::number_in;
 use crate::library::recording::{DESCRIPTION, UNFINISHED};
 use crate::library::{About, LibraryError};
-use crate::scene::{Domain, Scene, SourceSpec};
+use crate::scene::{Domain, MOST_CHANNELS, Scene, SourceSpec};
 use crate::system;
 use crate::trial::{Image, Series, Signal, Trial, TrialKey, normal};
 
@@ -278,8 +278,6 @@ fn check(spec: &SourceSpec, signal: &Signal) -> Result<(), String> {
         _ => Ok(()),
     }
 }
-
-const MOST_CHANNELS: usize = 1024;
 
 /// Encodes a series as WAV: as 16-bit integers if they hold every sample exactly, otherwise as f32.
 /// An error says why WAV cannot hold the series.

@@ -148,7 +148,7 @@ pub(crate) fn scene(
 }
 
 /// Most channels of a source; a WAV file has the same limit.
-const MOST_CHANNELS: usize = 1024;
+pub(crate) const MOST_CHANNELS: usize = 1024;
 /// Lowest and highest rate of a source; any other rate is taken for a mistake.
 const RATES_HZ: (f64, f64) = (1e-3, 1e7);
 const WEIGHTS: (f64, f64) = (1e-6, 1e3);

@@ -7,7 +7,7 @@
 pub(crate) mod config;
 
 pub use config::LibraryToml;
-pub(crate) use config::SourceBlock;
+pub(crate) use config::{MOST_CHANNELS, SourceBlock};
 
 use std::borrow::Borrow;
 use std::collections::BTreeMap;
