@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use name::NamePart;
 
 use crate::library::files::{self, Listed};
-use crate::library::loader::{Headers, Seen, SourceFiles};
+use crate::library::loader::{Headers, Remarks, SourceFiles};
 use crate::library::recording;
 use crate::library::{Library, LibraryError, Opened};
 use crate::printable::counted;
@@ -47,7 +47,7 @@ fn holds_recordings(folder: &Listed) -> bool {
     // True for a folder that cannot be listed: reading it will report the error.
     found.walk(folder, &mut Vec::new()).is_err()
         || !found.trials.is_empty()
-        || found.passed.is_empty()
+        || found.passed.0.is_empty()
 }
 
 fn is_scans(item: &Listed) -> bool {
@@ -63,22 +63,21 @@ pub(super) fn open(
     for item in listed.iter().filter(|item| is_scans(item)) {
         found.walk(item, &mut Vec::new())?;
     }
-    let mut headers = Headers::default();
-    let mut entries = Vec::new();
-    let (mut passed, mut bad) = (found.passed, Vec::new());
+    let mut headers = Headers::new(root, found.passed);
+    let (mut entries, mut bad) = (Vec::new(), Vec::new());
     for (key, parts) in found.trials {
         let mut sources = BTreeMap::new();
         for (source, channels) in parts {
             let Some(spec) = defaults.get(source) else {
                 let what = format!("not used, the scene describes no source `{source}`");
-                Seen::count(&mut passed, what, key.to_string());
+                headers.remarks.add(what, key.to_string());
                 continue;
             };
             let missing = missing(spec, &channels)?;
             if !missing.is_empty() {
                 let missing = missing.join(", ");
                 let what = format!("source `{source}` not used, files missing: {missing}");
-                Seen::count(&mut passed, what, key.to_string());
+                headers.remarks.add(what, key.to_string());
                 continue;
             }
             match source_files(&mut headers, spec, channels.into_values().collect()) {
@@ -90,16 +89,12 @@ pub(super) fn open(
             entries.push(recording::entry(key, sources, None));
         }
     }
-    for (path, what) in headers.remarks {
-        let place = path.strip_prefix(root).unwrap_or(&path).display().to_string();
-        Seen::count(&mut passed, what, place);
-    }
     let mut remarks = Vec::new();
     if !entries.is_empty() {
         let keys = entries.iter().map(|entry| (&entry.key, entry.sources.as_slice()));
         remarks = summary(&keys.collect::<Vec<_>>(), defaults);
     }
-    remarks.extend(passed.into_iter().map(|(what, seen)| seen.say(&what)));
+    remarks.extend(headers.remarks.lines());
     if entries.is_empty() {
         if let Some(error) = LibraryError::of_all(bad) {
             return Err(error);
@@ -120,7 +115,7 @@ type Channels = BTreeMap<usize, PathBuf>;
 #[derive(Default)]
 struct FoundFiles {
     trials: BTreeMap<TrialKey, BTreeMap<&'static str, Channels>>,
-    passed: BTreeMap<String, Seen>,
+    passed: Remarks,
 }
 
 impl FoundFiles {
@@ -178,7 +173,7 @@ impl FoundFiles {
     }
 
     fn pass_over(&mut self, item: &Listed, why: &str) {
-        Seen::count(&mut self.passed, why.to_string(), item.name.clone());
+        self.passed.add(why, item.name.clone());
     }
 }
 

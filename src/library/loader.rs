@@ -49,12 +49,12 @@ impl LoadTrial for FileTrial {
         Ok(Trial { key: self.key.clone(), signals })
     }
 
-    fn outlines(&self, wanted: &[SourceId]) -> Result<Option<Outlines>, LibraryError> {
+    fn outlines(&self, wanted: &[SourceId]) -> Result<Outlines, LibraryError> {
         let mut outlines = Outlines::new();
         for (id, files) in self.sources.iter().filter(|(id, _)| wanted.contains(id)) {
             outlines.extend(files.outline()?.map(|outline| (id.clone(), outline)));
         }
-        Ok(Some(outlines))
+        Ok(outlines)
     }
 
     fn places(&self) -> Vec<&Path> {
@@ -190,14 +190,26 @@ fn decoder(bytes: &[u8]) -> Result<impl ImageDecoder, ImageError> {
 /// Checks the headers of a library's WAV and FLAC files against the described channels and rates.
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
+    /// The library's folder.
+    root: PathBuf,
     first: BTreeMap<SourceId, (f64, PathBuf)>,
     /// For each source: the lowest rate of a file, in Hz, that is too low for the default band.
     pub lowest_hz: BTreeMap<SourceId, f64>,
-    /// Remarks on files that are unusual but still used, in the order of reading.
-    pub remarks: Vec<(PathBuf, String)>,
+    pub remarks: Remarks,
 }
 
 impl Headers {
+    /// A check of a library in the folder `root`, on which there are some `remarks` already.
+    pub fn new(root: &Path, remarks: Remarks) -> Self {
+        Self { root: root.to_path_buf(), remarks, ..Self::default() }
+    }
+
+    /// Adds a remark on a file or folder of the library.
+    pub fn note(&mut self, path: &Path, what: impl Into<String>) {
+        let place = path.strip_prefix(&self.root).unwrap_or(path).display();
+        self.remarks.add(what, place.to_string());
+    }
+
     /// Checks that a WAV or FLAC file can be the data of a source. `declared` is what `library.toml`
     /// itself says of the source.
     ///
@@ -254,7 +266,7 @@ impl Headers {
         let id = &spec.id;
         if mixed {
             let what = format!("stereo, mixed down to the one channel of source `{id}`");
-            self.remarks.push((path.to_path_buf(), what));
+            self.note(path, what);
         }
         let (rate_hz, first) =
             self.first.entry(id.clone()).or_insert_with(|| (header.rate_hz, path.to_path_buf()));
@@ -265,28 +277,25 @@ impl Headers {
                 header.rate_hz,
                 first.display(),
             );
-            self.remarks.push((path.to_path_buf(), what));
+            self.note(path, what);
         }
     }
 }
 
-/// The number of files with the same remark, and the first of them; the remark is shown once.
-pub(crate) struct Seen {
-    count: usize,
-    first: String,
-}
+/// Remarks, each with the files that it applies to.
+#[derive(Debug, Default)]
+pub(crate) struct Remarks(pub BTreeMap<String, Vec<String>>);
 
-impl Seen {
-    /// Notes that the remark `what` also applies to the file called `place`.
-    pub fn count(all: &mut BTreeMap<String, Self>, what: String, place: String) {
-        all.entry(what).or_insert(Self { count: 0, first: place }).count += 1;
+impl Remarks {
+    pub fn add(&mut self, what: impl Into<String>, place: String) {
+        self.0.entry(what.into()).or_default().push(place);
     }
 
-    /// The text of the remark: the first file, the number of further files, and `what`.
-    pub fn say(&self, what: &str) -> String {
-        match self.count {
-            1 => format!("{}: {what}", self.first),
-            count => format!("{} and {} more: {what}", self.first, count - 1),
-        }
+    /// Each remark as one line: its first file, the number of its further files, and its text.
+    pub fn lines(&self) -> impl Iterator<Item = String> {
+        self.0.iter().map(|(what, places)| match places.len() {
+            1 => format!("{}: {what}", places[0]),
+            count => format!("{} and {} more: {what}", places[0], count - 1),
+        })
     }
 }

@@ -200,16 +200,11 @@ impl Scene {
         Ok(self)
     }
 
-    /// A source that the caller may change, except its id.
-    pub(crate) fn get_mut(&mut self, id: &str) -> Option<&mut SourceSpec> {
-        self.sources.get_mut(id)
-    }
-
-    /// Adds a series of which only its name and its number of channels are known.
-    pub(crate) fn add_unknown(&mut self, id: SourceId, channels: usize) {
-        let spec = SourceBlock::default().resolve(id.clone());
-        let spec = SourceSpec { channels, ..spec.expect("an empty description is valid") };
-        self.sources.insert(id, spec);
+    /// Sets the number of channels of a source. Adds a series if the scene lacks the source.
+    pub(crate) fn set_channels(&mut self, id: SourceId, channels: usize) {
+        let unknown = SourceBlock::default().resolve(id.clone());
+        let spec = self.sources.entry(id);
+        spec.or_insert(unknown.expect("an empty description is valid")).channels = channels;
     }
 
     pub fn get(&self, id: &str) -> Option<&SourceSpec> {
