@@ -155,7 +155,15 @@ impl Work<'_> {
         match &mut self.intake {
             Some(intake) => intake.reopened(self.config.address.begins_half()),
             None => {
-                let survey = self.survey(line).map_err(Disconnected::Lost)?;
+                let (begin, address) = (Instant::now(), &self.config.address);
+                let stopped = |survey: &Survey| {
+                    if survey.is_garbage() && begin.elapsed() >= STALLED * 4 {
+                        self.link.state(DeviceState::Stalled, address.no_numbers());
+                    }
+                    self.link.stopped()
+                };
+                let (survey, _) =
+                    survey(line, address.begins_half(), stopped).map_err(Disconnected::Lost)?;
                 if self.link.stopped() {
                     return Ok(());
                 }
@@ -167,17 +175,6 @@ impl Work<'_> {
         let end = self.take_all(line);
         self.report();
         end.map_err(Disconnected::Lost)
-    }
-
-    fn survey(&self, line: &mut dyn Read) -> Result<Survey, String> {
-        let (begin, address) = (Instant::now(), &self.config.address);
-        let stopped = |survey: &Survey| {
-            if survey.is_garbage() && begin.elapsed() >= STALLED * 4 {
-                self.link.state(DeviceState::Stalled, address.no_numbers());
-            }
-            self.link.stopped()
-        };
-        survey(line, address.begins_half(), stopped).map(|(survey, _)| survey)
     }
 
     /// The intake, with measured values where the configuration gives none, or why that fails.
