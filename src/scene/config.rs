@@ -59,8 +59,7 @@ impl Scene {
     /// If the text is not TOML, has an unknown key, or describes an impossible source. The error
     /// names the line.
     pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        let file = SceneFile::parse(text)?;
-        scene(file.name.unwrap_or_default(), file.sources, text, None)
+        Ok(LibraryToml::parse(text, &Self::default())?.sources)
     }
 
     /// The text of a `library.toml` with this scene; [`LibraryToml::parse`] reads it.
@@ -106,7 +105,7 @@ impl LibraryToml {
             Some((SourceId::new(name).ok()?, block.get_ref().clone()))
         };
         let declared = file.sources.iter().filter_map(declared).collect();
-        let sources = scene(file.name.unwrap_or_default(), file.sources, text, Some(defaults))?;
+        let sources = scene(file.name.unwrap_or_default(), file.sources, text, defaults)?;
         Ok(Self { sources, declared, synthetic: file.synthetic })
     }
 }
@@ -131,7 +130,7 @@ pub(crate) fn scene(
     name: String,
     blocks: BTreeMap<String, toml::Spanned<SourceBlock>>,
     text: &str,
-    defaults: Option<&Scene>,
+    defaults: &Scene,
 ) -> Result<Scene, SceneError> {
     let mut sources = BTreeMap::new();
     for (name, block) in blocks {
@@ -140,8 +139,8 @@ pub(crate) fn scene(
             SceneError(format!("line {line}: source `{name}`: {problem}"))
         };
         let id = SourceId::new(&name).map_err(|error| fail(error.to_string()))?;
-        let default = defaults.and_then(|scene| scene.get(id.as_str()));
-        let spec = block.get_ref().over(default).resolve(id.clone()).map_err(fail)?;
+        let block = block.get_ref().over(defaults.get(id.as_str()));
+        let spec = block.resolve(id.clone()).map_err(fail)?;
         sources.insert(id, spec);
     }
     Ok(Scene { name, sources })

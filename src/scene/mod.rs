@@ -165,7 +165,7 @@ impl SourceSpec {
     }
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
     pub name: String,
     sources: BTreeMap<SourceId, SourceSpec>,

@@ -1,5 +1,5 @@
-//! Finds channels with a flaw that a broken cable or a wrong gain causes, that is, channels that
-//! are stuck or reach their limits too often.
+//! Finds channels that are stuck, as by a broken cable, or reach their limits too often, as by a
+//! wrong gain.
 
 use std::collections::HashMap;
 
