@@ -146,8 +146,8 @@ impl LoadTrial for Stamped {
         self.0.load()
     }
 
-    fn outlines(&self, _: &[SourceId]) -> Result<Option<Outlines>, LibraryError> {
-        self.0.outlines().map(Some)
+    fn outlines(&self, _: &[SourceId]) -> Result<Outlines, LibraryError> {
+        self.0.outlines()
     }
 
     fn stamp(&self, _: &[SourceId]) -> Option<u64> {

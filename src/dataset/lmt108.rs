@@ -12,11 +12,11 @@ use std::path::{Path, PathBuf};
 use name::NamePart;
 
 use crate::library::files::{self, Listed};
-use crate::library::loader::{Headers, Seen, SourceFiles};
+use crate::library::loader::{Headers, Remarks, SourceFiles};
 use crate::library::recording;
 use crate::library::{Library, LibraryError, Opened};
 use crate::printable::counted;
-use crate::scene::{Declared, Domain, Scene, SourceId, SourceSpec};
+use crate::scene::{Domain, Scene, SourceBlock, SourceId, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};
 
 /// Names of the database's folders. One such folder is enough to recognise the database.
@@ -47,7 +47,7 @@ fn holds_recordings(folder: &Listed) -> bool {
     // True for a folder that cannot be listed: reading it will report the error.
     found.walk(folder, &mut Vec::new()).is_err()
         || !found.trials.is_empty()
-        || found.passed.is_empty()
+        || found.passed.0.is_empty()
 }
 
 fn is_scans(item: &Listed) -> bool {
@@ -63,39 +63,38 @@ pub(super) fn open(
     for item in listed.iter().filter(|item| is_scans(item)) {
         found.walk(item, &mut Vec::new())?;
     }
-    let mut headers = Headers::default();
-    let mut entries = Vec::new();
-    let (mut passed, mut bad) = (found.passed, Vec::new());
+    let mut headers = Headers::new(root, found.passed);
+    let (mut entries, mut bad) = (Vec::new(), Vec::new());
     for (key, parts) in found.trials {
         let mut sources = BTreeMap::new();
         for (source, channels) in parts {
             let Some(spec) = defaults.get(source) else {
                 let what = format!("not used, the scene describes no source `{source}`");
-                Seen::count(&mut passed, what, key.to_string());
+                headers.remarks.add(what, key.to_string());
                 continue;
             };
-            match complete(spec, channels)? {
-                Ok(paths) => match source_files(&mut headers, spec, paths) {
-                    Ok(files) => drop(sources.insert(spec.id.clone(), files)),
-                    Err(error) => bad.push(error),
-                },
-                Err(why) => Seen::count(&mut passed, why, key.to_string()),
+            let missing = missing(spec, &channels)?;
+            if !missing.is_empty() {
+                let missing = missing.join(", ");
+                let what = format!("source `{source}` not used, files missing: {missing}");
+                headers.remarks.add(what, key.to_string());
+                continue;
+            }
+            match source_files(&mut headers, spec, channels.into_values().collect()) {
+                Ok(files) => drop(sources.insert(spec.id.clone(), files)),
+                Err(error) => bad.push(error),
             }
         }
         if !sources.is_empty() {
             entries.push(recording::entry(key, sources, None));
         }
     }
-    for (path, what) in headers.remarks {
-        let place = path.strip_prefix(root).unwrap_or(&path).display().to_string();
-        Seen::count(&mut passed, what, place);
-    }
     let mut remarks = Vec::new();
     if !entries.is_empty() {
         let keys = entries.iter().map(|entry| (&entry.key, entry.sources.as_slice()));
         remarks = summary(&keys.collect::<Vec<_>>(), defaults);
     }
-    remarks.extend(passed.into_iter().map(|(what, seen)| seen.say(&what)));
+    remarks.extend(headers.remarks.lines());
     if entries.is_empty() {
         if let Some(error) = LibraryError::of_all(bad) {
             return Err(error);
@@ -116,7 +115,7 @@ type Channels = BTreeMap<usize, PathBuf>;
 #[derive(Default)]
 struct FoundFiles {
     trials: BTreeMap<TrialKey, BTreeMap<&'static str, Channels>>,
-    passed: BTreeMap<String, Seen>,
+    passed: Remarks,
 }
 
 impl FoundFiles {
@@ -174,19 +173,14 @@ impl FoundFiles {
     }
 
     fn pass_over(&mut self, item: &Listed, why: &str) {
-        Seen::count(&mut self.passed, why.to_string(), item.name.clone());
+        self.passed.add(why, item.name.clone());
     }
 }
 
-/// The files of a source, one for each channel, or a text that names the missing files.
-///
-/// # Errors
-/// If `scene` and database disagree about the source's number of channels.
-fn complete(
-    spec: &SourceSpec,
-    channels: Channels,
-) -> Result<Result<Vec<PathBuf>, String>, LibraryError> {
-    let names: &[&str] = match spec.id.as_str() {
+/// The names of the channels whose file is missing. Fails if scene and database disagree about the
+/// source's number of channels.
+fn missing(spec: &SourceSpec, found: &Channels) -> Result<Vec<&'static str>, LibraryError> {
+    let names: &[&'static str] = match spec.id.as_str() {
         "ac" => &["X", "Y", "Z"],
         "fr" => &["FSR1", "FSR2"],
         _ => &[""],
@@ -194,7 +188,7 @@ fn complete(
     let image = spec.domain == Domain::Image;
     let is_image = matches!(spec.id.as_str(), "ca1" | "ca2");
     if image != is_image || !image && spec.channels != names.len() {
-        let path = channels.into_values().next().unwrap_or_default();
+        let path = found.values().next().cloned().unwrap_or_default();
         let problem = format!(
             "the database has {} for source `{}`; correct its description in the configuration",
             if is_image { "an image".into() } else { counted(names.len(), "channel") },
@@ -202,13 +196,8 @@ fn complete(
         );
         return Err(LibraryError::file(&path, problem));
     }
-    let missing: Vec<_> =
-        (0..names.len()).filter(|at| !channels.contains_key(at)).map(|at| names[at]).collect();
-    if missing.is_empty() {
-        return Ok(Ok(channels.into_values().collect()));
-    }
-    let (id, missing) = (&spec.id, missing.join(", "));
-    Ok(Err(format!("source `{id}` not used, files missing: {missing}")))
+    let missing = (0..names.len()).filter(|at| !found.contains_key(at)).map(|at| names[at]);
+    Ok(missing.collect())
 }
 
 fn source_files(
@@ -217,12 +206,13 @@ fn source_files(
     mut paths: Vec<PathBuf>,
 ) -> Result<SourceFiles, LibraryError> {
     Ok(match spec.id.as_str() {
-        // Indexing is safe: `complete` has checked that there is a file.
-        "mi1" | "mi2" => headers.series(
-            spec,
-            Declared { band: true, ..Declared::default() },
-            &paths.remove(0),
-        )?,
+        // Indexing is safe: no file is missing.
+        "mi1" | "mi2" => {
+            // The band of a sound is as binding as one in `library.toml`.
+            let band_hz = spec.domain.band_hz().map(<[f64; 2]>::from);
+            let declared = SourceBlock { band_hz, ..SourceBlock::default() };
+            headers.series(spec, &declared, &paths.remove(0))?
+        }
         "ca1" | "ca2" => SourceFiles::Picture(paths.remove(0)),
         _ => {
             let fail = |problem| LibraryError::file(&paths[0], problem);

@@ -2,7 +2,8 @@
 //!
 //! Each file holds the features of one source, which has the file's name. Its header begins with
 //! `file,surface,split,trial`; each further line holds these four values of a trial, and
-//! a number for each feature. The split `train` is the expert's; in others, trial u is by user u.
+//! a number for each feature. Trials of the split `train` are by the expert; in any other split,
+//! trial u is by user u.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -189,16 +189,12 @@ impl CameraWatch<'_> {
             FrameLight::Flash => Some(1),
             FrameLight::Plain | FrameLight::Between => None,
         };
-        let mut good = true;
-        if let Some(index) = sink {
-            good = self.picture(frame, index);
-            if index == 0 && good {
-                self.pushed = Some(at);
-            }
-            if index == 1 && !good {
-                // Requests another picture with flash, since this one's frame was damaged.
-                self.camera.shutter.flash();
-            }
+        let good = sink.is_none_or(|index| self.picture(frame, index));
+        match sink {
+            Some(0) if good => self.pushed = Some(at),
+            // Requests another picture with flash, since this one's frame was damaged.
+            Some(1) if !good => self.camera.shutter.flash(),
+            _ => {}
         }
         if let Some(on) = switch {
             self.switch(on, orders);

@@ -13,7 +13,7 @@ use std::io::Read;
 use std::time::{Duration, Instant};
 
 use super::link::{Disconnected, RETRY, keep_connected};
-use super::serial::{BUFFER, REPORT_EVERY, STALLED, lost, read_some, warn_of};
+use super::serial::{BUFFER, OVERFLOWED, REPORT_EVERY, STALLED, lost, read_some};
 use super::{Device, DeviceError, DeviceLink, DeviceState, OpenError, StreamKind, StreamSpec};
 use crate::ring::Sink;
 
@@ -23,7 +23,7 @@ pub use address::LinesAddress;
 pub use intake::{Column, Count, LinesStream};
 pub use survey::{ColumnSurvey, SURVEY_S, Survey};
 
-use intake::{LinesEvent, LinesIntake};
+use intake::{GARBAGE, LinesEvent, LinesIntake};
 
 /// Pause after each read, so that one read takes many lines, even if each line is sent by itself.
 const GATHER: Duration = Duration::from_millis(4);
@@ -55,8 +55,6 @@ struct Work<'a> {
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
     begin: Instant,
-    /// Number of frames since the last report that did not fit into a ring.
-    overflowed: u64,
     /// Number of rows since the last check of the rate, and the time of that check.
     pace: (u64, Instant),
     off_pace: bool,
@@ -93,8 +91,8 @@ impl Device for Lines {
         let scaled = streams.iter().all(|stream| stream.scale.is_some());
         let intake = |rate_hz| LinesIntake::new(streams.clone(), count.clone(), rate_hz);
         let intake = rate_hz.filter(|_| scaled).map(intake);
-        let (overflowed, pace, off_pace) = (0, (0, begin), false);
-        let mut work = Work { config, intake, sinks, link, begin, overflowed, pace, off_pace };
+        let (pace, off_pace) = ((0, begin), false);
+        let mut work = Work { config, intake, sinks, link, begin, pace, off_pace };
         keep_connected(link, RETRY, || {
             let (mut line, path) = address.open()?;
             link.state(DeviceState::Opening, path.clone());
@@ -157,7 +155,15 @@ impl Work<'_> {
         match &mut self.intake {
             Some(intake) => intake.reopened(self.config.address.begins_half()),
             None => {
-                let survey = self.survey(line).map_err(Disconnected::Lost)?;
+                let (begin, address) = (Instant::now(), &self.config.address);
+                let stopped = |survey: &Survey| {
+                    if survey.is_garbage() && begin.elapsed() >= STALLED * 4 {
+                        self.link.state(DeviceState::Stalled, address.no_numbers());
+                    }
+                    self.link.stopped()
+                };
+                let (survey, _) =
+                    survey(line, address.begins_half(), stopped).map_err(Disconnected::Lost)?;
                 if self.link.stopped() {
                     return Ok(());
                 }
@@ -169,17 +175,6 @@ impl Work<'_> {
         let end = self.take_all(line);
         self.report();
         end.map_err(Disconnected::Lost)
-    }
-
-    fn survey(&self, line: &mut dyn Read) -> Result<Survey, String> {
-        let (begin, address) = (Instant::now(), &self.config.address);
-        let stopped = |survey: &Survey| {
-            if survey.is_garbage() && begin.elapsed() >= STALLED * 4 {
-                self.link.state(DeviceState::Stalled, address.no_numbers());
-            }
-            self.link.stopped()
-        };
-        survey(line, address.begins_half(), stopped).map(|(survey, _)| survey)
     }
 
     /// The intake, with measured values where the configuration gives none, or why that fails.
@@ -221,22 +216,22 @@ impl Work<'_> {
 
     /// Takes bytes. Returns whether they completed any frames.
     fn take(&mut self, bytes: &[u8], now_s: f64, waits: bool) -> bool {
-        let Self { intake: Some(intake), sinks, overflowed, link, pace, .. } = self else {
-            return false;
-        };
+        let Self { intake: Some(intake), sinks, link, pace, .. } = self else { return false };
+        let mut overflowed = 0;
         let rows = intake.feed(bytes, now_s, |event| match event {
             LinesEvent::Frames { stream, samples } => {
                 let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) else { return };
                 match waits {
                     // Pushing fails only after a stop, when data no longer count.
                     true => drop(sink.push_waiting(samples, link.stop())),
-                    false => *overflowed += sink.push(samples),
+                    false => overflowed += sink.push(samples),
                 }
             }
             LinesEvent::Missing(frames) => {
                 sinks.iter_mut().filter_map(Sink::series).for_each(|sink| sink.skip(frames));
             }
         });
+        intake.errors.add(OVERFLOWED, overflowed);
         pace.0 += rows;
         rows > 0
     }
@@ -245,7 +240,7 @@ impl Work<'_> {
         let address = &self.config.address;
         match &self.intake {
             Some(LinesIntake { refused: Some(why), .. }) => why.clone(),
-            Some(intake) if intake.counts.garbage > 0 => address.no_numbers(),
+            Some(intake) if intake.errors.0.contains_key(GARBAGE) => address.no_numbers(),
             _ => format!("no lines come from {address}; check that the device sends by itself"),
         }
     }
@@ -272,19 +267,8 @@ impl Work<'_> {
     }
 
     fn report(&mut self) {
-        let Some(intake) = &mut self.intake else { return };
-        let lines = std::mem::take(&mut intake.counts);
-        let counts = [
-            (lines.garbage, "lines held no numbers"),
-            (lines.too_long, "lines were too long"),
-            (lines.other_width, "lines had another number of columns"),
-            (lines.not_numbers, "lines had a value that is no number"),
-            (lines.changes, "changes of the columns"),
-            (lines.gaps, "gaps in the lines"),
-            (lines.missing, "lines are missing in the longest gap"),
-            (lines.restarts, "restarts of the device"),
-            (std::mem::take(&mut self.overflowed), "frames did not fit into a ring"),
-        ];
-        warn_of(&counts, self.link);
+        if let Some(intake) = &mut self.intake {
+            intake.errors.report(self.link);
+        }
     }
 }

@@ -63,18 +63,14 @@ impl Replay {
         self
     }
 
-    fn check(&self) -> Result<(), DeviceError> {
-        let problem = match self.speed {
-            Speed::RealTime(x) if !SPEEDS.contains(&x) => {
-                let (slowest, fastest) = (SPEEDS.start(), SPEEDS.end());
-                format!("speed = {x}; expected a number from {slowest} to {fastest}")
-            }
+    fn check(&self) -> Result<(), String> {
+        match self.speed {
+            Speed::RealTime(x) if !SPEEDS.contains(&x) => Err(not_a_speed(&x.to_string())),
             _ if !(self.chunk_s.is_finite() && self.chunk_s > 0.0) => {
-                format!("chunk_s = {}; expected a positive number", self.chunk_s)
+                Err(format!("chunk_s = {}; expected a positive number", self.chunk_s))
             }
-            _ => return Ok(()),
-        };
-        Err(DeviceError::Failed(problem))
+            _ => Ok(()),
+        }
     }
 }
 
@@ -99,7 +95,7 @@ impl Device for Replay {
     }
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
-        self.check()?;
+        self.check().map_err(DeviceError::Failed)?;
         link.state(DeviceState::Opening, "reading the first trial");
         let loaded = load_ahead(self.entries.clone())?;
         for entry in &self.entries {
@@ -187,13 +183,14 @@ impl FromStr for Speed {
         match text.parse::<f64>() {
             _ if text == "max" => Ok(Self::Max),
             Ok(factor) if SPEEDS.contains(&factor) => Ok(Self::RealTime(factor)),
-            _ => Err(format!(
-                "`{text}` is not a speed; expected a number from {} to {}, or `max`",
-                SPEEDS.start(),
-                SPEEDS.end()
-            )),
+            _ => Err(not_a_speed(text)),
         }
     }
+}
+
+fn not_a_speed(text: &str) -> String {
+    let (slowest, fastest) = (SPEEDS.start(), SPEEDS.end());
+    format!("`{text}` is not a speed; expected a number from {slowest} to {fastest}, or `max`")
 }
 
 struct Player<'a> {

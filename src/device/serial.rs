@@ -10,6 +10,7 @@
 mod intake;
 mod port;
 
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -106,26 +107,21 @@ const CONFIRM: Duration = Duration::from_millis(500);
 
 /// A switch for the camera's light on the stylus. All clones switch the same light.
 #[derive(Clone, Debug, Default)]
-pub struct Light(Arc<[AtomicBool; 2]>);
+pub struct Light {
+    wanted: Arc<AtomicBool>,
+    /// The light's state in the last report of the stylus.
+    reported: Arc<AtomicBool>,
+}
 
 impl Light {
     /// Asks for the light on or off. The driver repeats the command until the stylus confirms it.
     pub fn set(&self, on: bool) {
-        self.0[0].store(on, Ordering::Release);
+        self.wanted.store(on, Ordering::Release);
     }
 
     /// Whether the light is on, according to the last report of the stylus.
     pub fn is_on(&self) -> bool {
-        self.0[1].load(Ordering::Acquire)
-    }
-
-    fn wanted(&self) -> bool {
-        self.0[0].load(Ordering::Acquire)
-    }
-
-    /// Stores the light's state that the stylus reported.
-    fn confirm(&self, on: bool) {
-        self.0[1].store(on, Ordering::Release);
+        self.reported.load(Ordering::Acquire)
     }
 
     /// Switches the light, and waits until the stylus confirms it. Fails after 0.5 s.
@@ -155,6 +151,7 @@ const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 pub(super) const REPORT_EVERY: Duration = Duration::from_secs(1);
 /// Most bytes taken in one read.
 pub(super) const BUFFER: usize = 64 * 1024;
+pub(super) const OVERFLOWED: &str = "frames did not fit into a ring";
 
 /// Reads the bytes that have arrived, or waits briefly for some. Returns their number, which may be
 /// 0. An error says why the line is lost.
@@ -172,12 +169,28 @@ pub(super) fn lost(path: &str, why: &str) -> Disconnected {
     Disconnected::Lost(format!("{path}: {why}; waiting for it to come back"))
 }
 
-/// Sends one warning that names all counts above 0.
-pub(super) fn warn_of(counts: &[(u64, &str)], link: &DeviceLink) {
-    let some = counts.iter().filter(|(count, _)| *count > 0);
-    let parts: Vec<String> = some.map(|(count, text)| format!("{count} {text}")).collect();
-    if !parts.is_empty() {
-        link.warn(parts.join(", "));
+/// Numbers of errors on a line since the last report, by the text that says what was counted.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct ErrorCounts(pub BTreeMap<&'static str, u64>);
+
+impl ErrorCounts {
+    pub fn add(&mut self, text: &'static str, count: u64) {
+        *self.0.entry(text).or_default() += count;
+    }
+
+    /// Keeps the highest of the counts.
+    pub fn highest(&mut self, text: &'static str, count: u64) {
+        let highest = self.0.entry(text).or_default();
+        *highest = count.max(*highest);
+    }
+
+    /// Sends one warning with all counts above 0, and resets the counts.
+    pub fn report(&mut self, link: &DeviceLink) {
+        let counts = std::mem::take(&mut self.0).into_iter().filter(|(_, count)| *count > 0);
+        let parts: Vec<String> = counts.map(|(text, count)| format!("{count} {text}")).collect();
+        if !parts.is_empty() {
+            link.warn(parts.join(", "));
+        }
     }
 }
 
@@ -243,15 +256,15 @@ impl Connection<'_> {
         let any = intake.feed(&buffer[..n], now_s, |event| match event {
             IntakeEvent::Frames { stream, samples } => {
                 if let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) {
-                    errors.overflowed += sink.push(samples);
+                    errors.counts.add(OVERFLOWED, sink.push(samples));
                 }
             }
             IntakeEvent::Missing { stream, frames } => {
                 if let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) {
                     sink.skip(frames);
                 }
-                errors.missing = errors.missing.max(frames);
-                errors.gaps += u64::from(stream == 0);
+                errors.counts.add("gaps in the samples", u64::from(stream == 0));
+                errors.counts.highest("samples are missing in the longest gap", frames);
             }
             IntakeEvent::Hello { who, lacking, changed } => {
                 *refused = None;
@@ -263,9 +276,9 @@ impl Connection<'_> {
                 }
             }
             IntakeEvent::Refused(why) => *refused = Some(why),
-            IntakeEvent::Restarted => errors.restarts += 1,
+            IntakeEvent::Restarted => errors.counts.add("restarts of its sample counter", 1),
             IntakeEvent::Status(new) => {
-                light.confirm(new.light);
+                light.reported.store(new.light, Ordering::Release);
                 if new.crystal_failed && !status.is_some_and(|old| old.crystal_failed) {
                     link.warn("its crystal has failed: its rate is accurate to 1 % only");
                 }
@@ -279,7 +292,7 @@ impl Connection<'_> {
                     surfaced_wire::VERSION
                 ));
             }
-            IntakeEvent::Damaged(_) => errors.damaged += 1,
+            IntakeEvent::Damaged(_) => errors.counts.add("frames were damaged on the line", 1),
         });
         if any {
             self.samples_at = now;
@@ -299,7 +312,7 @@ impl Connection<'_> {
     }
 
     fn update_light(&mut self, now: Instant) {
-        let wanted = self.light.wanted();
+        let wanted = self.light.wanted.load(Ordering::Acquire);
         // A reset switches the light off. The next status shows this, so it is switched on again.
         let differs = self.status.is_some_and(|status| status.light != wanted);
         if differs && self.light_sent_at.is_none_or(|at| now - at >= REPEAT) {
@@ -333,17 +346,10 @@ impl Connection<'_> {
     }
 }
 
-/// Counts of errors on the line since the last report.
+/// Errors on the line since the last report.
 #[derive(Default)]
 struct LinkErrors {
-    damaged: u64,
-    gaps: u64,
-    /// Number of missing frames in the longest gap.
-    missing: u64,
-    restarts: u64,
-    overflowed: u64,
-    overruns: u64,
-    dropped: u64,
+    counts: ErrorCounts,
     /// Number of warnings about introductions (hellos) of the stylus, and the last such warning.
     hellos: u64,
     last_hello: Option<String>,
@@ -353,8 +359,12 @@ impl LinkErrors {
     /// Adds the losses since the last status; the stylus counts from 0 after each start.
     fn stylus(&mut self, old: Option<&Status>, new: &Status) {
         let (overruns, dropped) = old.map_or((0, 0), |old| (old.overruns, old.dropped));
-        self.overruns += u64::from(new.overruns.checked_sub(overruns).unwrap_or(new.overruns));
-        self.dropped += u64::from(new.dropped.checked_sub(dropped).unwrap_or(new.dropped));
+        for (text, old, new) in [
+            ("samples were taken late", overruns, new.overruns),
+            ("samples did not fit into its memory", dropped, new.dropped),
+        ] {
+            self.counts.add(text, u64::from(new.checked_sub(old).unwrap_or(new)));
+        }
     }
 
     fn hello(&mut self, warning: String) {
@@ -364,21 +374,11 @@ impl LinkErrors {
 
     /// Reports the errors so far as a summary, and resets the counts.
     fn report(&mut self, link: &DeviceLink) {
-        match (self.hellos, self.last_hello.take()) {
-            (2.., Some(last)) => link.warn(format!("{last} (and {} more)", self.hellos - 1)),
+        match (std::mem::take(&mut self.hellos), self.last_hello.take()) {
+            (hellos @ 2.., Some(last)) => link.warn(format!("{last} (and {} more)", hellos - 1)),
             (_, last) => last.into_iter().for_each(|last| link.warn(last)),
         }
-        let counts = [
-            (self.damaged, "frames were damaged on the line"),
-            (self.gaps, "gaps in the samples"),
-            (self.missing, "samples are missing in the longest gap"),
-            (self.restarts, "restarts of its sample counter"),
-            (self.overflowed, "frames did not fit into a ring"),
-            (self.overruns, "samples were taken late"),
-            (self.dropped, "samples did not fit into its memory"),
-        ];
-        warn_of(&counts, link);
-        *self = Self::default();
+        self.counts.report(link);
     }
 }
 

@@ -72,13 +72,9 @@ impl Cache {
     pub fn open(library: &Path, method: &str, key: u64) -> (Self, Option<String>) {
         let path = library.join(format!(".{method}.surfaced-cache"));
         let mut cache = Self { path, key, file: None, records: BTreeMap::new() };
-        let remark = match cache.read() {
-            Ok(()) => None,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
-            Err(error) => Some(error.to_string()),
-        };
-        let remark = remark
-            .map(|why| format!("{}: {why}; the library is prepared anew", cache.path.display()));
+        let error = cache.read().err().filter(|error| error.kind() != io::ErrorKind::NotFound);
+        let path = cache.path.display();
+        let remark = error.map(|why| format!("{path}: {why}; the library is prepared anew"));
         (cache, remark)
     }
 

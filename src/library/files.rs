@@ -162,17 +162,18 @@ pub(crate) fn read_bytes(path: &Path, most: u64) -> Result<Vec<u8>, LibraryError
 
 pub(super) const EMPTY_FILE: &str = "the file is empty (0 bytes); record again, or remove it";
 
-/// The error message for a file that is too long for a trial; `None` if the file is short enough.
-pub(super) fn too_long(Outline { rate_hz, channels, frames }: Outline) -> Option<String> {
-    let samples = frames.saturating_mul(channels);
-    (samples > Series::MOST_SAMPLES).then(|| {
-        format!(
-            "{:.0} minutes are too long for a trial: {samples} samples, but at most {} are read; \
-             cut the recording into trials",
-            frames as f64 / rate_hz.max(1.0) / 60.0,
-            Series::MOST_SAMPLES,
-        )
-    })
+/// Refuses a recording that is too long for a trial.
+pub(super) fn check_length(outline: Outline) -> Result<(), String> {
+    let Outline { rate_hz, channels, frames } = outline;
+    let (samples, most) = (frames.saturating_mul(channels), Series::MOST_SAMPLES);
+    if samples <= most {
+        return Ok(());
+    }
+    Err(format!(
+        "{:.0} minutes are too long for a trial: {samples} samples, but at most {most} are read; \
+         cut the recording into trials",
+        frames as f64 / rate_hz.max(1.0) / 60.0,
+    ))
 }
 
 /// The text of a `trial.toml` or `library.toml`; `None` if there is no such file.

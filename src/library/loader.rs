@@ -2,12 +2,17 @@
 //! and channels. Samples are read when a trial is loaded.
 
 use std::collections::BTreeMap;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use super::{LibraryError, LoadTrial, Outline, Outlines, files, picture, series_file, text};
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, Limits};
+
+use super::series_file::guarded;
+use super::{LibraryError, LoadTrial, Outline, Outlines, files, series_file, text};
+use crate::jpeg;
 use crate::printable::counted;
-use crate::scene::{Declared, Domain, SourceId, SourceSpec};
-use crate::trial::{Series, Signal, SignalError, Trial, TrialKey};
+use crate::scene::{Domain, SourceBlock, SourceId, SourceSpec};
+use crate::trial::{Image, Series, Signal, SignalError, Trial, TrialKey};
 
 #[derive(Debug)]
 pub(crate) enum SourceFiles {
@@ -44,12 +49,12 @@ impl LoadTrial for FileTrial {
         Ok(Trial { key: self.key.clone(), signals })
     }
 
-    fn outlines(&self, wanted: &[SourceId]) -> Result<Option<Outlines>, LibraryError> {
+    fn outlines(&self, wanted: &[SourceId]) -> Result<Outlines, LibraryError> {
         let mut outlines = Outlines::new();
         for (id, files) in self.sources.iter().filter(|(id, _)| wanted.contains(id)) {
             outlines.extend(files.outline()?.map(|outline| (id.clone(), outline)));
         }
-        Ok(Some(outlines))
+        Ok(outlines)
     }
 
     fn places(&self) -> Vec<&Path> {
@@ -103,7 +108,7 @@ impl SourceFiles {
                 let mixed = mixed_down(&series);
                 mixed.map(Signal::Series).map_err(|error| LibraryError::file(path, error))
             }
-            Self::Picture(path) => picture::read(path).map(Signal::Image),
+            Self::Picture(path) => read_picture(path).map(Signal::Image),
             Self::Columns { paths, rate_hz } => {
                 let series = text::read(paths, *rate_hz)?;
                 plausible(&paths[0], &series)?;
@@ -132,19 +137,81 @@ fn mixed_down(series: &Series) -> Result<Series, SignalError> {
     Series::new(series.rate_hz(), 1, series.samples().chunks_exact(channels).map(mean).collect())
 }
 
+/// Limits on a picture's sides (pixels) and memory (bytes); a hostile header may claim any size.
+const MAX_SIDE: u32 = 1 << 14;
+const MAX_BYTES: u64 = 1 << 28;
+/// Largest picture file, in bytes.
+const MOST_PICTURE: u64 = 1 << 26;
+
+/// Reads a picture of 320 × 480 pixels, or of 480 × 320.
+fn read_picture(path: &Path) -> Result<Image, LibraryError> {
+    let bytes = files::read_bytes(path, MOST_PICTURE)?;
+    let damaged = |why: &str| {
+        LibraryError::file(
+            path,
+            format!(
+                "the picture cannot be decoded ({why}); expected a whole PNG or JPEG file: copy it \
+                 again from where it came, take it again, or remove it"
+            ),
+        )
+    };
+    if jpeg::is_cut_short(&bytes) {
+        return Err(damaged("it is truncated"));
+    }
+    guarded(
+        || {
+            let decoder = decoder(&bytes).map_err(|error| damaged(&error.to_string()))?;
+            let (width, height) = decoder.dimensions();
+            let (width, height) = (width as usize, height as usize);
+            // Checks the size first: a picture of a wrong size need not be decoded.
+            if ![(Image::COLS, Image::ROWS), (Image::ROWS, Image::COLS)].contains(&(width, height))
+            {
+                return Err(LibraryError::file(path, SignalError::ImageSize { width, height }));
+            }
+            let picture = DynamicImage::from_decoder(decoder);
+            let picture = picture.map_err(|error| damaged(&error.to_string()))?;
+            Image::new(width, height, picture.into_rgb8().into_raw())
+                .map_err(|error| LibraryError::file(path, error))
+        },
+        damaged,
+    )
+}
+
+fn decoder(bytes: &[u8]) -> Result<impl ImageDecoder, ImageError> {
+    let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(MAX_BYTES);
+    reader.limits(limits);
+    reader.into_decoder()
+}
+
 /// Checks the headers of a library's WAV and FLAC files against the described channels and rates.
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
+    /// The library's folder.
+    root: PathBuf,
     first: BTreeMap<SourceId, (f64, PathBuf)>,
     /// For each source: the lowest rate of a file, in Hz, that is too low for the default band.
     pub lowest_hz: BTreeMap<SourceId, f64>,
-    /// Remarks on files that are unusual but still used, in the order of reading.
-    pub remarks: Vec<(PathBuf, String)>,
+    pub remarks: Remarks,
 }
 
 impl Headers {
-    /// Checks that a WAV or FLAC file can be the data of a source. `declared` says which keys
-    /// `library.toml` sets for the source.
+    /// A check of a library in the folder `root`, on which there are some `remarks` already.
+    pub fn new(root: &Path, remarks: Remarks) -> Self {
+        Self { root: root.to_path_buf(), remarks, ..Self::default() }
+    }
+
+    /// Adds a remark on a file or folder of the library.
+    pub fn note(&mut self, path: &Path, what: impl Into<String>) {
+        let place = path.strip_prefix(&self.root).unwrap_or(path).display();
+        self.remarks.add(what, place.to_string());
+    }
+
+    /// Checks that a WAV or FLAC file can be the data of a source. `declared` is what `library.toml`
+    /// itself says of the source.
     ///
     /// # Errors
     /// If the source is an image, the file cannot be read, or its channels or rate differ from the
@@ -152,7 +219,7 @@ impl Headers {
     pub fn series(
         &mut self,
         spec: &SourceSpec,
-        declared: Declared,
+        declared: &SourceBlock,
         path: &Path,
     ) -> Result<SourceFiles, LibraryError> {
         let id = &spec.id;
@@ -165,7 +232,7 @@ impl Headers {
         }
         let header = series_file::probe(path)?;
         if let Err(problem) = spec.check_rate(header.rate_hz) {
-            if declared.band {
+            if declared.band_hz.is_some() {
                 return fail(problem);
             }
             let lowest = self.lowest_hz.entry(id.clone()).or_insert(header.rate_hz);
@@ -199,7 +266,7 @@ impl Headers {
         let id = &spec.id;
         if mixed {
             let what = format!("stereo, mixed down to the one channel of source `{id}`");
-            self.remarks.push((path.to_path_buf(), what));
+            self.note(path, what);
         }
         let (rate_hz, first) =
             self.first.entry(id.clone()).or_insert_with(|| (header.rate_hz, path.to_path_buf()));
@@ -210,28 +277,25 @@ impl Headers {
                 header.rate_hz,
                 first.display(),
             );
-            self.remarks.push((path.to_path_buf(), what));
+            self.note(path, what);
         }
     }
 }
 
-/// The number of files with the same remark, and the first of them; the remark is shown once.
-pub(crate) struct Seen {
-    count: usize,
-    first: String,
-}
+/// Remarks, each with the files that it applies to.
+#[derive(Debug, Default)]
+pub(crate) struct Remarks(pub BTreeMap<String, Vec<String>>);
 
-impl Seen {
-    /// Notes that the remark `what` also applies to the file called `place`.
-    pub fn count(all: &mut BTreeMap<String, Self>, what: String, place: String) {
-        all.entry(what).or_insert(Self { count: 0, first: place }).count += 1;
+impl Remarks {
+    pub fn add(&mut self, what: impl Into<String>, place: String) {
+        self.0.entry(what.into()).or_default().push(place);
     }
 
-    /// The text of the remark: the first file, the number of further files, and `what`.
-    pub fn say(&self, what: &str) -> String {
-        match self.count {
-            1 => format!("{}: {what}", self.first),
-            count => format!("{} and {} more: {what}", self.first, count - 1),
-        }
+    /// Each remark as one line: its first file, the number of its further files, and its text.
+    pub fn lines(&self) -> impl Iterator<Item = String> {
+        self.0.iter().map(|(what, places)| match places.len() {
+            1 => format!("{}: {what}", places[0]),
+            count => format!("{} and {} more: {what}", places[0], count - 1),
+        })
     }
 }

@@ -6,7 +6,7 @@
 //! the end of the name, if every name ends with a number and no source has a number twice. If not, the
 //! files are numbered in the order of their names. Files of one surface and number form one trial.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::files::number_in;
 use crate::scene::{Scene, SourceId};
@@ -32,11 +32,24 @@ pub(super) fn places(
 ) -> Vec<FilePlace> {
     let usual = || scene.get(USUAL).map(|spec| spec.id.clone());
     let Some(usual) = only.cloned().or_else(usual) else { return Vec::new() };
-    let named: Vec<Option<SourceId>> = names.iter().map(|name| source_of(name, scene)).collect();
-    let source = |i: usize| named[i].clone().unwrap_or_else(|| usual.clone());
-    let numbers = numbers(names, &source, taken);
-    let place = |(i, number)| FilePlace { source: source(i), number, guessed: named[i].is_none() };
-    numbers.into_iter().enumerate().map(place).collect()
+    let place = |name: &&str| {
+        let (named, number) = (source_of(name, scene), number_in(name).unwrap_or_default());
+        let guessed = named.is_none();
+        FilePlace { source: named.unwrap_or_else(|| usual.clone()), number, guessed }
+    };
+    let mut places: Vec<FilePlace> = names.iter().map(place).collect();
+    let free = |name: &&str| number_in(name).is_some_and(|number| !taken.contains(&number));
+    let different: BTreeSet<_> = places.iter().map(|place| (&place.source, place.number)).collect();
+    if different.len() < names.len() || !names.iter().all(free) {
+        let first = taken.iter().max().map_or(1, |most| most.saturating_add(1));
+        let mut next: BTreeMap<SourceId, u32> = BTreeMap::new();
+        for place in &mut places {
+            let next = next.entry(place.source.clone()).or_insert(first);
+            place.number = *next;
+            *next = next.saturating_add(1);
+        }
+    }
+    places
 }
 
 /// The remark on files that were read as `source`, since their names begin with no source's name.
@@ -53,22 +66,6 @@ fn source_of(name: &str, scene: &Scene) -> Option<SourceId> {
     };
     let longest = scene.sources().filter(|spec| begins(spec.id.as_str()) == Some(true));
     longest.max_by_key(|spec| spec.id.as_str().len()).map(|spec| spec.id.clone())
-}
-
-fn numbers(names: &[&str], source: &dyn Fn(usize) -> SourceId, taken: &[u32]) -> Vec<u32> {
-    let all: Option<Vec<u32>> = names.iter().map(|name| number_in(name)).collect();
-    if let Some(numbers) = all {
-        let own: BTreeSet<_> = numbers.iter().enumerate().map(|(i, n)| (source(i), *n)).collect();
-        if own.len() == names.len() && numbers.iter().all(|number| !taken.contains(number)) {
-            return numbers;
-        }
-    }
-    let first = taken.iter().max().map_or(1, |most| most.saturating_add(1));
-    let counted = |i: usize| {
-        let of_source = (0..i).filter(|&before| source(before) == source(i)).count() as u32;
-        first.saturating_add(of_source)
-    };
-    (0..names.len()).map(counted).collect()
 }
 
 #[cfg(test)]

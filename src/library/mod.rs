@@ -7,7 +7,6 @@ pub mod cache;
 pub(crate) mod files;
 pub(crate) mod loader;
 mod loose;
-mod picture;
 pub mod recording;
 pub(crate) mod series_file;
 mod text;
@@ -50,15 +49,6 @@ pub struct Outline {
 
 /// The [`Outline`] (rate, channels, length) of each source of a trial that is a series.
 pub type Outlines = BTreeMap<SourceId, Outline>;
-
-fn outlines_of(trial: &Trial) -> Outlines {
-    let outline = |(id, signal): (&SourceId, &Signal)| {
-        let Signal::Series(series) = signal else { return None };
-        let (rate_hz, channels) = (series.rate_hz(), series.channels());
-        Some((id.clone(), Outline { rate_hz, channels, frames: series.frames() }))
-    };
-    trial.signals.iter().filter_map(outline).collect()
-}
 
 /// All errors as one text: their count, then one line each.
 fn list(errors: &[LibraryError]) -> String {
@@ -110,12 +100,17 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
     /// If one of the sources cannot be read.
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError>;
 
-    /// The [`Outline`] of each `wanted` series; `None` if only reading the trial can tell.
+    /// The [`Outline`] of each `wanted` series. Reads the trial, unless a loader knows better.
     ///
     /// # Errors
     /// If a file cannot be read.
-    fn outlines(&self, _wanted: &[SourceId]) -> Result<Option<Outlines>, LibraryError> {
-        Ok(None)
+    fn outlines(&self, wanted: &[SourceId]) -> Result<Outlines, LibraryError> {
+        let outline = |(id, signal): (SourceId, Signal)| {
+            let Signal::Series(series) = signal else { return None };
+            let (rate_hz, channels) = (series.rate_hz(), series.channels());
+            Some((id, Outline { rate_hz, channels, frames: series.frames() }))
+        };
+        Ok(self.load(wanted)?.signals.into_iter().filter_map(outline).collect())
     }
 
     /// A number that changes whenever the data of the `wanted` sources change. `None` if only
@@ -242,10 +237,7 @@ impl Entry {
     /// # Errors
     /// If a file cannot be read.
     pub fn outlines(&self) -> Result<Outlines, LibraryError> {
-        match self.loader.outlines(&self.sources)? {
-            Some(outlines) => Ok(outlines),
-            None => Ok(outlines_of(&self.load()?)),
-        }
+        self.loader.outlines(&self.sources)
     }
 
     /// A number that changes whenever the trial's data change; `None` if only loading can tell.

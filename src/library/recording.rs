@@ -15,10 +15,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::files::{self, Listed, number_in};
-use super::loader::{FileTrial, Headers, Seen, SourceFiles};
+use super::loader::{FileTrial, Headers, Remarks, SourceFiles};
 use super::{About, Entry, Library, LibraryError, Opened, loose, series_file};
 use crate::printable::counted;
-use crate::scene::{Declared, Domain, LibraryToml, Scene, SourceId};
+use crate::scene::{Domain, LibraryToml, Scene, SourceBlock, SourceId};
 use crate::trial::{EXPERT, TrialKey, UNLABELLED, normal};
 
 pub(crate) const DESCRIPTION: &str = "library.toml";
@@ -50,7 +50,7 @@ pub(crate) fn open_part(
         if surface.is_dir && !surface.is_hidden() {
             opening.surface(surface);
         } else if let Some(why) = surface.unusable {
-            opening.pass_over(&surface.path, why);
+            opening.headers.note(&surface.path, why);
         }
     }
     if opening.trials.is_empty() && opening.bad.is_empty() {
@@ -120,15 +120,13 @@ struct RecordingOpening<'a> {
     root: &'a Path,
     name: String,
     scene: Scene,
-    declared: BTreeMap<SourceId, Declared>,
-    /// The sources that `library.toml` describes.
-    own: Vec<SourceId>,
+    /// What `library.toml` says of each source that it describes.
+    declared: BTreeMap<SourceId, SourceBlock>,
     /// Sources without a described number of channels; their first recording gives it.
     unknown: BTreeSet<SourceId>,
     synthetic: bool,
     headers: Headers,
     trials: BTreeMap<TrialKey, (PathBuf, BTreeMap<SourceId, SourceFiles>)>,
-    passed: BTreeMap<String, Seen>,
     /// One error for each file or trial that cannot be used.
     bad: Vec<LibraryError>,
 }
@@ -140,12 +138,10 @@ impl<'a> RecordingOpening<'a> {
             name: String::new(),
             scene,
             declared: BTreeMap::new(),
-            own: Vec::new(),
             unknown: BTreeSet::new(),
             synthetic: false,
-            headers: Headers::default(),
+            headers: Headers::new(root, Remarks::default()),
             trials: BTreeMap::new(),
-            passed: BTreeMap::new(),
             bad: Vec::new(),
         };
         let described = described_in.join(DESCRIPTION);
@@ -155,27 +151,20 @@ impl<'a> RecordingOpening<'a> {
             opening.synthetic = described.synthetic;
             opening.declared = described.declared;
             opening.name.clone_from(&described.sources.name);
-            opening.own = described.sources.sources().map(|spec| spec.id.clone()).collect();
-            let told = |id: &&SourceId| {
-                opening.declared.get(*id).is_some_and(|d| d.channels)
-                    || opening.scene.get(id.as_str()).is_some()
-            };
-            opening.unknown = opening.own.iter().filter(|id| !told(id)).cloned().collect();
+            let untold = opening.declared.iter().filter(|(id, block)| {
+                block.channels.is_none() && opening.scene.get(id.as_str()).is_none()
+            });
+            opening.unknown = untold.map(|(id, _)| id.clone()).collect();
             opening.scene = opening.scene.with(described.sources);
         }
         Ok(opening)
     }
 
-    fn library(mut self) -> Opened {
-        for (path, what) in std::mem::take(&mut self.headers.remarks) {
-            self.pass_over(&path, what);
-        }
-        let lowest_hz = std::mem::take(&mut self.headers.lowest_hz);
-        let RecordingOpening { root, mut name, scene, trials, passed, synthetic, bad, .. } = self;
-        let mut remarks: Vec<String> =
-            passed.into_iter().map(|(what, seen)| seen.say(&what)).collect();
+    fn library(self) -> Opened {
+        let RecordingOpening { root, mut name, scene, trials, headers, synthetic, bad, .. } = self;
+        let mut remarks: Vec<String> = headers.remarks.lines().collect();
         let scene = scene.changed(|spec| {
-            if let Some(rate_hz) = lowest_hz.get(&spec.id) {
+            if let Some(rate_hz) = headers.lowest_hz.get(&spec.id) {
                 spec.end_band_at(rate_hz / 2.0);
                 remarks.push(format!(
                     "source `{}`: compared up to {} Hz, half of its lowest rate; to choose a band, \
@@ -198,11 +187,6 @@ impl<'a> RecordingOpening<'a> {
         Opened { library: Library { name, scene, entries, synthetic, remarks }, bad }
     }
 
-    fn pass_over(&mut self, path: &Path, why: impl Into<String>) {
-        let place = path.strip_prefix(self.root).unwrap_or(path).display().to_string();
-        Seen::count(&mut self.passed, why.into(), place);
-    }
-
     fn surface(&mut self, surface: &Listed) {
         let items = match files::list(&surface.path) {
             Ok(items) => items,
@@ -211,19 +195,19 @@ impl<'a> RecordingOpening<'a> {
         let mut loose = Vec::new();
         for item in &items {
             match item.stem_and_extension().1.as_str() {
-                _ if item.is_dir && item.name.ends_with(UNFINISHED) => {
-                    self.pass_over(&item.path, "not used, it was never finished; remove the folder")
-                }
+                _ if item.is_dir && item.name.ends_with(UNFINISHED) => self
+                    .headers
+                    .note(&item.path, "not used, it was never finished; remove the folder"),
                 _ if item.is_hidden() => {}
                 _ if item.is_dir => self.trial(&surface.name, item),
                 _ if item.is_series() && self.scene.get(item.stem_and_extension().0).is_none() => {
                     loose.push(item);
                 }
-                "wav" | "flac" | "png" | "jpg" | "jpeg" => self.pass_over(
+                "wav" | "flac" | "png" | "jpg" | "jpeg" => self.headers.note(
                     &item.path,
                     "not used, it lies in no TRIAL folder; expected SURFACE/TRIAL/<source>.wav",
                 ),
-                _ => item.unusable.iter().for_each(|why| self.pass_over(&item.path, *why)),
+                _ => item.unusable.iter().for_each(|why| self.headers.note(&item.path, *why)),
             }
         }
         self.loose(&normal(&surface.name), &loose);
@@ -235,20 +219,15 @@ impl<'a> RecordingOpening<'a> {
             .filter(|key| key.surface == surface && key.user == EXPERT)
             .map(|key| key.number)
             .collect();
-        let only = match self.own.as_slice() {
-            [one] => Some(one),
-            _ => None,
-        };
+        let only = self.declared.keys().next().filter(|_| self.declared.len() == 1);
         let names: Vec<&str> = files.iter().map(|item| item.stem_and_extension().0).collect();
         let places = loose::places(&names, &self.scene, only, &taken);
         for (item, place) in files.iter().zip(places) {
-            let Some(spec) = self.scene.get(place.source.as_str()) else { continue };
-            let declared = self.declared.get(&place.source).copied().unwrap_or_default();
-            match self.headers.series(spec, declared, &item.path) {
+            match self.series(&place.source, &item.path) {
                 Err(error) => self.bad.push(error),
                 Ok(file) => {
                     if place.guessed {
-                        self.pass_over(&item.path, loose::remark(&place.source));
+                        self.headers.note(&item.path, loose::remark(&place.source));
                     }
                     let key = TrialKey::new(surface, EXPERT, place.number);
                     let trial = || (item.path.clone(), BTreeMap::new());
@@ -256,6 +235,13 @@ impl<'a> RecordingOpening<'a> {
                 }
             }
         }
+    }
+
+    /// Checks that a file can be the data of a source of the scene.
+    fn series(&mut self, id: &SourceId, path: &Path) -> Result<SourceFiles, LibraryError> {
+        let spec = self.scene.get(id.as_str()).expect("a source of the scene");
+        let declared = self.declared.get(id).cloned().unwrap_or_default();
+        self.headers.series(spec, &declared, path)
     }
 
     fn trial(&mut self, surface: &str, folder: &Listed) {
@@ -267,7 +253,7 @@ impl<'a> RecordingOpening<'a> {
     fn read_trial(&mut self, surface: &str, folder: &Listed) -> Result<(), LibraryError> {
         let about = About::read(&folder.path)?;
         if about.incomplete {
-            self.pass_over(&folder.path, "not used, trial.toml says incomplete = true");
+            self.headers.note(&folder.path, "not used, trial.toml says incomplete = true");
             return Ok(());
         }
         let number = about.trial.map_or_else(|| number_of(folder), Ok);
@@ -287,7 +273,7 @@ impl<'a> RecordingOpening<'a> {
         }
         if sources.is_empty() {
             if self.bad.len() == bad_files {
-                self.pass_over(&folder.path, "not used, it holds no file of any source");
+                self.headers.note(&folder.path, "not used, it holds no file of any source");
             }
             return Ok(());
         }
@@ -304,7 +290,7 @@ impl<'a> RecordingOpening<'a> {
                  `trial = N` or `user = \"…\"` in trial.toml",
                 other.strip_prefix(self.root).unwrap_or(other).display()
             );
-            self.pass_over(&folder.path, why);
+            self.headers.note(&folder.path, why);
             return Ok(());
         }
         self.trials.insert(key, (folder.path.clone(), sources));
@@ -314,20 +300,16 @@ impl<'a> RecordingOpening<'a> {
     /// Takes the number of channels of an undescribed source from the source's first recording.
     fn learn(&mut self, id: SourceId, path: &Path) -> Result<(), LibraryError> {
         let header = series_file::probe(path)?;
-        if let Some(spec) = self.scene.get_mut(id.as_str()) {
-            spec.channels = header.channels;
-            return Ok(());
-        }
-        self.pass_over(
-            path,
-            format!(
+        if self.scene.get(id.as_str()).is_none() {
+            let what = format!(
                 "no source is called `{id}`, so it is taken as a series of {} at {} Hz; \
-             [sources.{id}] in {DESCRIPTION} can say more",
+                 [sources.{id}] in {DESCRIPTION} can say more",
                 counted(header.channels, "channel"),
                 header.rate_hz
-            ),
-        );
-        self.scene.add_unknown(id, header.channels);
+            );
+            self.headers.note(path, what);
+        }
+        self.scene.set_channels(id, header.channels);
         Ok(())
     }
 
@@ -340,12 +322,12 @@ impl<'a> RecordingOpening<'a> {
             return Ok(None);
         }
         if let Some(why) = item.unusable {
-            self.pass_over(&item.path, why);
+            self.headers.note(&item.path, why);
             return Ok(None);
         }
         if !picture
-            && self.scene.get(stem).is_none()
             && let Ok(id) = SourceId::new(stem)
+            && (self.unknown.remove(&id) || self.scene.get(stem).is_none())
         {
             self.learn(id, &item.path)?;
         }
@@ -357,24 +339,19 @@ impl<'a> RecordingOpening<'a> {
                      [sources.{id}] domain = \"image\", channels = 3"
                 ),
             };
-            self.pass_over(&item.path, what);
+            self.headers.note(&item.path, what);
             return Ok(None);
         };
-        if !picture {
-            let id = spec.id.clone();
-            let declared = self.declared.get(stem).copied().unwrap_or_default();
-            if self.unknown.remove(&id) {
-                self.learn(id.clone(), &item.path)?;
-            }
-            let Some(spec) = self.scene.get(stem) else { return Ok(None) };
-            let files = self.headers.series(spec, declared, &item.path)?;
-            return Ok(Some((spec.id.clone(), files)));
-        }
-        if spec.domain != Domain::Image {
+        let id = spec.id.clone();
+        if picture && spec.domain != Domain::Image {
             let problem = format!("a picture, but source `{stem}` is not; expected {stem}.wav");
             return Err(LibraryError::file(&item.path, problem));
         }
-        Ok(Some((spec.id.clone(), SourceFiles::Picture(item.path.clone()))))
+        if picture {
+            return Ok(Some((id, SourceFiles::Picture(item.path.clone()))));
+        }
+        let files = self.series(&id, &item.path)?;
+        Ok(Some((id, files)))
     }
 }
 

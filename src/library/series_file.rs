@@ -11,7 +11,7 @@ use symphonia_core::errors::Error;
 use symphonia_core::formats::{FormatOptions, FormatReader};
 use symphonia_core::io::MediaSourceStream;
 
-use super::files::{self, EMPTY_FILE, too_long};
+use super::files::{self, EMPTY_FILE, check_length};
 use super::{LibraryError, Outline, wav};
 use crate::trial::Series;
 
@@ -82,10 +82,8 @@ fn open(path: &Path) -> Result<(FlacReader<'static>, AudioCodecParameters, Outli
              with `sox IN.flac OUT.flac`",
         ));
     }
-    match too_long(header) {
-        Some(problem) => Err(LibraryError::file(path, problem)),
-        None => Ok((reader, codec, header)),
-    }
+    check_length(header).map_err(|problem| LibraryError::file(path, problem))?;
+    Ok((reader, codec, header))
 }
 
 fn decode(path: &Path) -> Result<(Outline, Vec<f32>), LibraryError> {

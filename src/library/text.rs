@@ -1,13 +1,17 @@
 //! Reads text files: one file for each channel, with one number in each line.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::{LibraryError, files};
 use crate::trial::Series;
 
 /// Reads one text file for each channel, and cuts all channels to the length of the shortest.
 pub(crate) fn read(paths: &[PathBuf], rate_hz: f64) -> Result<Series, LibraryError> {
-    let columns = paths.iter().map(|path| column(path)).collect::<Result<Vec<_>, _>>()?;
+    let column = |path: &PathBuf| {
+        let bytes = files::read_bytes(path, files::MOST_TEXT)?;
+        parse(&bytes).map_err(|problem| LibraryError::file(path, problem))
+    };
+    let columns = paths.iter().map(column).collect::<Result<Vec<_>, _>>()?;
     let frames = columns.iter().map(Vec::len).min().unwrap_or(0);
     let mut samples = Vec::with_capacity(frames * columns.len());
     for frame in 0..frames {
@@ -26,11 +30,6 @@ pub(crate) fn frames(paths: &[PathBuf]) -> Result<usize, LibraryError> {
     };
     let lengths = paths.iter().map(lines).collect::<Result<Vec<_>, _>>()?;
     Ok(lengths.into_iter().min().unwrap_or(0))
-}
-
-fn column(path: &Path) -> Result<Vec<f32>, LibraryError> {
-    let bytes = files::read_bytes(path, files::MOST_TEXT)?;
-    parse(&bytes).map_err(|problem| LibraryError::file(path, problem))
 }
 
 /// Parses a text with one number in each line; blank lines are allowed only at the end.

@@ -5,10 +5,10 @@
 //! Decoding sample by sample took a third of a library's loading time, so this decodes blocks.
 
 use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek};
 use std::path::Path;
 
-use super::files::{self, EMPTY_FILE, too_long};
+use super::files::{self, EMPTY_FILE, check_length};
 use super::{LibraryError, Outline};
 
 /// Number of bytes decoded at a time: a multiple of each possible size of a sample (1 to 4 bytes).
@@ -122,7 +122,7 @@ fn check(data: WavData, rest: u64) -> Result<(), String> {
             ),
         });
     }
-    too_long(data.outline()).map_or(Ok(()), Err)
+    check_length(data.outline())
 }
 
 fn no(problem: impl Into<String>) -> io::Error {
@@ -153,10 +153,10 @@ fn walk(file: &mut BufReader<File>) -> io::Result<WavData> {
                 let kept = (length as usize).min(body.len());
                 file.read_exact(&mut body[..kept])?;
                 format = Some(parse(&body[..kept])?);
-                skip(file, u64::from(length) - kept as u64 + u64::from(length % 2))?;
+                file.seek_relative(i64::from(length) - kept as i64 + i64::from(length % 2))?;
             }
             // An odd-sized chunk is followed by a byte of padding.
-            _ => skip(file, u64::from(length) + u64::from(length % 2))?,
+            _ => file.seek_relative(i64::from(length) + i64::from(length % 2))?,
         }
     }
 }
@@ -164,10 +164,6 @@ fn walk(file: &mut BufReader<File>) -> io::Result<WavData> {
 fn take<const N: usize>(file: &mut BufReader<File>) -> io::Result<[u8; N]> {
     let mut bytes = [0; N];
     file.read_exact(&mut bytes).map(|()| bytes)
-}
-
-fn skip(file: &mut BufReader<File>, bytes: u64) -> io::Result<()> {
-    file.seek(SeekFrom::Current(bytes as i64)).map(drop)
 }
 
 /// Parses the content of a `fmt ` chunk, which has 16 bytes or more.

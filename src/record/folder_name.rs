@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use super::edit::is_plain;
 use crate::dataset;
 use crate::library::recording::DESCRIPTION;
 use crate::seed::stable_hash;
@@ -40,12 +41,8 @@ pub(super) fn encode(label: &str) -> String {
 
 /// Whether a label can be used as a folder's name without any change.
 pub(super) fn is_usable(label: &str) -> bool {
-    let is_long = label.len() > LONGEST;
-    !label.starts_with('.')
-        && !label.contains(['/', '\\', '\0'])
-        && !is_long
-        && !label.is_empty()
-        && !means_something_else(label)
+    let is_name = is_plain(label) && !label.contains('\\') && label.len() <= LONGEST;
+    is_name && !means_something_else(label)
 }
 
 /// Whether a name is reserved: by the library's format, or for a device on Windows, to which a

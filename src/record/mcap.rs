@@ -10,8 +10,6 @@
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
-use std::ffi::OsString;
-use std::fmt::Write as _;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Component, Path, PathBuf};
@@ -21,13 +19,14 @@ use mcap::records::MessageHeader;
 use mcap::{Attachment, Compression, Summary, WriteOptions, Writer};
 use serde_json::json;
 
-use super::{failed, write_file};
+use super::{failed, unfinished, write_file};
 use crate::dataset;
 use crate::jpeg;
 use crate::library::files::{self, Listed};
-use crate::library::recording::{self, DESCRIPTION, UNFINISHED};
+use crate::library::recording::{self, DESCRIPTION};
 use crate::library::{Library, LibraryError};
 use crate::scene::Scene;
+use crate::system;
 use crate::trial::{Image, Series, Signal, Trial};
 
 /// Opens a recording for an export: a library of any layout, or a single trial of a library in the
@@ -189,28 +188,25 @@ type McapFile = BufWriter<File>;
 fn messages(writer: &mut Writer<McapFile>, trial: &Trial, begin_s: f64) -> mcap::McapResult<f64> {
     let mut longest_s = 0.0f64;
     for (source, signal) in &trial.signals {
-        let topic = format!("/{source}");
         let key = &trial.key;
         let mut about = BTreeMap::from([
             ("surface".to_string(), key.surface.clone()),
             ("user".to_string(), key.user.clone()),
             ("trial".to_string(), key.number.to_string()),
         ]);
+        let (name, schema) = match signal {
+            Signal::Series(_) => ("surfaced.Samples", SAMPLES_SCHEMA),
+            Signal::Image(_) => ("foxglove.CompressedImage", PICTURE_SCHEMA),
+        };
+        if let Signal::Series(series) = signal {
+            about.insert("rate_hz".into(), series.rate_hz().to_string());
+            longest_s = longest_s.max(series.duration_s());
+        }
+        let schema = writer.add_schema(name, "jsonschema", schema.as_bytes())?;
+        let channel = writer.add_channel(schema, &format!("/{source}"), "json", &about)?;
         match signal {
-            Signal::Series(series) => {
-                about.insert("rate_hz".into(), series.rate_hz().to_string());
-                let name = "surfaced.Samples";
-                let schema = writer.add_schema(name, "jsonschema", SAMPLES_SCHEMA.as_bytes())?;
-                let channel = writer.add_channel(schema, &topic, "json", &about)?;
-                samples(writer, channel, series, begin_s)?;
-                longest_s = longest_s.max(series.duration_s());
-            }
-            Signal::Image(image) => {
-                let name = "foxglove.CompressedImage";
-                let schema = writer.add_schema(name, "jsonschema", PICTURE_SCHEMA.as_bytes())?;
-                let channel = writer.add_channel(schema, &topic, "json", &about)?;
-                picture(writer, channel, image, begin_s)?;
-            }
+            Signal::Series(series) => samples(writer, channel, series, begin_s)?,
+            Signal::Image(image) => picture(writer, channel, image, begin_s)?,
         }
     }
     Ok(longest_s)
@@ -233,20 +229,16 @@ fn samples(
     let whole = series.samples().iter().all(|x| (x / STEP).fract() == 0.0 && x.abs() <= 1.0);
     let scale = if whole { STEP } else { 1.0 };
     for (index, block) in series.samples().chunks(frames * channels).enumerate() {
-        let mut text = format!(r#"{{"rate_hz":{rate_hz},"scale":{scale},"values":["#);
-        for of_channel in 0..channels {
-            text.push_str(if of_channel == 0 { "[" } else { ",[" });
-            for (at, sample) in block.iter().skip(of_channel).step_by(channels).enumerate() {
-                let comma = if at == 0 { "" } else { "," };
-                // Writing to a string cannot fail.
-                let _ = match whole {
-                    true => write!(text, "{comma}{}", (sample / STEP) as i32),
-                    false => write!(text, "{comma}{sample:?}"),
-                };
-            }
-            text.push(']');
-        }
-        text.push_str("]}");
+        let number = |sample: &f32| match whole {
+            true => ((sample / STEP) as i32).to_string(),
+            false => format!("{sample:?}"),
+        };
+        let of_channel = |channel: usize| {
+            let numbers: Vec<_> = block[channel..].iter().step_by(channels).map(number).collect();
+            format!("[{}]", numbers.join(","))
+        };
+        let values = (0..channels).map(of_channel).collect::<Vec<_>>().join(",");
+        let text = format!(r#"{{"rate_hz":{rate_hz},"scale":{scale},"values":[{values}]}}"#);
         let at_s = begin_s + (index * frames) as f64 / rate_hz;
         writer.write_to_known_channel(&header(channel, index as u32, at_s), text.as_bytes())?;
     }
@@ -279,35 +271,20 @@ pub fn import(mcap: &Path, dir: &Path) -> Result<usize, LibraryError> {
     if dir.symlink_metadata().is_ok() {
         return Err(failed(dir, std::io::ErrorKind::AlreadyExists.into()));
     }
-    let unfinished = beside(dir);
-    fs::create_dir(&unfinished).map_err(|error| failed(&unfinished, error))?;
-    let written = attached
-        .iter()
-        .try_for_each(|(path, data)| restore(&unfinished.join(path), data))
-        .and_then(|()| fs::rename(&unfinished, dir).map_err(|error| failed(dir, error)));
-    if let Err(error) = written {
-        // An error of the clean-up is ignored, since the import's own error is returned.
-        let _ = fs::remove_dir_all(&unfinished);
-        return Err(error);
+    let parent = dir.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."));
+    let mut builder = unfinished(".");
+    system::usual_permissions(&mut builder);
+    let unfinished = builder.tempdir_in(parent).map_err(|error| failed(dir, error))?;
+    for (path, data) in &attached {
+        let path = unfinished.path().join(path);
+        let folder = path.parent().unwrap_or(dir);
+        fs::create_dir_all(folder).map_err(|error| failed(folder, error))?;
+        write_file(&path, data, true)?;
     }
+    fs::rename(unfinished.path(), dir).map_err(|error| failed(dir, error))?;
     let folders = attached.iter().filter_map(|(path, _)| path.parent());
     let trials: BTreeSet<_> = folders.filter(|folder| folder.iter().count() == 2).collect();
     Ok(trials.len())
-}
-
-/// The path of a hidden, unfinished folder beside `dir`.
-fn beside(dir: &Path) -> PathBuf {
-    let mut name = OsString::from(".");
-    name.push(dir.file_name().unwrap_or(dir.as_os_str()));
-    name.push(format!(".{}{UNFINISHED}", std::process::id()));
-    dir.with_file_name(name)
-}
-
-fn restore(path: &Path, data: &[u8]) -> Result<(), LibraryError> {
-    if let Some(parent) = path.parent() {
-        fs::create_dir_all(parent).map_err(|error| failed(parent, error))?;
-    }
-    write_file(path, data, true)
 }
 
 /// The attachments of an MCAP file: for each, its relative path and its bytes. Refuses attachments

@@ -21,7 +21,7 @@ use crate::dataset;
 use crate::library::files::number_in;
 use crate::library::recording::{DESCRIPTION, UNFINISHED};
 use crate::library::{About, LibraryError};
-use crate::scene::{Domain, Scene, SourceSpec};
+use crate::scene::{Domain, MOST_CHANNELS, Scene, SourceSpec};
 use crate::system;
 use crate::trial::{Image, Series, Signal, Trial, TrialKey, normal};
 
@@ -55,14 +55,19 @@ pub fn write_library_toml(
     fs::create_dir_all(dir).map_err(|error| failed(dir, error))?;
     let mut named = scene.clone();
     named.name = name.to_string();
-    let (path, text) = (dir.join(DESCRIPTION), named.to_library_toml(synthetic));
-    let mut file = unfinished(&format!(".{DESCRIPTION}."))
-        .make_in(dir, |path| File::create_new(path))
-        .map_err(|error| failed(dir, error))?;
-    file.write_all(text.as_bytes())
-        .and_then(|()| file.as_file().sync_all())
-        .map_err(|error| failed(file.path(), error))?;
-    system::persist(file, &path).map_err(|error| failed(&path, error))
+    replace_file(&dir.join(DESCRIPTION), named.to_library_toml(synthetic).as_bytes())
+}
+
+/// Writes a file beside `path`, waits until the disk holds it, and gives it this name.
+fn replace_file(path: &Path, bytes: &[u8]) -> Result<(), LibraryError> {
+    let folder = path.parent().unwrap_or(path);
+    let replace = || {
+        let mut file = unfinished(".replacing.").make_in(folder, |path| File::create_new(path))?;
+        file.write_all(bytes)?;
+        file.as_file().sync_all()?;
+        system::persist(file, path)
+    };
+    replace().map_err(|error| failed(path, error))
 }
 
 /// Checks that trials can be written into a library, and creates its folder if it is missing.
@@ -259,13 +264,11 @@ fn write_signals(
 
 /// Refuses a signal that a reader with the same scene would refuse.
 fn check(spec: &SourceSpec, signal: &Signal) -> Result<(), String> {
-    let series: &Series = match (signal, &spec.domain) {
-        (Signal::Image(_), Domain::Image) => return Ok(()),
-        (Signal::Image(_), _) => return Err("an image, but the scene says a series".into()),
-        (Signal::Series(_), Domain::Image) => {
-            return Err("a series, but the scene says an image".into());
-        }
-        (Signal::Series(series), _) => series,
+    let series: &Series = match (signal, spec.domain == Domain::Image) {
+        (Signal::Image(_), true) => return Ok(()),
+        (Signal::Image(_), false) => return Err("an image, but the scene says a series".into()),
+        (Signal::Series(_), true) => return Err("a series, but the scene says an image".into()),
+        (Signal::Series(series), false) => series,
     };
     let (channels, expected) = (series.channels(), spec.channels);
     if channels != expected {
@@ -278,8 +281,6 @@ fn check(spec: &SourceSpec, signal: &Signal) -> Result<(), String> {
         _ => Ok(()),
     }
 }
-
-const MOST_CHANNELS: usize = 1024;
 
 /// Encodes a series as WAV: as 16-bit integers if they hold every sample exactly, otherwise as f32.
 /// An error says why WAV cannot hold the series.

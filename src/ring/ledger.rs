@@ -1,4 +1,4 @@
-//! Both halves of a ring's bookkeeping, which knows the indexes that came through and the missing ones.
+//! The two halves of a ring's bookkeeping: which indexes came through, and which are missing.
 //!
 //! A stretch is a range of consecutive missing indexes. Stretches travel beside the samples, in a
 //! small ring of their own. The producer enters a stretch before the frame that follows it, so a

@@ -56,7 +56,7 @@ impl Collector {
                 moved = true;
                 self.on_report(report);
             }
-            self.detect(ScanDetector::update);
+            self.detect("the detector", ScanDetector::update);
             while let Ok(command) = self.commands.try_recv() {
                 self.command(command);
             }
@@ -160,25 +160,21 @@ impl Collector {
     }
 
     fn command(&mut self, command: ScanCommand) {
-        match &mut self.detector {
-            Some(detector) => {
-                detector.command(command, &self.streams);
-                let marks = std::mem::take(&mut detector.marks);
-                marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the command", mark));
-            }
-            None => self.event_queue.warn(
-                "the command was ignored: a recording sets the begin and end of its scans".into(),
-            ),
+        if self.detector.is_none() {
+            let why = "the command was ignored: a recording sets the begin and end of its scans";
+            self.event_queue.warn(why.into());
         }
+        self.detect("the command", |detector, streams| detector.command(command, streams));
     }
 
-    /// Runs one `step` of the detector, if there is one; applies its marks and passes on its warnings.
-    fn detect(&mut self, step: impl Fn(&mut ScanDetector, &[Stream])) {
+    /// Runs one `step` of the detector, if there is one; applies its marks and passes on its
+    /// warnings. Warnings about a mark say that it was set by `who`.
+    fn detect(&mut self, who: &str, step: impl Fn(&mut ScanDetector, &[Stream])) {
         let Some(detector) = &mut self.detector else { return };
         step(detector, &self.streams);
         let marks = std::mem::take(&mut detector.marks);
         let warnings = std::mem::take(&mut detector.warnings);
-        marks.into_iter().for_each(|mark| self.mark(DETECTOR, "the detector", mark));
+        marks.into_iter().for_each(|mark| self.mark(DETECTOR, who, mark));
         warnings.into_iter().for_each(|text| self.event_queue.warn(text));
     }
 
@@ -251,8 +247,8 @@ impl Collector {
 
     fn finish(mut self) -> Totals {
         self.drain();
-        self.detect(ScanDetector::update);
-        self.detect(ScanDetector::finish);
+        self.detect("the detector", ScanDetector::update);
+        self.detect("the detector", ScanDetector::finish);
         self.abandon(|_| true, "the session ended");
         // Sends incomplete scans as they are, since a device that hangs never delivers the rest.
         self.drain();

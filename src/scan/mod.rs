@@ -45,7 +45,6 @@ pub struct Scan {
     pub scan_s: f64,
     /// Frames (and pictures) lost within the scan, over all sources.
     pub lost_samples: u64,
-
     /// Reasons why the scan should not be trusted, one line each; empty if there are none. A gap of
     /// at most 1 ms is no reason, since the frame before the gap is repeated to fill it.
     pub spoiled: Vec<String>,
@@ -63,7 +62,6 @@ impl Scan {
             synthetic: false,
             scan_s: 0.0,
             lost_samples: 0,
-
             spoiled: Vec::new(),
             ended_at: Instant::now(),
         }

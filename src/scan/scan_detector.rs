@@ -250,7 +250,7 @@ impl ScanDetector {
 
     fn time_s(&self, group: usize, hop: u64) -> Option<f64> {
         let group = &self.groups[group];
-        self.timeline.time_s(group.channels[0].0, group.frame(hop))
+        self.timeline.clock(group.channels[0].0).time_s(group.frame(hop))
     }
 
     /// Measures the offsets of the other groups by the tap that began at hop `onset` of group `lead`.
@@ -260,7 +260,8 @@ impl ScanDetector {
         let reach = (LARGEST_OFFSET_S / HOP_S) as u64;
         for at in (0..self.groups.len()).filter(|at| *at != lead) {
             let group = &mut self.groups[at];
-            let Some(frame) = self.timeline.index_at(group.channels[0].0, tap_s) else { continue };
+            let clock = self.timeline.clock(group.channels[0].0);
+            let Some(frame) = clock.index_at(tap_s) else { continue };
             let hop = group.hop(frame);
             let window = hop.saturating_sub(reach)..hop + reach;
             let levels = group.levels.make_contiguous();
@@ -280,7 +281,7 @@ impl ScanDetector {
         let offset_s = (self.groups.iter())
             .find(|group| group.channels.iter().any(|(stream, _)| *stream == at))
             .map_or(0.0, |group| group.offset_s);
-        self.timeline.index_at(at, self.time_s(lead, hop)? + offset_s)
+        self.timeline.clock(at).index_at(self.time_s(lead, hop)? + offset_s)
     }
 }
 
@@ -357,19 +358,13 @@ impl Timeline {
         now_s - self.streams[stream].at_s > GONE_S
     }
 
-    /// The time at which a frame was sampled; `None` before the stream's first arrival.
-    fn time_s(&self, stream: usize, frame: u64) -> Option<ClockSecond> {
-        self.streams[stream].clock.time_s(frame)
-    }
-
-    /// Index of the frame that was sampled at a time; `None` before the stream's first arrival.
-    fn index_at(&self, stream: usize, time_s: ClockSecond) -> Option<u64> {
-        self.streams[stream].clock.index_at(time_s)
+    fn clock(&self, stream: usize) -> &Clock {
+        &self.streams[stream].clock
     }
 
     /// Index of the frame that is sampled now; if the stream is silent, the index of its next frame.
     fn index_now(&self, stream: usize, now_s: ClockSecond) -> u64 {
-        let by_clock = self.index_at(stream, now_s).filter(|_| self.alive(stream, now_s));
+        let by_clock = self.clock(stream).index_at(now_s).filter(|_| self.alive(stream, now_s));
         by_clock.unwrap_or(self.streams[stream].end)
     }
 }

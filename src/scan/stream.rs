@@ -1,4 +1,4 @@
-//! The collector's end of one stream holds its ring, and the recent frames that came out of the ring.
+//! The collector's end of one stream: its ring, and the recent frames that came out of it.
 
 use std::collections::VecDeque;
 use std::ops::Range;

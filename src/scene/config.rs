@@ -20,30 +20,30 @@ struct SceneFile {
     sources: BTreeMap<String, toml::Spanned<SourceBlock>>,
 }
 
-#[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum DomainName {
+pub(crate) enum DomainName {
     Spectrum,
     Time,
     Image,
 }
 
 /// One source as a file describes it.
-#[derive(Clone, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SourceBlock {
-    what: Option<String>,
-    sensor: Option<String>,
-    phase: Option<Phase>,
-    domain: Option<DomainName>,
-    colour: Option<Colour>,
+    pub what: Option<String>,
+    pub sensor: Option<String>,
+    pub phase: Option<Phase>,
+    pub domain: Option<DomainName>,
+    pub colour: Option<Colour>,
     pub channels: Option<usize>,
-    rate_hz: Option<f64>,
-    band_hz: Option<[f64; 2]>,
-    align_mean: Option<bool>,
-    weight: Option<f64>,
-    sigma: Option<f64>,
-    score_offset: Option<f64>,
+    pub rate_hz: Option<f64>,
+    pub band_hz: Option<[f64; 2]>,
+    pub align_mean: Option<bool>,
+    pub weight: Option<f64>,
+    pub sigma: Option<f64>,
+    pub score_offset: Option<f64>,
 }
 
 impl Scene {
@@ -59,8 +59,7 @@ impl Scene {
     /// If the text is not TOML, has an unknown key, or describes an impossible source. The error
     /// names the line.
     pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        let file = SceneFile::parse(text)?;
-        scene(file.name.unwrap_or_default(), file.sources, text, None)
+        Ok(LibraryToml::parse(text, &Self::default())?.sources)
     }
 
     /// The text of a `library.toml` with this scene; [`LibraryToml::parse`] reads it.
@@ -84,20 +83,12 @@ pub(crate) fn line_of(text: &str, at: usize) -> usize {
     1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }
 
-/// The rate that a `library.toml` gives a source, and whether the file sets a band and channels.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Declared {
-    pub rate_hz: Option<f64>,
-    pub band: bool,
-    pub channels: bool,
-}
-
 #[derive(Clone, Debug, PartialEq)]
 pub struct LibraryToml {
     /// The sources that the file describes, and the library's name.
     pub sources: Scene,
     /// The file's own description of each source, which takes precedence over the defaults.
-    pub declared: BTreeMap<SourceId, Declared>,
+    pub(crate) declared: BTreeMap<SourceId, SourceBlock>,
     /// Whether the file holds `synthetic = true`.
     pub synthetic: bool,
 }
@@ -111,24 +102,23 @@ impl LibraryToml {
     pub fn parse(text: &str, defaults: &Scene) -> Result<Self, SceneError> {
         let file = SceneFile::parse(text)?;
         let declared = |(name, block): (&String, &toml::Spanned<SourceBlock>)| {
-            let SourceBlock { rate_hz, band_hz, channels, .. } = *block.get_ref();
-            let (band, channels) = (band_hz.is_some(), channels.is_some());
-            Some((SourceId::new(name).ok()?, Declared { rate_hz, band, channels }))
+            Some((SourceId::new(name).ok()?, block.get_ref().clone()))
         };
         let declared = file.sources.iter().filter_map(declared).collect();
-        let sources = scene(file.name.unwrap_or_default(), file.sources, text, Some(defaults))?;
+        let sources = scene(file.name.unwrap_or_default(), file.sources, text, defaults)?;
         Ok(Self { sources, declared, synthetic: file.synthetic })
     }
 }
 
 impl SceneFile {
     fn parse(text: &str) -> Result<Self, SceneError> {
-        let file: Self = toml::from_str(text)?;
+        let file: Self = toml::from_str(text).map_err(|error| SceneError(error.to_string()))?;
         match *file.format.get_ref() {
             1 => Ok(file),
             found => {
                 let line = line_of(text, file.format.span().start);
-                Err(SceneError::Format { line, found })
+                let problem = "but this program reads format 1; update surfaced";
+                Err(SceneError(format!("line {line}: format = {found}, {problem}")))
             }
         }
     }
@@ -140,25 +130,24 @@ pub(crate) fn scene(
     name: String,
     blocks: BTreeMap<String, toml::Spanned<SourceBlock>>,
     text: &str,
-    defaults: Option<&Scene>,
+    defaults: &Scene,
 ) -> Result<Scene, SceneError> {
     let mut sources = BTreeMap::new();
     for (name, block) in blocks {
-        let fail = |problem: String| SceneError::Source {
-            line: line_of(text, block.span().start),
-            source_name: name.clone(),
-            problem,
+        let fail = |problem: String| {
+            let line = line_of(text, block.span().start);
+            SceneError(format!("line {line}: source `{name}`: {problem}"))
         };
         let id = SourceId::new(&name).map_err(|error| fail(error.to_string()))?;
-        let default = defaults.and_then(|scene| scene.get(id.as_str()));
-        let spec = block.get_ref().over(default).resolve(id.clone()).map_err(fail)?;
+        let block = block.get_ref().over(defaults.get(id.as_str()));
+        let spec = block.resolve(id.clone()).map_err(fail)?;
         sources.insert(id, spec);
     }
     Ok(Scene { name, sources })
 }
 
 /// Most channels of a source; a WAV file has the same limit.
-const MOST_CHANNELS: usize = 1024;
+pub(crate) const MOST_CHANNELS: usize = 1024;
 /// Lowest and highest rate of a source; any other rate is taken for a mistake.
 const RATES_HZ: (f64, f64) = (1e-3, 1e7);
 const WEIGHTS: (f64, f64) = (1e-6, 1e3);

@@ -6,7 +6,8 @@
 
 pub(crate) mod config;
 
-pub use config::{Declared, LibraryToml};
+pub use config::LibraryToml;
+pub(crate) use config::{MOST_CHANNELS, SourceBlock};
 
 use std::borrow::Borrow;
 use std::collections::BTreeMap;
@@ -29,7 +30,8 @@ impl SourceId {
     pub fn new(name: &str) -> Result<Self, SceneError> {
         let fits = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
         if name.is_empty() || !name.chars().all(fits) {
-            return Err(SceneError::SourceName(name.into()));
+            let problem = "cannot name a source; use letters, digits, `_` and `-`";
+            return Err(SceneError(format!("`{name}` {problem}")));
         }
         Ok(Self(name.into()))
     }
@@ -163,7 +165,7 @@ impl SourceSpec {
     }
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
     pub name: String,
     sources: BTreeMap<SourceId, SourceSpec>,
@@ -192,22 +194,17 @@ impl Scene {
     pub fn only(mut self, names: &[SourceId]) -> Result<Self, SceneError> {
         if let Some(name) = names.iter().find(|name| !self.sources.contains_key(*name)) {
             let known = self.sources.keys().map(SourceId::as_str).collect::<Vec<_>>().join(", ");
-            return Err(SceneError::UnknownSource { name: name.to_string(), known });
+            return Err(SceneError(format!("no source is called `{name}`; there are: {known}")));
         }
         self.sources.retain(|id, _| names.contains(id));
         Ok(self)
     }
 
-    /// A source that the caller may change, except its id.
-    pub(crate) fn get_mut(&mut self, id: &str) -> Option<&mut SourceSpec> {
-        self.sources.get_mut(id)
-    }
-
-    /// Adds a series of which only its name and its number of channels are known.
-    pub(crate) fn add_unknown(&mut self, id: SourceId, channels: usize) {
-        let spec = config::SourceBlock::default().resolve(id.clone());
-        let spec = SourceSpec { channels, ..spec.expect("an empty description is valid") };
-        self.sources.insert(id, spec);
+    /// Sets the number of channels of a source. Adds a series if the scene lacks the source.
+    pub(crate) fn set_channels(&mut self, id: SourceId, channels: usize) {
+        let unknown = SourceBlock::default().resolve(id.clone());
+        let spec = self.sources.entry(id);
+        spec.or_insert(unknown.expect("an empty description is valid")).channels = channels;
     }
 
     pub fn get(&self, id: &str) -> Option<&SourceSpec> {
@@ -225,25 +222,7 @@ impl Scene {
     }
 }
 
+/// Why a text describes no scene, or a name no source. The message names the line, if there is one.
 #[derive(Debug, thiserror::Error)]
-pub enum SceneError {
-    #[error("{0}")]
-    Toml(#[from] toml::de::Error),
-    #[error("line {line}: format = {found}, but this program reads format 1; update surfaced")]
-    Format {
-        /// line, counted from 1
-        line: usize,
-        found: u32,
-    },
-    #[error("line {line}: source `{source_name}`: {problem}")]
-    Source {
-        /// line of the source's table, counted from 1
-        line: usize,
-        source_name: String,
-        problem: String,
-    },
-    #[error("`{0}` cannot name a source; use letters, digits, `_` and `-`")]
-    SourceName(String),
-    #[error("no source is called `{name}`; there are: {known}")]
-    UnknownSource { name: String, known: String },
-}
+#[error("{0}")]
+pub struct SceneError(String);

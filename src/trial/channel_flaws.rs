@@ -1,5 +1,5 @@
-//! Finds channels with a flaw that a broken cable or a wrong gain causes, that is, channels that
-//! are stuck or reach their limits too often.
+//! Finds channels that are stuck, as by a broken cable, or reach their limits too often, as by a
+//! wrong gain.
 
 use std::collections::HashMap;
 
@@ -166,11 +166,6 @@ impl ChannelFlaws {
     fn share(&self, samples: usize) -> f64 {
         samples as f64 / self.samples.max(1) as f64
     }
-
-    /// The channel's flaw, if the samples so far show one; `channel` counts from 0.
-    fn flaw(&self, channel: usize) -> Option<Flaw> {
-        self.dead(channel).or_else(|| self.saturated(channel))
-    }
 }
 
 /// Finds the flaws of a series frame by frame.
@@ -192,19 +187,13 @@ impl SeriesFlaws {
     }
 
     pub fn flaws(&self) -> Vec<Flaw> {
-        self.each(ChannelFlaws::flaw).collect()
+        let channels = self.0.iter().enumerate();
+        channels.filter_map(|(at, c)| c.dead(at).or_else(|| c.saturated(at))).collect()
     }
 
     /// The [`Flaw::Constant`]s and [`Flaw::Stuck`]s so far, channel by channel.
     pub fn dead(&self) -> impl Iterator<Item = Flaw> {
-        self.each(ChannelFlaws::dead)
-    }
-
-    fn each(
-        &self,
-        find: impl Fn(&ChannelFlaws, usize) -> Option<Flaw>,
-    ) -> impl Iterator<Item = Flaw> {
-        self.0.iter().enumerate().filter_map(move |(at, channel)| find(channel, at))
+        self.0.iter().enumerate().filter_map(|(at, channel)| channel.dead(at))
     }
 }
 

@@ -155,10 +155,7 @@ mod tests {
             MetalDetectionScans/Testing/G1Mesh_MetalDetection_Movement_test3.txt G1Mesh user3 3 me 0
             ",
         );
-    }
-
-    #[test]
-    fn the_first_number_of_an_image_is_its_trial() {
+        // The first number of an image is its trial.
         expect(
             "
             ImageScans/NoFlash/Training/G1Mesh_Image_1_train1.jpg G1Mesh expert 1 ca1 0
@@ -168,10 +165,7 @@ mod tests {
             ImageScans/Flash/Training/G1Mesh_Image_2_train3.jpg G1Mesh expert 2 ca2 0
             ",
         );
-    }
-
-    #[test]
-    fn case_and_missing_words_do_not_matter() {
+        // Case and missing words do not matter.
         expect(
             "
             soundscans/g4Oak_sound_movement_TRAIN3.WAV g4Oak expert 3 mi2 0

@@ -114,11 +114,11 @@ impl LoadTrial for Generated {
         Ok(Trial { key: self.key.clone(), signals })
     }
 
-    fn outlines(&self, wanted: &[SourceId]) -> Result<Option<Outlines>, LibraryError> {
+    fn outlines(&self, wanted: &[SourceId]) -> Result<Outlines, LibraryError> {
         let (parameters, scene) = &*self.shared;
         let known = wanted.iter().filter(|id| scene.get(id.as_str()).is_some());
         let outline = |id: &SourceId| Some((id.clone(), outline(parameters, id.as_str())?));
-        Ok(Some(known.filter_map(outline).collect()))
+        Ok(known.filter_map(outline).collect())
     }
 }
 

@@ -4,12 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Switches a light on or off. An error says why the light may not have switched.
-type Switch = dyn FnMut(bool) -> Result<(), String> + Send;
-
 pub enum Flash {
-    /// A light that is not part of the camera, for example one that the stylus switches.
-    Line(Box<Switch>),
+    /// Switches a light that is not part of the camera, for example one of the stylus. An error
+    /// says why the light may not have switched.
+    Line(Box<dyn FnMut(bool) -> Result<(), String> + Send>),
     Control(FlashControl),
 }
 

@@ -6,7 +6,7 @@
 //! time.
 
 use super::parser::{Line, LineParser};
-use crate::device::serial::gap;
+use crate::device::serial::{ErrorCounts, gap};
 use crate::scene::SourceId;
 
 /// Seconds of silence from which frames count as missing, if no column counts rows or time.
@@ -39,22 +39,15 @@ pub struct LinesStream {
     pub scale: Option<f64>,
 }
 
-/// Counts of errors in lines and frames.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LineCounts {
-    pub garbage: u64,
-    pub too_long: u64,
-    /// Rows with another number of columns than expected.
-    pub other_width: u64,
-    /// Rows with a value that is no number in a column that is used.
-    pub not_numbers: u64,
-    pub gaps: u64,
-    /// Number of missing frames in the longest gap.
-    pub missing: u64,
-    pub restarts: u64,
-    /// Number of changes of the columns.
-    pub changes: u64,
-}
+/// Errors in lines and frames, which are counted by these texts.
+pub const GARBAGE: &str = "lines held no numbers";
+const TOO_LONG: &str = "lines were too long";
+const OTHER_WIDTH: &str = "lines had another number of columns";
+const NOT_NUMBERS: &str = "lines had a value that is no number";
+const CHANGES: &str = "changes of the columns";
+const GAPS: &str = "gaps in the lines";
+const LONGEST_GAP: &str = "lines are missing in the longest gap";
+const RESTARTS: &str = "restarts of the device";
 
 #[derive(Debug, PartialEq)]
 pub enum LinesEvent<'a> {
@@ -86,8 +79,7 @@ pub struct LinesIntake {
     misfits: u32,
     /// The reason why rows cannot be used; `None` if they can be used.
     pub refused: Option<String>,
-    /// Counts of errors since the last report.
-    pub counts: LineCounts,
+    pub(in crate::device) errors: ErrorCounts,
     rows: u64,
     /// The last value in the column of row numbers or microseconds.
     last: f64,
@@ -122,8 +114,8 @@ impl LinesIntake {
         parser.feed(bytes, |line| match line {
             Line::Row(row) => self.row(row, now_s, &mut on),
             Line::Header(names) => self.header(names, now_s),
-            Line::Garbage => self.unusable(|counts| &mut counts.garbage, &mut on),
-            Line::TooLong => self.unusable(|counts| &mut counts.too_long, &mut on),
+            Line::Garbage => self.unusable(GARBAGE, &mut on),
+            Line::TooLong => self.unusable(TOO_LONG, &mut on),
         });
         self.parser = parser;
         self.flush(&mut on);
@@ -132,7 +124,8 @@ impl LinesIntake {
 
     fn header(&mut self, names: &[String], now_s: f64) {
         // Only a header after a silence is a restart, since some programs repeat their header.
-        self.counts.restarts += u64::from(self.rows > 0 && now_s - self.last_s >= SILENCE_S);
+        let restarted = self.rows > 0 && now_s - self.last_s >= SILENCE_S;
+        self.errors.add(RESTARTS, u64::from(restarted));
         if self.names != names {
             self.names = names.to_vec();
             // The next row lays the columns out anew.
@@ -141,12 +134,8 @@ impl LinesIntake {
     }
 
     /// Counts an unusable line. Unless a column counts the rows, the line is a missing frame.
-    fn unusable(
-        &mut self,
-        which: fn(&mut LineCounts) -> &mut u64,
-        on: &mut impl FnMut(LinesEvent<'_>),
-    ) {
-        *which(&mut self.counts) += 1;
+    fn unusable(&mut self, why: &'static str, on: &mut impl FnMut(LinesEvent<'_>)) {
+        self.errors.add(why, 1);
         if self.count.is_none() && self.rows > 0 {
             self.miss(1, on);
         }
@@ -168,16 +157,16 @@ impl LinesIntake {
         if self.layout.as_ref().is_none_or(|layout| layout.width != row.len()) {
             self.misfits += 1;
             if self.layout.is_some() && self.misfits < CHANGED {
-                return self.unusable(|counts| &mut counts.other_width, on);
+                return self.unusable(OTHER_WIDTH, on);
             }
             match self.lay_out(row.len()) {
                 Ok(layout) => {
-                    self.counts.changes += u64::from(self.layout.is_some());
+                    self.errors.add(CHANGES, u64::from(self.layout.is_some()));
                     (self.layout, self.refused) = (Some(layout), None);
                 }
                 Err(why) => {
                     self.refused = Some(why);
-                    return self.unusable(|counts| &mut counts.other_width, on);
+                    return self.unusable(OTHER_WIDTH, on);
                 }
             }
         }
@@ -186,14 +175,14 @@ impl LinesIntake {
         let wanted = layout.picks.iter().flat_map(|(columns, _)| columns).chain(&layout.count);
         let fits = |x: f64| x.is_finite() && x.abs() <= f64::from(f32::MAX);
         if !wanted.map(|&column| row[column]).all(fits) {
-            return self.unusable(|counts| &mut counts.not_numbers, on);
+            return self.unusable(NOT_NUMBERS, on);
         }
         let counted = layout.count.map(|column| row[column]);
         let (missing, restarted) = self.missing_before(counted, now_s);
-        self.counts.restarts += u64::from(restarted);
+        self.errors.add(RESTARTS, u64::from(restarted));
         if missing > 0 {
-            self.counts.gaps += 1;
-            self.counts.missing = self.counts.missing.max(missing);
+            self.errors.add(GAPS, 1);
+            self.errors.highest(LONGEST_GAP, missing);
             self.miss(missing, on);
         }
         self.last_s = now_s;

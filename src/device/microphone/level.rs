@@ -3,8 +3,9 @@
 /// Rate of every microphone in Hz, the same as in the dataset LMT108.
 pub const RATE_HZ: u32 = 44_100;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SoundLevel {
+    #[default]
     Normal,
     /// Pure silence, without the noise that every working microphone has.
     Silent,
@@ -22,52 +23,36 @@ const LIMIT: f32 = 0.99;
 const RUN: usize = 3;
 
 /// Watches the level of one channel with full scale ±1.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct LevelWatch {
+    /// Number of samples in the present window, and the lowest and highest of them.
     seen: usize,
-    low: f32,
-    high: f32,
+    range: Option<(f32, f32)>,
     run: usize,
     clipped: bool,
     level: SoundLevel,
 }
 
 impl LevelWatch {
-    pub fn new() -> Self {
-        Self {
-            seen: 0,
-            low: f32::INFINITY,
-            high: f32::NEG_INFINITY,
-            run: 0,
-            clipped: false,
-            level: SoundLevel::Normal,
-        }
-    }
-
     /// Takes samples. Returns the level if it has changed.
     pub fn take(&mut self, samples: &[f32]) -> Option<SoundLevel> {
         let before = self.level;
         for &x in samples {
-            self.low = self.low.min(x);
-            self.high = self.high.max(x);
+            let (low, high) = self.range.unwrap_or((x, x));
+            self.range = Some((low.min(x), high.max(x)));
             self.run = if x.abs() >= LIMIT { self.run + 1 } else { 0 };
             self.clipped |= self.run >= RUN;
             self.seen += 1;
             if self.seen == WINDOW {
-                self.judge();
+                self.level = match self.range.take() {
+                    _ if std::mem::take(&mut self.clipped) => SoundLevel::Clipped,
+                    Some((low, high)) if high - low <= LAST_BIT => SoundLevel::Silent,
+                    _ => SoundLevel::Normal,
+                };
+                self.seen = 0;
             }
         }
         (self.level != before).then_some(self.level)
-    }
-
-    fn judge(&mut self) {
-        self.level = match () {
-            () if self.clipped => SoundLevel::Clipped,
-            () if self.high - self.low <= LAST_BIT => SoundLevel::Silent,
-            () => SoundLevel::Normal,
-        };
-        (self.seen, self.clipped) = (0, false);
-        (self.low, self.high) = (f32::INFINITY, f32::NEG_INFINITY);
     }
 }
 
@@ -91,7 +76,7 @@ mod tests {
 
     #[test]
     fn a_dead_microphone_is_reported_once_and_within_a_second() {
-        let mut watch = LevelWatch::new();
+        let mut watch = LevelWatch::default();
         assert_eq!(changes(&mut watch, &noise(3.0)), []);
         // Constant samples are silence, even if they are not 0.
         let changed = changes(&mut watch, &vec![0.25; 5 * RATE]);
@@ -103,7 +88,7 @@ mod tests {
 
     #[test]
     fn a_clipped_microphone_is_reported_once_and_within_a_second() {
-        let mut watch = LevelWatch::new();
+        let mut watch = LevelWatch::default();
         let loud: Vec<_> =
             (0..2 * RATE).map(|i| (2.0 * (i as f32 * 0.02).sin()).clamp(-1.0, 1.0)).collect();
         let changed = changes(&mut watch, &loud);
@@ -113,7 +98,7 @@ mod tests {
 
     #[test]
     fn a_single_sample_at_the_limit_is_no_clipping() {
-        let mut watch = LevelWatch::new();
+        let mut watch = LevelWatch::default();
         let mut samples = noise(2.0);
         samples.iter_mut().step_by(50).for_each(|x| *x = 1.0);
         assert_eq!(changes(&mut watch, &samples), []);
@@ -123,7 +108,7 @@ mod tests {
     fn the_size_of_blocks_does_not_matter() {
         let samples = [noise(1.0), vec![0.0; RATE], noise(0.5)].concat();
         for size in [1, 7, 1000, 2 * RATE] {
-            let mut watch = LevelWatch::new();
+            let mut watch = LevelWatch::default();
             samples.chunks(size).for_each(|block| {
                 watch.take(block);
             });

@@ -40,14 +40,8 @@ pub(super) struct Carried {
 
 impl<'a> Listening<'a> {
     pub fn new(sink: &'a mut SeriesSink) -> Self {
-        Self {
-            sink,
-            pace: Pace::default(),
-            level: LevelWatch::new(),
-            before: Before::Frames,
-            last_s: 0.0,
-            received: false,
-        }
+        let (pace, level, before) = (Pace::default(), LevelWatch::default(), Before::Frames);
+        Self { sink, pace, level, before, last_s: 0.0, received: false }
     }
 
     /// To be called when a stream was opened, with a new ring.
@@ -96,8 +90,12 @@ impl<'a> Listening<'a> {
         let end = self.sink.position() + held;
         let missing = match std::mem::replace(&mut self.before, Before::Frames) {
             Before::Frames => 0,
-            Before::Pause(_) => self.pace.missing_for_sure(now_s, end),
             Before::Loss => self.pace.missing(now_s, end),
+            // After a pause, few missing frames may only be delayed.
+            Before::Pause(_) => match self.pace.missing(now_s, end) {
+                few if (few as f64) < DELAY_S * RATE_HZ => 0,
+                missing => missing,
+            },
         };
         // Skips the missing frames first, since they come before the frames in the ring.
         self.sink.skip(missing);
@@ -177,12 +175,6 @@ impl Pace {
         let Some((begin, at_s)) = self.begin else { return 0 };
         let late_s = now_s - position as f64 / RATE_HZ - begin - DRIFT * (now_s - at_s);
         (late_s * RATE_HZ).max(0.0) as u64
-    }
-
-    /// Like `missing`, but 0 if the frames may only be delayed.
-    fn missing_for_sure(&self, now_s: f64, position: u64) -> u64 {
-        let missing = self.missing(now_s, position);
-        if missing as f64 >= DELAY_S * RATE_HZ { missing } else { 0 }
     }
 
     /// The number of frames that were counted as missing, but were only late: frames up to

@@ -48,7 +48,7 @@ pub enum IntakeEvent<'a> {
         frames: u64,
     },
     /// A usable stylus has introduced itself. `who` is its serial number and firmware, `lacking`
-    /// the streams whose channels it lacks, `changed` whether its channels are other than before.
+    /// the streams whose channels it lacks, `changed` whether its channels have changed.
     Hello {
         who: String,
         lacking: Vec<SourceId>,

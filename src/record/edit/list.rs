@@ -1,6 +1,6 @@
 //! Lists the trials of a library by the names that edits use.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde::Serialize;
@@ -62,15 +62,14 @@ pub fn list_removed(library: &Path, scene: &Scene) -> Result<Vec<ListedTrial>, L
     let bin = library.join(REMOVED);
     let entries = removed(library, scene)?;
     let mut all: BTreeMap<String, ListedTrial> = BTreeMap::new();
-    let listed_by_another = |name: &str| {
-        let others = |entry: &Entry| {
-            entry.places().into_iter().skip(1).map(|p| trial_name(&bin, p)).collect::<Vec<_>>()
-        };
-        entries.iter().any(|entry| others(entry).iter().any(|other| other == name))
-    };
-    let places = places(&bin).into_iter();
-    for (surface, trial) in places.filter(|(s, t)| !listed_by_another(&format!("{s}/{t}"))) {
+    // A trial of several files is listed by its first file.
+    let others = entries.iter().flat_map(|entry| entry.places().into_iter().skip(1));
+    let others: BTreeSet<String> = others.map(|place| trial_name(&bin, place)).collect();
+    for (surface, trial) in places(&bin) {
         let name = format!("{surface}/{trial}");
+        if others.contains(&name) {
+            continue;
+        }
         let stem = Path::new(&trial).file_stem().unwrap_or_default().to_string_lossy();
         let number = files::number_in(&stem).unwrap_or_default();
         let (key, sources) = (TrialKey::new(normal(&surface), EXPERT, number), Vec::new());

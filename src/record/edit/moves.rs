@@ -106,14 +106,9 @@ impl<'a> Plan<'a> {
 
     /// Adds a move of a trial to a path or, if it is taken, to a free path beside it, as `NAME-2`.
     pub fn add(&mut self, from: &Path, to: PathBuf, was: Option<TrialKey>, is: Option<TrialKey>) {
-        let is_file = from.is_file();
-        let part = |part: Option<&std::ffi::OsStr>| {
-            part.unwrap_or_default().to_string_lossy().into_owned()
-        };
-        let (stem, end) = match to.extension().filter(|_| is_file) {
-            Some(extension) => (part(to.file_stem()), format!(".{}", part(Some(extension)))),
-            None => (part(to.file_name()), String::new()),
-        };
+        let name = to.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let dot = name.rfind('.').filter(|_| from.is_file());
+        let (stem, end) = name.split_at(dot.unwrap_or(name.len()));
         let mut free = to;
         for n in 2.. {
             if identity(&free).is_none() && !self.folders.contains(&free) {

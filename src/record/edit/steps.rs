@@ -10,7 +10,6 @@
 //! "undone" follows "began"; for one that cannot be undone, "done" follows "undoing".
 
 use std::fs::{self, File, OpenOptions};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -19,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use super::{REMOVED, disk, is_plain};
 use crate::library::{LibraryError, files};
 use crate::printable::json_text;
-use crate::record::{failed, utc};
+use crate::record::{failed, replace_file, utc};
 use crate::system::{self, Locked};
 use crate::trial::TrialKey;
 
@@ -237,15 +236,8 @@ impl Steps {
             lines.map(|line| json_text(&line) + "\n").concat()
         };
         let text: String = self.known.iter().map(lines).collect();
-        let folder = self.path.parent().unwrap_or(&self.path);
-        let replace = || {
-            let mut file = super::super::unfinished(".steps.").tempfile_in(folder)?;
-            file.write_all(text.as_bytes())?;
-            file.as_file().sync_all()?;
-            system::persist(file, &self.path)?;
-            open(&self.path)
-        };
-        self.file = replace().map_err(|error| failed(&self.path, error))?;
+        replace_file(&self.path, text.as_bytes())?;
+        self.file = open(&self.path).map_err(|error| failed(&self.path, error))?;
         self.end = text.len() as u64;
         Ok(())
     }

@@ -38,7 +38,7 @@ impl StationConfig {
         let mut file: StationFile = merged(text, DEFAULTS).map_err(toml)?;
         lines::describe(&mut file);
         let (sources, defaults) = (std::mem::take(&mut file.sources), Scene::lmt108());
-        let described = scene(String::new(), sources, text, Some(&defaults))
+        let described = scene(String::new(), sources, text, &defaults)
             .map_err(|error| ConfigError(format!("{}: {error}", path.display())))?;
         station(file, defaults.with(described), path).map_err(|Mistake { at, problem }| {
             let line = line_of(text, at.start);
