@@ -84,9 +84,7 @@ async fn request(address: &HttpAddress, before: &str) -> Result<Vec<Value>, Stri
         StatusCode::OK => {}
         StatusCode::UNAUTHORIZED => return Err("its page asks for a token".into()),
         StatusCode::MISDIRECTED_REQUEST => {
-            return Err(
-                "its page is for its own machine alone; give it an address and a token".into()
-            );
+            return Err("its page answers only its own machine; run `surfaced fleet` there".into());
         }
         other => return Err(format!("its page answers {other}")),
     }

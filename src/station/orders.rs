@@ -139,7 +139,7 @@ impl Orders {
         enrolled
     }
 
-    /// Takes the order of the scan that was refused last, to keep that scan anyway.
+    /// Takes the order that refused `scan`, to keep that scan anyway; `None` if it has had a later scan.
     pub fn keep_refused(&mut self, scan: u32) -> Option<Enrolment> {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         let order = all.find(|o| o.refused.as_ref().is_some_and(|last| last.scan == scan))?;

@@ -78,9 +78,9 @@ const STUCK: f64 = 0.5;
 /// A channel is saturated if at least this share of its samples rests at its limits. At zero, where
 /// many sensors rest, [`STUCK`] applies instead.
 const SHARE: f64 = 0.02;
-/// A limit must have at least this many times the resting samples of any other value, since coarse
-/// or repeated samples rest at every value, and the top step of a sine has 2.4 times the samples of
-/// the next step.
+/// A limit counts if it has at least this many times the resting samples of any value in between.
+/// Otherwise the channel may be intact: coarse or repeated samples rest at every value, and the top step
+/// of a sine has 2.4 times as many resting samples as the next step.
 const ABOVE_OTHERS: usize = 4;
 
 /// Whether all pixels of a picture are equal, as if the lens is covered or the camera delivers no data.

@@ -181,7 +181,8 @@ fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
     let light = video.light.clone();
     let control = Flash::Control(FlashControl { id: 7, on: 1, off: 0 });
     let ca2 = SourceId::new("ca2").unwrap();
-    let camera = camera(video).flash(ca2, control, Duration::from_millis(80));
+    // Long enough for a loaded machine to see the light on.
+    let camera = camera(video).flash(ca2, control, Duration::from_millis(400));
     let (shutter, finder) = (camera.shutter(), camera.viewfinder());
     let (running, mut taps) = start(camera);
     running.says(&["opening", "streaming"]);

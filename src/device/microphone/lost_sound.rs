@@ -223,9 +223,9 @@ mod tests {
     enum SinkAct {
         /// Plays sound for this number of steps.
         Play(u64),
-        /// Pauses for `steps` steps. Of their sound, the share `passed_over` never comes; the rest
-        /// comes at once, after `after` steps of new sound. The ring is read after each callback if
-        /// `piecewise`, otherwise only at the end.
+        /// Pauses for `steps` steps. The share `passed_over` of their sound never arrives. The rest
+        /// arrives in one burst, after `after` more steps with sound. During the burst, the ring is
+        /// read after each callback if `piecewise`, otherwise once at the end.
         Stall { steps: u64, passed_over: f64, after: u64, piecewise: bool },
         /// Pauses for this number of steps, then reopens the stream.
         Reopen(u64),

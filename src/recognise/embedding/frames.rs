@@ -84,9 +84,16 @@ pub struct Piece {
 
 impl Piece {
     fn new(views: &SourceViews, samples: &[f32]) -> Self {
+        let mut sums = GrowingMoments::new(views.0[0].channels, views.block());
+        sums.extend(samples);
+        Self::of_sums(views, samples, &sums)
+    }
+
+    /// The piece whose samples were added to `sums`.
+    fn of_sums(views: &SourceViews, samples: &[f32], sums: &GrowingMoments) -> Self {
         Self {
             frames: views.0.each_ref().map(|view| PackedFrames::new(&view.frames(samples))),
-            moments: Moments::new(views.0[0].channels, views.block(), samples),
+            moments: sums.whole(samples),
         }
     }
 }
@@ -119,22 +126,22 @@ impl SeriesFrames {
         spec: &SourceSpec,
         (key, seed): (&TrialKey, u64),
     ) -> Self {
-        let channels = series.channels();
+        let (channels, samples) = (series.channels(), series.samples());
         let source = (key, seed, spec.id.as_str());
         let copy = |copy: &copies::Copy| {
-            Piece::new(&views, &copies::samples(copy, source, channels, series.samples()))
+            Piece::new(&views, &copies::samples(copy, source, channels, samples))
         };
         let copies = copies(key, seed).iter().map(copy).collect();
-        let mut looks = Vec::new();
+        let (mut looks, mut looked_at) = (Vec::new(), 0);
+        let mut growing = GrowingMoments::new(channels, views.block());
         if spec.phase == Phase::Drag {
-            let mut growing = GrowingMoments::new(channels, views.block());
             let end = |look: usize| samples_by(look as f64 * LOOK_S, series.rate_hz());
-            for look in (1..).take_while(|look| end(*look) <= series.frames()) {
-                let fresh = end(look - 1) * channels..end(look) * channels;
-                growing.extend(&series.samples()[fresh]);
-                let so_far = &series.samples()[..end(look) * channels];
+            for end in (1..).map(end).take_while(|end| *end <= series.frames()) {
+                growing.extend(&samples[looked_at * channels..end * channels]);
+                looked_at = end;
+                let so_far = &samples[..end * channels];
                 let padded = |view: &FrameView| {
-                    if end(look) < view.points {
+                    if end < view.points {
                         PackedFrames::new(&view.frames(so_far))
                     } else {
                         PackedFrames::default()
@@ -144,7 +151,9 @@ impl SeriesFrames {
                 looks.push(Piece { frames, moments: growing.so_far() });
             }
         }
-        Self { copies, looks, ..Self::new(views, series) }
+        growing.extend(&samples[looked_at * channels..]);
+        let whole = Piece::of_sums(&views, samples, &growing);
+        Self { whole, samples: series.frames(), views, copies, looks }
     }
 
     pub fn rate_hz(&self) -> f64 {

@@ -112,7 +112,7 @@ impl Trained {
         let of_group = |without: &Option<Discriminant>| {
             without.as_ref().map_or(f64::INFINITY, |w| nonconformity(&w.distances(vector)))
         };
-        let scores: Vec<f64> = self.without.iter().map(of_group).collect();
+        let scores: Vec<f64> = self.without.par_iter().map(of_group).collect();
         self.conformity.p_value(scan_s, |group| scores[group])
     }
 }

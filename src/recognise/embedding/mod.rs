@@ -1,5 +1,5 @@
-//! The method `embedding` (method §11): puts all sources of a trial into one vector, and tells
-//! surfaces apart with a shrinkage discriminant.
+//! The method `embedding` (method §11): puts all sources of a trial into one vector (`joint`), and
+//! tells surfaces apart with a shrinkage discriminant.
 //!
 //! The vector holds Fourier features of log-band frames (`band_sums`): kernel mean embeddings, with
 //! MMD² as squared distance. It also holds the moments and the lag covariance of each series

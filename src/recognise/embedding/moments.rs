@@ -104,13 +104,6 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Sums a recording in blocks of `block` samples a channel; `samples` are interleaved.
-    pub fn new(channels: usize, block: usize, samples: &[f32]) -> Self {
-        let mut growing = GrowingMoments::new(channels, block);
-        growing.extend(samples);
-        growing.whole(samples)
-    }
-
     fn channels(&self) -> usize {
         self.reference.len()
     }
@@ -200,11 +193,13 @@ pub struct GrowingMoments {
 }
 
 impl GrowingMoments {
+    /// Starts without samples; blocks hold `block` samples a channel.
     pub fn new(channels: usize, block: usize) -> Self {
         let sums = Sums::new(channels);
         Self { block, reference: None, before: Vec::new(), pending: Vec::new(), sums }
     }
 
+    /// Adds interleaved samples.
     pub fn extend(&mut self, samples: &[f32]) {
         let channels = self.sums.channels;
         let size = self.block * channels;
@@ -345,8 +340,14 @@ mod tests {
         (0..frames * channels).map(value).collect()
     }
 
+    fn whole(channels: usize, block: usize, samples: &[f32]) -> Moments {
+        let mut growing = GrowingMoments::new(channels, block);
+        growing.extend(samples);
+        growing.whole(samples)
+    }
+
     fn statistics(channels: usize, block: usize, samples: &[f32]) -> Statistics {
-        Moments::new(channels, block, samples).statistics(100.0, 0.0)
+        whole(channels, block, samples).statistics(100.0, 0.0)
     }
 
     #[test]
@@ -410,7 +411,7 @@ mod tests {
         samples.chunks(3 * 7).for_each(|piece| growing.extend(piece));
         at_once.extend(&samples);
         assert_eq!(growing.so_far(), at_once.so_far());
-        let (so_far, exact) = (growing.so_far(), Moments::new(3, 48, &samples));
+        let (so_far, exact) = (growing.so_far(), whole(3, 48, &samples));
         let approximate = [Of::SquaredLevel, Of::Magnitude, Of::Root, Of::Crossings];
         for (i, (a, b)) in so_far.sums.iter().zip(&exact.sums).enumerate() {
             let of = (i.wrapping_sub(1)) % OF_CHANNEL;
@@ -425,7 +426,7 @@ mod tests {
     fn a_gain_scales_what_a_gain_moves_and_nothing_else() {
         let samples = series(700, 2);
         let louder: Vec<f32> = samples.iter().map(|x| x * 2.0).collect();
-        let asked = Moments::new(2, 64, &samples).statistics(100.0, 2f64.ln());
+        let asked = whole(2, 64, &samples).statistics(100.0, 2f64.ln());
         let played = statistics(2, 64, &louder);
         for (a, b) in asked.moments.iter().zip(&played.moments) {
             assert!((a - b).abs() < 1e-3, "{a} vs {b}");

@@ -51,7 +51,7 @@ impl Model for ReferenceModel {
             alive = query.go_on(alive, done..stage.repetitions)?;
             done = stage.repetitions;
             let scores = query.log_scores(&alive, done);
-            // With halving, the medians are over all trials, after the first stage.
+            // The medians are computed once, after the first stage, which scores all trials.
             let medians = medians_of_all.get_or_insert_with(|| medians(weights.len(), &scores));
             let candidate = |(scored, scores): (Scored, TrialScores)| {
                 let log_ds = log_discrepancy(&weights, &scores, medians)?;

@@ -146,8 +146,8 @@ fn unfinished(folder: &Path) -> PathBuf {
     folder.join(format!(".{ABOUT_FILE}.unfinished"))
 }
 
-/// The new text of the `trial.toml` in `now`, so that the trial is read as `key` once it lies at
-/// `to`. `None` if the text need not change, or if `now` is a file, which its folder's name labels.
+/// The text for `trial.toml` that makes the trial in `now` read as `key` once it lies at `to`. `None`
+/// if the text need not change, or if `now` is a file: a file's label is the name of its folder.
 fn label(now: &Path, to: &Path, key: &TrialKey) -> Result<Option<String>, LibraryError> {
     if now.is_file() {
         return Ok(None);
