@@ -9,7 +9,7 @@ use super::choose::{split, within};
 use super::method::{MethodArgs, at_least_one};
 use super::show::{listed, quoted};
 use super::{Done, Failure, SourceArgs, paper, say, show};
-use crate::dataset::table::{self, FeatureTables};
+use crate::dataset::feature_tables::{self, FeatureTables};
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Outcome, Prediction,
@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> Done {
         return Err(Failure::Usage("name the recordings".into()));
     };
     let _lock = LibraryLock::for_reading(data);
-    let mut report = match table::open(data)? {
+    let mut report = match feature_tables::open(data)? {
         Some(tables) => on_tables(args, &tables)?,
         None => {
             let library = super::open_held(data)?;

@@ -1,9 +1,9 @@
 //! Reads recordings in formats of other projects, and generates synthetic recordings.
 
 pub(crate) mod csv;
+pub(crate) mod feature_tables;
 mod lmt108;
 pub mod synth;
-pub(crate) mod table;
 
 use std::path::{Path, PathBuf};
 

@@ -13,18 +13,18 @@
 //! [`Keeper`] listens to a station and writes its scans; the page and the commands read
 //! [`History`]. Nothing here uses the network.
 
+mod correction;
 mod csv;
 mod entries;
 mod file;
 mod keeper;
 pub(crate) mod log;
-mod review;
 mod view;
 
 pub(crate) use self::csv::CsvWriter;
 pub(crate) use self::entries::HistoryRow;
+pub(crate) use correction::{Correction, Precision};
 pub use keeper::Keeper;
-pub(crate) use review::{Correction, Precision};
 pub(crate) use view::{Bands, bands, four_digits};
 
 use std::collections::{BTreeMap, HashSet};
@@ -243,7 +243,7 @@ impl History {
         let answered = inner.entries.iter().filter(|e| e.head.state != AnswerState::Unnamed);
         let corrected = answered
             .filter_map(|entry| Some((entry.head.surface.as_deref(), entry.correction.as_ref()?)));
-        review::precision(corrected)
+        correction::precision(corrected)
     }
 
     /// Number of answers that are unknown or unsure, and that nobody has corrected.

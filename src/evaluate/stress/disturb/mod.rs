@@ -3,7 +3,7 @@
 //! The levels of each disturbance go from one that a good station sees now and then (first) to an
 //! absurd one (last), so that levels of the same rank can be compared.
 
-mod trial;
+mod changes;
 
 use std::collections::BTreeMap;
 
@@ -52,39 +52,39 @@ pub fn all() -> Vec<Disturbance> {
     };
     let several = |disturbance: Disturbance| Disturbance { fewest: 2, ..disturbance };
     vec![
-        one("white-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], Series(trial::white), analog),
-        one("red-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], Series(trial::red), analog),
+        one("white-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], Series(changes::white), analog),
+        one("red-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], Series(changes::red), analog),
         one("room-noise", "sound over room, dB", &[30.0, 20.0, 10.0, 3.0, -10.0],
-            Series(trial::room), sound),
-        one("gain", "factor", &[1.2, 1.5, 2.0, 4.0, 16.0], Samples(trial::gain), analog),
-        one("force", "factor", &[1.2, 1.5, 2.0, 3.0, 6.0], Series(trial::force), analog),
-        one("offset", "deviations", &[0.2, 1.0, 3.0, 10.0, 100.0], Samples(trial::offset), analog),
+            Series(changes::room), sound),
+        one("gain", "factor", &[1.2, 1.5, 2.0, 4.0, 16.0], Samples(changes::gain), analog),
+        one("force", "factor", &[1.2, 1.5, 2.0, 3.0, 6.0], Series(changes::force), analog),
+        one("offset", "deviations", &[0.2, 1.0, 3.0, 10.0, 100.0], Samples(changes::offset), analog),
         one("saturation", "limit over peak", &[0.7, 0.4, 0.2, 0.1, 0.03],
-            Samples(trial::saturation), analog),
+            Samples(changes::saturation), analog),
         one("quantisation", "bits", &[12.0, 10.0, 8.0, 6.0, 3.0],
-            Samples(trial::quantisation), analog),
+            Samples(changes::quantisation), analog),
         one("dropped-samples", "share", &[0.001, 0.01, 0.05, 0.2, 0.6],
-            Series(trial::dropped), drag),
-        one("gaps", "share, held", &[0.01, 0.05, 0.1, 0.3, 0.7], Series(trial::gaps), drag),
-        one("clock-error", "%", &[0.1, 0.5, 2.0, 5.0, 20.0], Series(trial::clock), analog),
-        one("short-scan", "s", &[2.0, 1.0, 0.5, 0.25, 0.05], Series(trial::short), drag),
+            Series(changes::dropped), drag),
+        one("gaps", "share, held", &[0.01, 0.05, 0.1, 0.3, 0.7], Series(changes::gaps), drag),
+        one("clock-error", "%", &[0.1, 0.5, 2.0, 5.0, 20.0], Series(changes::clock), analog),
+        one("short-scan", "s", &[2.0, 1.0, 0.5, 0.25, 0.05], Series(changes::short), drag),
         one("slow-hand", "times closer than T*", &[1.5, 2.0, 4.0, 8.0, 32.0],
-            Series(trial::slow), slow),
+            Series(changes::slow), slow),
         several(one("dead-sensors", "sources", &[1.0, 2.0, 3.0, 4.0, 6.0],
-            Trial(trial::dead), sensed)),
+            Trial(changes::dead), sensed)),
         several(one("stuck-sensors", "sources", &[1.0, 2.0, 3.0, 4.0, 6.0],
-            Trial(trial::stuck), analog)),
+            Trial(changes::stuck), analog)),
         one("swapped-channels", "channels turned by", &[1.0, 2.0],
-            Series(trial::swapped), many_channels),
-        one("darkness", "light", &[0.9, 0.75, 0.5, 0.25, 0.05], Pictures(trial::dark), is_picture),
+            Series(changes::swapped), many_channels),
+        one("darkness", "light", &[0.9, 0.75, 0.5, 0.25, 0.05], Pictures(changes::dark), is_picture),
         one("white-balance", "red over blue", &[1.05, 1.1, 1.25, 1.5, 3.0],
-            Pictures(trial::tint), is_picture),
+            Pictures(changes::tint), is_picture),
         one("image-shift", "pixels", &[2.0, 8.0, 32.0, 80.0, 160.0],
-            Pictures(trial::shift), is_picture),
-        one("blur", "pixels", &[1.0, 2.0, 4.0, 10.0, 40.0], Pictures(trial::blur), is_picture),
-        one("stick-slip", "depth", &[0.1, 0.3, 0.6, 0.9, 1.0], Series(trial::stick_slip), drag),
+            Pictures(changes::shift), is_picture),
+        one("blur", "pixels", &[1.0, 2.0, 4.0, 10.0, 40.0], Pictures(changes::blur), is_picture),
+        one("stick-slip", "depth", &[0.1, 0.3, 0.6, 0.9, 1.0], Series(changes::stick_slip), drag),
         one("lift-offs", "share of the drag", &[0.02, 0.05, 0.15, 0.4, 0.8],
-            Trial(trial::lift_offs), drag),
+            Trial(changes::lift_offs), drag),
         one("few-trials", "library trials a surface", &[7.0, 5.0, 3.0, 2.0, 1.0],
             Library(few), any),
         one("mislabelled", "share of the library", &[0.02, 0.05, 0.1, 0.2, 0.5],
@@ -249,7 +249,7 @@ pub fn twins(mut library: Vec<Entry>, percent: f64, _: &mut ChaCha8Rng) -> Vec<E
         let mut twin = entry.clone().changed(move |mut trial: Trial| {
             for signal in trial.signals.values_mut() {
                 if let Signal::Series(series) = signal {
-                    trial::stretch(series, 1.0 + percent / 100.0);
+                    changes::stretch(series, 1.0 + percent / 100.0);
                 }
             }
             trial
