@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::band_sums::BandSums;
 use super::copies::{COPIES, Copy, copies};
 use super::frames::{SeriesFrames, SourceFrames, TrialFrames, samples_by};
-use super::linear::{lower_gram, matrix, varying_directions};
+use super::linear::{matrix, varying_directions};
 use super::packed;
 use super::picture::PictureEmbedder;
 use super::series::SeriesEmbedder;
@@ -24,8 +24,8 @@ use crate::trial::TrialKey;
 /// Standardised features are clipped to ± this value.
 const CLIP: f32 = 8.0;
 
-/// Directions are left out if no feature loses more than this share of its variance. They are drowned
-/// by the shrinkage, and would make a large library's training several times slower.
+/// Directions are left out as long as no feature loses more than this share of its variance. They are
+/// drowned by the shrinkage, and would make a large library's training several times slower.
 const LEAST_VARIANCE: f64 = 0.003;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -290,8 +290,7 @@ impl JointEmbedder {
             let whole = there.iter().filter(|&&row| row < trials).count();
             stretch.standardise_by(&rows.slice(s![..whole, ..]));
             rows.rows_mut().into_iter().for_each(|row| stretch.standardise(row));
-            let moments = lower_gram(&rows.view()) / rows.nrows().max(1) as f64;
-            stretch.basis = varying_directions(&moments, LEAST_VARIANCE);
+            stretch.basis = varying_directions(&rows, LEAST_VARIANCE);
             stretch.columns = columns..columns + stretch.basis.nrows();
             columns = stretch.columns.end;
             of_sources.push((there, rows.dot(&stretch.basis.t())));

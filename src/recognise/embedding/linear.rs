@@ -187,22 +187,41 @@ pub fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
     gram
 }
 
-/// An orthonormal basis, shape (k, D), of the directions in which vectors vary. `moments` holds their
-/// mean products Σ z·zᵀ/n, shape (D, D), in its lower triangle. Outside the span of the basis, no
-/// coordinate has a mean square above `tolerance`.
+/// An orthonormal basis, shape (k, D), of the directions in which the rows of a matrix of shape (n, D)
+/// vary: what the span of the basis leaves over of them has at most about `tolerance` as mean square.
 ///
-/// The span is that of a Cholesky factor that takes the coordinate with the largest rest first, and
-/// stops (Higham 1990, "Analysis of the Cholesky decomposition of a semi-definite matrix").
-pub fn varying_directions(moments: &Array2<f64>, tolerance: f64) -> Array2<f32> {
-    let dims = moments.nrows();
-    let mut rest = moments.diag().to_vec();
-    let mut rows: Vec<Vec<f64>> = Vec::new();
-    while rows.len() < dims {
-        let most = (0..dims).max_by(|&a, &b| rest[a].total_cmp(&rest[b])).unwrap_or(0);
+/// If there are more rows than columns, the bound holds for each column, otherwise for each row; so no
+/// matrix is larger than it must be.
+pub fn varying_directions(rows: &Array2<f32>, tolerance: f64) -> Array2<f32> {
+    let (n, dims) = rows.dim();
+    let mut basis = if dims <= n {
+        let moments = lower_gram(&rows.view()) / n.max(1) as f64;
+        let factor: Vec<Vec<f64>> = pivoted_cholesky(&moments, tolerance).1;
+        Array2::from_shape_fn((factor.len(), dims), |(i, j)| factor[i][j])
+    } else {
+        let products = lower_gram(&rows.t()) / dims as f64;
+        rows.select(Axis(0), &pivoted_cholesky(&products, tolerance).0).mapv(f64::from)
+    };
+    if let Some(factor) = cholesky(basis.dot(&basis.t())) {
+        solve_lower(&factor, &mut basis);
+    }
+    basis.mapv(|x| x as f32)
+}
+
+/// The rows of an incomplete Cholesky factor of a positive semidefinite matrix, of which the lower
+/// triangle is read, and which diagonal element each of them was made for. Takes the largest rest of
+/// the diagonal first, and stops when none exceeds `tolerance` (Higham 1990, "Analysis of the Cholesky
+/// decomposition of a semi-definite matrix").
+fn pivoted_cholesky(a: &Array2<f64>, tolerance: f64) -> (Vec<usize>, Vec<Vec<f64>>) {
+    let n = a.nrows();
+    let mut rest = a.diag().to_vec();
+    let (mut pivots, mut rows): (Vec<usize>, Vec<Vec<f64>>) = (Vec::new(), Vec::new());
+    while rows.len() < n {
+        let most = (0..n).max_by(|&i, &j| rest[i].total_cmp(&rest[j])).unwrap_or(0);
         if rest[most] <= tolerance {
             break;
         }
-        let mut row: Vec<f64> = (0..dims).map(|i| moments[[i.max(most), i.min(most)]]).collect();
+        let mut row: Vec<f64> = (0..n).map(|i| a[[i.max(most), i.min(most)]]).collect();
         for other in &rows {
             let part = other[most];
             row.iter_mut().zip(other).for_each(|(x, y)| *x -= part * y);
@@ -211,13 +230,10 @@ pub fn varying_directions(moments: &Array2<f64>, tolerance: f64) -> Array2<f32> 
         row.iter_mut().for_each(|x| *x /= root);
         rest.iter_mut().zip(&row).for_each(|(rest, x)| *rest -= x * x);
         rest[most] = 0.0;
+        pivots.push(most);
         rows.push(row);
     }
-    let mut basis = Array2::from_shape_fn((rows.len(), dims), |(i, j)| rows[i][j]);
-    if let Some(factor) = cholesky(basis.dot(&basis.t())) {
-        solve_lower(&factor, &mut basis);
-    }
-    basis.mapv(|x| x as f32)
+    (pivots, rows)
 }
 
 /// Training vectors minus the mean of their label.
@@ -381,24 +397,26 @@ mod tests {
 
     #[test]
     fn the_varying_directions_are_orthonormal_and_leave_little_over() {
-        let (n, dims) = (60, 30);
-        // Five directions, and a little of everything.
-        let value = |(i, j): (usize, usize)| {
-            let wave =
-                |k: usize| ((i * (k + 2) * 7 + k) as f64).sin() * ((j * (k + 1)) as f64).cos();
-            (0..5).map(wave).sum::<f64>() + 1e-3 * ((i * 31 + j * 17) as f64).sin()
-        };
-        let vectors = Array2::from_shape_fn((n, dims), value);
-        let moments = vectors.t().dot(&vectors) / n as f64;
-        let basis = varying_directions(&moments, 1e-4).mapv(f64::from);
-        assert_eq!(basis.nrows(), 5);
-        let off = basis.dot(&basis.t()) - Array2::<f64>::eye(5);
-        assert!(off.iter().all(|x| x.abs() < 1e-5));
-        let rest = &vectors - &vectors.dot(&basis.t()).dot(&basis);
-        for column in rest.columns() {
-            assert!(column.iter().map(|x| x * x).sum::<f64>() / (n as f64) < 1e-4);
+        for (n, dims) in [(60, 30), (30, 60)] {
+            // Five directions, and a little of everything.
+            let value = |(i, j): (usize, usize)| {
+                let wave =
+                    |k: usize| ((i * (k + 2) * 7 + k) as f64).sin() * ((j * (k + 1)) as f64).cos();
+                let little = 1e-3 * ((i * 31 + j * 17) as f64).sin();
+                ((0..5).map(wave).sum::<f64>() + little) as f32
+            };
+            let vectors = Array2::from_shape_fn((n, dims), value);
+            let basis = varying_directions(&vectors, 1e-4).mapv(f64::from);
+            assert_eq!(basis.nrows(), 5);
+            let off = basis.dot(&basis.t()) - Array2::<f64>::eye(5);
+            assert!(off.iter().all(|x| x.abs() < 1e-5));
+            let vectors = vectors.mapv(f64::from);
+            let rest = &vectors - &vectors.dot(&basis.t()).dot(&basis);
+            for column in rest.columns() {
+                assert!(column.iter().map(|x| x * x).sum::<f64>() / (n as f64) < 1e-4);
+            }
+            assert_eq!(varying_directions(&Array2::zeros((n, dims)), 1e-4).dim(), (0, dims));
         }
-        assert_eq!(varying_directions(&Array2::zeros((3, 3)), 1e-4).dim(), (0, 3));
     }
 
     #[test]
