@@ -1,4 +1,4 @@
-//! Writes text for people: results on stdout, everything else on stderr. It never fails.
+//! Writes text: results on stdout, everything else on stderr. It never fails.
 //!
 //! A daemon must survive the loss of its log, so a line that cannot be written (closed pipe, full
 //! disk) is dropped. While devices are running, a line is also dropped if its reader has stalled.

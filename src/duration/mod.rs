@@ -31,7 +31,7 @@
 //! in 14 of 20 cases. If dependence falls slowly, a small error moves the crossing of the threshold
 //! far. `tools/charts/duration-study` measures both, and keeps the tables beside it.
 
-#![allow(missing_docs)] // Where a name says enough.
+#![allow(missing_docs)] // Some names say enough.
 
 mod algorithm1;
 mod figure;

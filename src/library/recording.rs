@@ -120,7 +120,7 @@ struct RecordingOpening<'a> {
     root: &'a Path,
     name: String,
     scene: Scene,
-    /// What `library.toml` says of each source that it describes.
+    /// The description of each source in `library.toml`.
     declared: BTreeMap<SourceId, SourceBlock>,
     /// Sources without a described number of channels; their first recording gives it.
     unknown: BTreeSet<SourceId>,

@@ -16,7 +16,7 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// How many packets may wait to be sent.
 const QUEUE: usize = 64;
 
-/// Where Linux systems keep the certificates of trusted authorities.
+/// The files in which Linux systems keep the certificates of trusted authorities.
 const SYSTEM: [&str; 3] =
     ["/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem"];
 

@@ -178,7 +178,7 @@ impl Pace {
     }
 
     /// The number of frames that were counted as missing, but were only late: frames up to
-    /// `position` arrived at `now_s`, too early for a stream with so many lost frames.
+    /// `position` arrived at `now_s`, too early for a stream with this many lost frames.
     fn late(&self, now_s: f64, position: u64) -> u64 {
         let Some((begin, at_s)) = self.begin else { return 0 };
         let early_s = begin - (now_s - position as f64 / RATE_HZ) - DRIFT * (now_s - at_s);

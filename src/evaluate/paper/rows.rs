@@ -17,7 +17,7 @@ pub struct Published {
 /// One setting of the paper's evaluation, which is a row of the report.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Row {
-    /// Where the paper has the setting: a table, `text` or the figure of `pairs`; `beside` if nowhere.
+    /// The place in the paper: a table, `text` or the figure of `pairs`; `beside` if it has none.
     pub place: &'static str,
     /// The name; no other row has the same name, protocol and place.
     pub name: String,

@@ -116,7 +116,7 @@ impl OnFeatures {
     }
 }
 
-/// Where the features of one source stand among all features, and how they are standardised.
+/// The place of one source's features among all features, and their means and deviations.
 #[derive(Clone, Debug)]
 struct Columns {
     first: usize,

@@ -126,7 +126,7 @@ impl SeriesEmbedder {
         vector
     }
 
-    /// How much louder a series is than the library: mean ln ratio over channels that vary in both.
+    /// ln of the gain of a series over the library: the mean over channels that vary in both.
     fn ln_gain(&self, stats: &Statistics) -> f64 {
         let louder: Vec<f64> = (stats.deviations.iter().zip(&self.deviations))
             .filter(|(own, library)| **own > STILL && **library > STILL)
