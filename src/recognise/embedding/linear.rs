@@ -170,7 +170,7 @@ pub fn matrix(rows: &[Vec<f32>]) -> Array2<f32> {
 
 /// Σ z·zᵀ over the rows of a matrix of shape (n, D). The result has shape (D, D); only its lower
 /// triangle is filled.
-pub fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
+fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
     let (n, dims) = vectors.dim();
     let mut gram = Array2::zeros((dims, dims));
     let blocks: Vec<_> = gram.axis_chunks_iter_mut(Axis(1), COLUMNS_A_SUM).enumerate().collect();
@@ -196,7 +196,7 @@ pub fn varying_directions(rows: &Array2<f32>, tolerance: f64) -> Array2<f32> {
     let (n, dims) = rows.dim();
     let mut basis = if dims <= n {
         let moments = lower_gram(&rows.view()) / n.max(1) as f64;
-        let factor: Vec<Vec<f64>> = pivoted_cholesky(&moments, tolerance).1;
+        let factor = pivoted_cholesky(&moments, tolerance).1;
         Array2::from_shape_fn((factor.len(), dims), |(i, j)| factor[i][j])
     } else {
         let products = lower_gram(&rows.t()) / dims as f64;

@@ -42,8 +42,8 @@ pub(super) struct Training {
 }
 
 impl Training {
-    /// Embeds a library, and sets the mean and deviation by which `joint` standardises. Then frees the
-    /// copies, which take most of the memory, unless other folds share the trials.
+    /// Embeds a library, and sets the scales and bases of `joint`. Frees the copies, which take most of
+    /// the memory, unless other folds share the trials.
     pub fn new(
         joint: &mut JointEmbedder,
         library: &mut [Arc<TrialFrames>],
