@@ -16,7 +16,7 @@ use rustfft::{Fft, FftPlanner};
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::{BandSums, Counts};
-use super::lanes::chunks;
+use super::lanes::{chunks, dot, powers};
 use super::packed::PackedFrames;
 use crate::trial::Image;
 
@@ -154,8 +154,11 @@ impl PixelSums {
             &planes[channel][row * Image::COLS + column..][..length]
         };
         for r in rows.clone() {
-            for (channel, powers) in sums.powers.iter_mut().enumerate() {
-                add_powers(row(r, columns.start, channel, columns.len()), powers);
+            for (channel, sums) in sums.powers.iter_mut().enumerate() {
+                let x = row(r, columns.start, channel, columns.len());
+                let [first, third, fourth] = powers(x);
+                let of_row = [first, dot(x, x), third, fourth];
+                sums.iter_mut().zip(of_row).for_each(|(sum, x)| *sum += x);
             }
         }
         sums.pixels = (rows.len() * columns.len()) as f64;
@@ -207,27 +210,6 @@ impl PixelSums {
             }
         }
         PixelStatistics { moments, covariance }
-    }
-}
-
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-fn add_powers(x: &[f32], powers: &mut [f64; 4]) {
-    let (whole, last) = chunks::<8>(x, 0.0);
-    let mut acc = [[0f32; 8]; 4];
-    for i in 0..=whole.len() {
-        let x = if i < whole.len() { &whole[i] } else { &last };
-        for lane in 0..8 {
-            let (x, square) = (x[lane], x[lane] * x[lane]);
-            acc[0][lane] += x;
-            acc[1][lane] += square;
-            acc[2][lane] += x * square;
-            acc[3][lane] += square * square;
-        }
-    }
-    for power in 0..4 {
-        for lane in acc[power] {
-            powers[power] += f64::from(lane);
-        }
     }
 }
 
