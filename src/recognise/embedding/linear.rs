@@ -188,10 +188,10 @@ fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
 }
 
 /// An orthonormal basis, shape (k, D), of the directions in which the rows of a matrix of shape (n, D)
-/// vary: what the span of the basis leaves over of them has at most about `tolerance` as mean square.
+/// vary. Projecting the rows on these k directions loses a mean square of at most about `tolerance`.
 ///
-/// If there are more rows than columns, the bound holds for each column, otherwise for each row; so no
-/// matrix is larger than it must be.
+/// If there are more rows than columns, the bound holds for each column, otherwise for each row. The
+/// smaller of the two products of the matrix with itself is factored.
 pub fn varying_directions(rows: &Array2<f32>, tolerance: f64) -> Array2<f32> {
     let (n, dims) = rows.dim();
     let mut basis = if dims <= n {
@@ -202,16 +202,17 @@ pub fn varying_directions(rows: &Array2<f32>, tolerance: f64) -> Array2<f32> {
         let products = lower_gram(&rows.t()) / dims as f64;
         rows.select(Axis(0), &pivoted_cholesky(&products, tolerance).0).mapv(f64::from)
     };
+    // Positive definite, since every pivot exceeds the tolerance.
     if let Some(factor) = cholesky(basis.dot(&basis.t())) {
         solve_lower(&factor, &mut basis);
     }
     basis.mapv(|x| x as f32)
 }
 
-/// The rows of an incomplete Cholesky factor of a positive semidefinite matrix, of which the lower
-/// triangle is read, and which diagonal element each of them was made for. Takes the largest rest of
-/// the diagonal first, and stops when none exceeds `tolerance` (Higham 1990, "Analysis of the Cholesky
-/// decomposition of a semi-definite matrix").
+/// An incomplete Cholesky factor of a positive semidefinite matrix: its pivots (indices of diagonal
+/// elements) and a row for each pivot. Reads only the lower triangle. Each step takes the largest
+/// remaining diagonal element as pivot; the last step is the one after which none exceeds `tolerance`
+/// (Higham 1990, "Analysis of the Cholesky decomposition of a semi-definite matrix").
 fn pivoted_cholesky(a: &Array2<f64>, tolerance: f64) -> (Vec<usize>, Vec<Vec<f64>>) {
     let n = a.nrows();
     let mut rest = a.diag().to_vec();
