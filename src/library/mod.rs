@@ -6,10 +6,8 @@ mod about;
 pub mod cache;
 pub(crate) mod files;
 pub(crate) mod loader;
-mod loose;
 pub mod recording;
 pub(crate) mod series_file;
-mod text;
 mod wav;
 
 pub use about::About;

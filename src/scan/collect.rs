@@ -111,10 +111,7 @@ impl Collector {
             DeviceReportKind::Rate(rate_hz) => {
                 let own = self.streams.iter_mut().filter(|stream| stream.device == device);
                 let series = own.filter(|stream| stream.rate_hz > 0.0);
-                series.for_each(|stream| stream.rate_hz = rate_hz);
-                if let Some(detector) = &mut self.detector {
-                    detector.follow_rates(&self.streams, device);
-                }
+                series.for_each(|stream| stream.set_rate(rate_hz));
             }
             DeviceReportKind::Mark(mark) => self.mark(device, &name, mark),
             DeviceReportKind::Ended(result) => {
@@ -169,9 +166,9 @@ impl Collector {
 
     /// Runs one `step` of the detector, if there is one; applies its marks and passes on its
     /// warnings. Warnings about a mark say that it was set by `who`.
-    fn detect(&mut self, who: &str, step: impl Fn(&mut ScanDetector, &[Stream])) {
+    fn detect(&mut self, who: &str, step: impl Fn(&mut ScanDetector, &mut [Stream])) {
         let Some(detector) = &mut self.detector else { return };
-        step(detector, &self.streams);
+        step(detector, &mut self.streams);
         let marks = std::mem::take(&mut detector.marks);
         let warnings = std::mem::take(&mut detector.warnings);
         marks.into_iter().for_each(|mark| self.mark(DETECTOR, who, mark));
@@ -248,7 +245,7 @@ impl Collector {
     fn finish(mut self) -> Totals {
         self.drain();
         self.detect("the detector", ScanDetector::update);
-        self.detect("the detector", ScanDetector::finish);
+        self.detect("the detector", |detector, streams| detector.finish(streams));
         self.abandon(|_| true, "the session ended");
         // Sends incomplete scans as they are, since a device that hangs never delivers the rest.
         self.drain();

@@ -10,8 +10,8 @@
 pub(crate) mod clock;
 mod collect;
 pub mod detect;
+mod device_group;
 mod event_queue;
-mod group;
 mod marked_scan;
 mod scan_detector;
 mod session;

@@ -229,7 +229,7 @@ fn join(spec: &StreamSpec, device: usize, options: &Options, waker: Waker) -> (S
             (0.0, 3, Sink::Images(sink), StreamBuffer::Images { tap, recent })
         }
     };
-    (sink, Stream { id: spec.id.clone(), device, rate_hz, channels, buffer, traced: 0 })
+    (sink, Stream::new(spec.id.clone(), device, rate_hz, channels, buffer))
 }
 
 fn spawn<T: Send + 'static>(

@@ -217,7 +217,7 @@ pub(super) fn carry_out(root: &Path, moves: &[Move]) -> Result<(), LibraryError>
         match label(&to, &to, key)? {
             Some(text) => labels.push((unfinished, to, text)),
             // Removes a file that a call that was cut short may have left.
-            None => drop(fs::remove_file(&unfinished)),
+            None => disk::remove_file(&unfinished),
         }
     }
     for (unfinished, _, text) in &labels {
@@ -254,7 +254,7 @@ fn relink(one: &Move, link: &Path) -> std::io::Result<()> {
         _ => return Ok(()),
     };
     let unfinished = link.with_file_name(".link.unfinished");
-    let _ = fs::remove_file(&unfinished);
+    disk::remove_file(&unfinished);
     disk::link(&target, &unfinished)?;
     disk::rename(&unfinished, link)
 }
@@ -263,8 +263,7 @@ fn relink(one: &Move, link: &Path) -> std::io::Result<()> {
 pub(super) fn tidy(root: &Path, moves: &[Move]) {
     for name in moves.iter().flat_map(|one| [&one.from, &one.to]) {
         let folder = root.join(name);
-        let _ = fs::remove_file(unfinished(&folder));
-        // `remove_dir` removes only an empty folder.
-        let _ = fs::remove_dir(folder.parent().unwrap_or(root));
+        disk::remove_file(&unfinished(&folder));
+        disk::remove_empty_folder(folder.parent().unwrap_or(root));
     }
 }
