@@ -5,7 +5,6 @@
 //! While the reader hangs, the state is "stalled", and nothing waits for it. The trait `Video`
 //! hides V4L2 (video for Linux); the crate's feature `camera` adds the implementation.
 
-mod flash;
 mod frame;
 mod upright;
 #[cfg(feature = "camera")]
@@ -13,11 +12,11 @@ mod v4l;
 mod viewfinder;
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
-use self::flash::{Cycle, FrameLight};
 use self::upright::compared;
 use super::link::{Disconnected, LONGEST_RETRY, OpenError, keep_connected};
 use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
@@ -27,7 +26,6 @@ use crate::scene::SourceId;
 pub use upright::Turn;
 pub use viewfinder::{FlashState, Viewfinder};
 
-pub(crate) use flash::{Flash, FlashControl, Shutter};
 pub(crate) use frame::Frame;
 #[cfg(feature = "camera")]
 pub(crate) use v4l::{V4l, cameras};
@@ -148,7 +146,7 @@ impl CameraWatch<'_> {
     /// Makes pictures from frames until the reader ends or a stop is requested.
     fn follow(
         &mut self,
-        orders: &Sender<Order>,
+        orders: &Sender<TorchOrder>,
         news: &Receiver<News>,
     ) -> Result<(), Disconnected> {
         let mut last = Instant::now();
@@ -179,7 +177,7 @@ impl CameraWatch<'_> {
     }
 
     /// Makes a picture from a frame if one is due. Returns false if the frame is damaged.
-    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<Order>) -> bool {
+    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<TorchOrder>) -> bool {
         let has_flash = self.camera.flash.is_some();
         let shutter = &self.camera.shutter;
         let (light, switch) = self.cycle.judge(at, || has_flash && shutter.take());
@@ -230,14 +228,13 @@ impl CameraWatch<'_> {
         }
     }
 
-    fn switch(&mut self, on: bool, orders: &Sender<Order>) {
+    fn switch(&mut self, on: bool, orders: &Sender<TorchOrder>) {
         let switched = match &mut self.camera.flash {
             None => Ok(()),
             Some((_, Flash::Line(switch))) => switch(on),
-            Some((_, Flash::Control(control))) => {
-                let order = (control.id, if on { control.on } else { control.off });
-                orders.try_send(order).map_err(|_| "the camera does not take orders".into())
-            }
+            Some((_, Flash::Camera)) => orders
+                .try_send(TorchOrder(on))
+                .map_err(|_| "the camera does not take orders".into()),
         };
         match switched {
             Ok(()) if on => self.camera.viewfinder.light(FlashState::On),
@@ -252,16 +249,13 @@ impl CameraWatch<'_> {
         self.link.warn(format!("the flash cannot be switched: {why}"));
     }
 
-    fn light_off(&mut self, orders: &Sender<Order>) {
+    fn light_off(&mut self, orders: &Sender<TorchOrder>) {
         if self.cycle.lit() {
             self.switch(false, orders);
             self.cycle.cancel();
         }
     }
 }
-
-#[cfg(test)]
-mod tests;
 
 /// A camera that can be opened any number of times.
 pub trait Video: Send + Sync {
@@ -276,8 +270,8 @@ pub trait Frames {
     /// Waits for the next frame, without a time limit. Fails if no more frames will come.
     fn next(&mut self) -> Result<Frame, String>;
 
-    /// Sets one of the camera's controls. Fails if the camera lacks it or refuses the value.
-    fn control(&mut self, id: u32, value: i64) -> Result<(), String>;
+    /// Switches the camera's own light. Fails if the camera has none.
+    fn torch(&mut self, on: bool) -> Result<(), String>;
 }
 
 enum News {
@@ -287,14 +281,14 @@ enum News {
     Ended(Disconnected),
 }
 
-/// A request to set a control of the camera: the control's id, and the value.
-type Order = (u32, i64);
+/// A request to switch the camera's own light on or off.
+struct TorchOrder(bool);
 
 /// Starts the reader thread. It drops a frame that is not taken at once, since a newer one follows.
 fn start_reader(
     video: Arc<dyn Video>,
     stop: Stop,
-) -> Result<(Sender<Order>, Receiver<News>), OpenError> {
+) -> Result<(Sender<TorchOrder>, Receiver<News>), OpenError> {
     let (orders, ordered) = crossbeam_channel::bounded(4);
     let (send, news) = crossbeam_channel::bounded(1);
     std::thread::Builder::new()
@@ -319,14 +313,14 @@ fn start_reader(
 fn read(
     mut frames: Box<dyn Frames>,
     stop: &Stop,
-    ordered: &Receiver<Order>,
+    ordered: &Receiver<TorchOrder>,
     send: &Sender<News>,
 ) -> Option<News> {
     send.send(News::Opened).ok()?;
     loop {
         // Orders come first, even after a request to stop: the last order switches the light off.
-        for (control, value) in ordered.try_iter() {
-            if let Err(why) = frames.control(control, value) {
+        for TorchOrder(on) in ordered.try_iter() {
+            if let Err(why) = frames.torch(on) {
                 let _ = send.send(News::Disobeyed(why));
             }
         }
@@ -339,3 +333,88 @@ fn read(
         }
     }
 }
+
+pub enum Flash {
+    /// Switches a light that is not part of the camera, for example one of the stylus. An error
+    /// says why the light may not have switched.
+    Line(Box<dyn FnMut(bool) -> Result<(), String> + Send>),
+    /// The camera switches its own light, by its control V4L2_CID_FLASH_LED_MODE (video for Linux).
+    Camera,
+}
+
+/// A button that requests pictures with flash. All clones belong to the same camera.
+#[derive(Clone, Debug, Default)]
+pub struct Shutter(Arc<AtomicBool>);
+
+impl Shutter {
+    /// Requests a picture with flash. Further requests before it is taken change nothing.
+    pub fn flash(&self) {
+        self.0.store(true, Ordering::Release);
+    }
+
+    fn take(&self) -> bool {
+        self.0.swap(false, Ordering::AcqRel)
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FrameLight {
+    Plain,
+    Flash,
+    /// A frame taken while the light was changing, which is useless.
+    Between,
+}
+
+/// Follows the state of the light from frame to frame.
+struct Cycle {
+    settle: Duration,
+    phase: FlashPhase,
+}
+
+enum FlashPhase {
+    Off,
+    Rising(Instant),
+    Falling(Instant),
+}
+
+impl Cycle {
+    /// A cycle with the light off. `settle` is the time after which all frames show a switch of the
+    /// light: light and exposure control need time, and some frames are on their way.
+    fn new(settle: Duration) -> Self {
+        Self { settle, phase: FlashPhase::Off }
+    }
+
+    /// Judges the light of a frame that arrived at `now`. Also returns whether to switch the light
+    /// on or off now (`None`: leave it). `wanted` tells whether a picture with flash is requested.
+    fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> (FrameLight, Option<bool>) {
+        let settled = |since: Instant| now.saturating_duration_since(since) >= self.settle;
+        match self.phase {
+            FlashPhase::Rising(since) if settled(since) => {
+                self.phase = FlashPhase::Falling(now);
+                (FrameLight::Flash, Some(false))
+            }
+            FlashPhase::Falling(since) if settled(since) => {
+                self.phase = FlashPhase::Off;
+                (FrameLight::Plain, None)
+            }
+            FlashPhase::Rising(_) | FlashPhase::Falling(_) => (FrameLight::Between, None),
+            FlashPhase::Off if wanted() => {
+                self.phase = FlashPhase::Rising(now);
+                (FrameLight::Plain, Some(true))
+            }
+            FlashPhase::Off => (FrameLight::Plain, None),
+        }
+    }
+
+    /// To be called if the light is off or failed: the next frames count as taken without light.
+    fn cancel(&mut self) {
+        self.phase = FlashPhase::Off;
+    }
+
+    fn lit(&self) -> bool {
+        matches!(self.phase, FlashPhase::Rising(_))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -153,9 +153,8 @@ fn an_edit_that_is_killed_at_any_change_is_finished_or_taken_back_by_the_next_op
 fn an_edit_of_which_the_disk_refuses_any_one_change_changes_nothing() {
     for (what, prepare, edit) in EDITS {
         let before = Before::new(prepare);
-        let is_before = |root: &Path| {
-            state(root, &before.scene) == state(before.dir.path(), &before.scene)
-        };
+        let is_before =
+            |root: &Path| state(root, &before.scene) == state(before.dir.path(), &before.scene);
         let done = before.again();
         edit(&mut Editor::open(done.path(), &before.scene).unwrap()).unwrap();
         let after = state(done.path(), &before.scene);
