@@ -18,8 +18,10 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
 use self::upright::compared;
-use super::link::{Disconnected, LONGEST_RETRY, OpenError, keep_connected};
-use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
+use super::{
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, LONGEST_RETRY, OpenError,
+    StreamKind, StreamSpec, keep_connected,
+};
 use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
 

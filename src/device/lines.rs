@@ -12,9 +12,11 @@ mod survey;
 use std::io::Read;
 use std::time::{Duration, Instant};
 
-use super::link::{Disconnected, RETRY, keep_connected};
 use super::serial::{BUFFER, OVERFLOWED, REPORT_EVERY, STALLED, lost, read_some};
-use super::{Device, DeviceError, DeviceLink, DeviceState, OpenError, StreamKind, StreamSpec};
+use super::{
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, OpenError, RETRY, StreamKind,
+    StreamSpec, keep_connected,
+};
 use crate::ring::Sink;
 
 use address::StandardInput;

@@ -19,8 +19,10 @@ use std::time::{Duration, Instant};
 use serialport::SerialPort;
 use surfaced_wire::{Command, DecodeError, MAX_ENCODED, Message, Status, encode};
 
-use super::link::{Disconnected, RETRY, keep_connected};
-use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
+use super::{
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, RETRY, StreamKind, StreamSpec,
+    keep_connected,
+};
 use crate::ring::Sink;
 
 pub use intake::{Intake, IntakeEvent};

@@ -2,10 +2,9 @@
 //! and channels. Samples are read when a trial is loaded.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, Limits};
+use image::{DynamicImage, ImageDecoder, ImageReader};
 
 use super::series_file::guarded;
 use super::{LibraryError, LoadTrial, Outline, Outlines, files, series_file};
@@ -205,9 +204,6 @@ fn mixed_down(series: &Series) -> Result<Series, SignalError> {
     Series::new(series.rate_hz(), 1, series.samples().chunks_exact(channels).map(mean).collect())
 }
 
-/// Limits on a picture's sides (pixels) and memory (bytes); a hostile header may claim any size.
-const MAX_SIDE: u32 = 1 << 14;
-const MAX_BYTES: u64 = 1 << 28;
 /// Largest picture file, in bytes.
 const MOST_PICTURE: u64 = 1 << 26;
 
@@ -228,7 +224,8 @@ fn read_picture(path: &Path) -> Result<Image, LibraryError> {
     }
     guarded(
         || {
-            let decoder = decoder(&bytes).map_err(|error| damaged(&error.to_string()))?;
+            let reader = jpeg::reader(&bytes).and_then(ImageReader::into_decoder);
+            let decoder = reader.map_err(|error| damaged(&error.to_string()))?;
             let (width, height) = decoder.dimensions();
             let (width, height) = (width as usize, height as usize);
             // Checks the size first: a picture of a wrong size need not be decoded.
@@ -243,16 +240,6 @@ fn read_picture(path: &Path) -> Result<Image, LibraryError> {
         },
         damaged,
     )
-}
-
-fn decoder(bytes: &[u8]) -> Result<impl ImageDecoder, ImageError> {
-    let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    limits.max_alloc = Some(MAX_BYTES);
-    reader.limits(limits);
-    reader.into_decoder()
 }
 
 /// Checks the headers of a library's WAV and FLAC files against the described channels and rates.

@@ -1,16 +1,11 @@
 //! Frames in the formats of cameras, and their conversion to RGB.
 
 use std::borrow::Cow;
-use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use image::{DynamicImage, ImageFormat, ImageReader, Limits, RgbImage};
+use image::{DynamicImage, RgbImage};
 
 use crate::jpeg;
-
-/// Longest accepted side of a frame, in pixels.
-const MAX_SIDE: u32 = 1 << 13;
-const MAX_BYTES: u64 = 1 << 28;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameFormat {
@@ -89,15 +84,8 @@ fn decode_jpeg(bytes: &[u8]) -> Result<RgbImage, String> {
     }
     let whole = with_tables(bytes);
     // Catches panics, which decoders may have on hostile input. No damaged state remains.
-    let decoded = catch_unwind(AssertUnwindSafe(|| {
-        let mut reader = ImageReader::with_format(Cursor::new(&whole), ImageFormat::Jpeg);
-        let mut limits = Limits::default();
-        limits.max_image_width = Some(MAX_SIDE);
-        limits.max_image_height = Some(MAX_SIDE);
-        limits.max_alloc = Some(MAX_BYTES);
-        reader.limits(limits);
-        reader.decode()
-    }));
+    let decode = || jpeg::reader(&whole)?.decode();
+    let decoded = catch_unwind(AssertUnwindSafe(decode));
     let decoded = decoded.map_err(|_| "the decoder failed")?;
     decoded.map(DynamicImage::into_rgb8).map_err(|error| error.to_string())
 }

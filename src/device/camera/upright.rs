@@ -1,7 +1,7 @@
 //! Turns a picture upright, and cuts out the region of 320 × 480 pixels (wide × high) to compare.
 
 use image::RgbImage;
-use image::imageops::{rotate90, rotate180, rotate270};
+use image::imageops::{rotate90, rotate180, rotate270, thumbnail};
 use serde::Serialize;
 
 use crate::trial::Image;
@@ -74,18 +74,10 @@ pub fn region(upright: &RgbImage) -> Region {
 }
 
 /// Scales a picture down until no side is longer than `LONGEST` pixels.
-///
-/// `None` if the picture is empty.
-pub fn small(picture: &RgbImage) -> Option<RgbImage> {
-    if picture.is_empty() {
-        return None;
-    }
-    let longest = picture.width().max(picture.height());
+pub fn small(picture: &RgbImage) -> RgbImage {
+    let longest = picture.width().max(picture.height()).max(1);
     let fit = |side: u32| (side * LONGEST.min(longest) / longest).max(1);
-    let shares = |side: u32| pixel_shares((0.0, f64::from(side)), fit(side) as usize, side);
-    let (across, down) = (shares(picture.width()), shares(picture.height()));
-    let bytes = scale(picture, &across, &down);
-    RgbImage::from_raw(fit(picture.width()), fit(picture.height()), bytes)
+    thumbnail(picture, fit(picture.width()), fit(picture.height()))
 }
 
 /// Start and length, in x and in y, of the largest region of 2:3 in the centre of a picture.

@@ -79,7 +79,7 @@ impl Viewfinder {
     /// first picture, or if encoding fails.
     pub fn jpeg(&self) -> Option<Vec<u8>> {
         let picture = self.lock().picture.clone()?;
-        let shown = small(&picture)?;
+        let shown = small(&picture);
         jpeg::encode_rgb(shown.as_raw(), shown.dimensions()).ok()
     }
 }

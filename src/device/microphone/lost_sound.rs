@@ -1,10 +1,10 @@
 //! Carries sound from the callback's ring to the session, and finds lost sound by the clock. Estimates
 //! how many frames an interruption cost, how many were only late, and whether the rate is right.
 
-use super::level::{self, LevelWatch, SoundLevel};
+use super::{LevelWatch, SoundLevel};
 use crate::ring::{Piece, SeriesSink, SeriesTap};
 
-const RATE_HZ: f64 = level::RATE_HZ as f64;
+const RATE_HZ: f64 = super::RATE_HZ as f64;
 /// Shortest pause, in seconds, that may hide a loss: a sound server that was delayed skips sound
 /// without a report.
 const PAUSE_S: f64 = 0.2;
