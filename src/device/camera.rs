@@ -20,7 +20,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use self::upright::compared;
 use super::{
     Device, DeviceError, DeviceLink, DeviceState, Disconnected, LONGEST_RETRY, OpenError,
-    StreamKind, StreamSpec, keep_connected,
+    StreamSpec, keep_connected,
 };
 use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
@@ -65,6 +65,8 @@ struct CameraWatch<'a> {
     pushed: Option<Instant>,
     damaged: u64,
     summed_up: Option<Instant>,
+    /// Whether the camera's own light is to be on; the reader switches it.
+    torch: Arc<AtomicBool>,
 }
 
 impl Camera {
@@ -112,8 +114,7 @@ impl Device for Camera {
 
     fn streams(&self) -> Vec<StreamSpec> {
         let flash = self.flash.as_ref().map(|(stream, _)| stream);
-        let images = |id: &SourceId| StreamSpec { id: id.clone(), kind: StreamKind::Images };
-        [Some(&self.plain), flash].into_iter().flatten().map(images).collect()
+        [Some(&self.plain), flash].into_iter().flatten().map(StreamSpec::images).collect()
     }
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
@@ -127,14 +128,15 @@ impl Device for Camera {
             pushed: None,
             damaged: 0,
             summed_up: None,
+            torch: Arc::default(),
         };
         keep_connected(link, LONGEST_RETRY, || {
             let stop = Stop::default();
-            let (orders, news) = start_reader(watch.camera.video.clone(), stop.clone())?;
-            let end = watch.follow(&orders, &news);
-            watch.light_off(&orders);
+            let video = watch.camera.video.clone();
+            let news = start_reader(video, stop.clone(), watch.torch.clone())?;
+            let end = watch.follow(&news);
+            watch.light_off();
             stop.request();
-            drop(orders);
             // Waits until the reader has closed the camera, at its next frame; a hanging reader
             // only costs `STOP_TIMEOUT`.
             let until = Instant::now() + STOP_TIMEOUT;
@@ -146,11 +148,7 @@ impl Device for Camera {
 
 impl CameraWatch<'_> {
     /// Makes pictures from frames until the reader ends or a stop is requested.
-    fn follow(
-        &mut self,
-        orders: &Sender<TorchOrder>,
-        news: &Receiver<News>,
-    ) -> Result<(), Disconnected> {
+    fn follow(&mut self, news: &Receiver<News>) -> Result<(), Disconnected> {
         let mut last = Instant::now();
         while !self.link.stopped() {
             match news.recv_timeout(LOOK) {
@@ -158,7 +156,7 @@ impl CameraWatch<'_> {
                 Ok(News::Ended(why)) => return Err(why),
                 Ok(News::Disobeyed(why)) => self.no_light(&why),
                 Ok(News::Frame(frame, at)) => {
-                    if self.frame(&frame, at, orders) {
+                    if self.frame(&frame, at) {
                         last = Instant::now();
                         self.link.state(DeviceState::Streaming, "");
                     }
@@ -179,7 +177,7 @@ impl CameraWatch<'_> {
     }
 
     /// Makes a picture from a frame if one is due. Returns false if the frame is damaged.
-    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<TorchOrder>) -> bool {
+    fn frame(&mut self, frame: &Frame, at: Instant) -> bool {
         let has_flash = self.camera.flash.is_some();
         let shutter = &self.camera.shutter;
         let (light, switch) = self.cycle.judge(at, || has_flash && shutter.take());
@@ -197,7 +195,7 @@ impl CameraWatch<'_> {
             _ => {}
         }
         if let Some(on) = switch {
-            self.switch(on, orders);
+            self.switch(on);
         }
         good
     }
@@ -230,13 +228,14 @@ impl CameraWatch<'_> {
         }
     }
 
-    fn switch(&mut self, on: bool, orders: &Sender<TorchOrder>) {
+    fn switch(&mut self, on: bool) {
         let switched = match &mut self.camera.flash {
             None => Ok(()),
             Some((_, Flash::Line(switch))) => switch(on),
-            Some((_, Flash::Camera)) => orders
-                .try_send(TorchOrder(on))
-                .map_err(|_| "the camera does not take orders".into()),
+            Some((_, Flash::Camera)) => {
+                self.torch.store(on, Ordering::Release);
+                Ok(())
+            }
         };
         match switched {
             Ok(()) if on => self.camera.viewfinder.light(FlashState::On),
@@ -251,9 +250,9 @@ impl CameraWatch<'_> {
         self.link.warn(format!("the flash cannot be switched: {why}"));
     }
 
-    fn light_off(&mut self, orders: &Sender<TorchOrder>) {
+    fn light_off(&mut self) {
         if self.cycle.lit() {
-            self.switch(false, orders);
+            self.switch(false);
             self.cycle.cancel();
         }
     }
@@ -283,21 +282,18 @@ enum News {
     Ended(Disconnected),
 }
 
-/// A request to switch the camera's own light on or off.
-struct TorchOrder(bool);
-
 /// Starts the reader thread. It drops a frame that is not taken at once, since a newer one follows.
 fn start_reader(
     video: Arc<dyn Video>,
     stop: Stop,
-) -> Result<(Sender<TorchOrder>, Receiver<News>), OpenError> {
-    let (orders, ordered) = crossbeam_channel::bounded(4);
+    torch: Arc<AtomicBool>,
+) -> Result<Receiver<News>, OpenError> {
     let (send, news) = crossbeam_channel::bounded(1);
     std::thread::Builder::new()
         .name("camera-read".into())
         .spawn(move || {
             let last = match video.open() {
-                Ok(frames) => read(frames, &stop, &ordered, &send),
+                Ok(frames) => read(frames, &stop, &torch, &send),
                 Err(error) => Some(News::Ended(error.into())),
             };
             if let Some(last) = last {
@@ -307,7 +303,7 @@ fn start_reader(
         .map_err(|error| {
             OpenError::Unfit(format!("cannot start a thread to read the camera: {error}"))
         })?;
-    Ok((orders, news))
+    Ok(news)
 }
 
 /// Reads frames until the camera ends, and returns the last message to send. Returns `None` after a
@@ -315,16 +311,18 @@ fn start_reader(
 fn read(
     mut frames: Box<dyn Frames>,
     stop: &Stop,
-    ordered: &Receiver<TorchOrder>,
+    torch: &AtomicBool,
     send: &Sender<News>,
 ) -> Option<News> {
     send.send(News::Opened).ok()?;
+    let mut lit = false;
     loop {
-        // Orders come first, even after a request to stop: the last order switches the light off.
-        for TorchOrder(on) in ordered.try_iter() {
-            if let Err(why) = frames.torch(on) {
-                let _ = send.send(News::Disobeyed(why));
-            }
+        // The light comes first, even after a request to stop, which also switches the light off.
+        let on = torch.load(Ordering::Acquire);
+        if std::mem::replace(&mut lit, on) != on
+            && let Err(why) = frames.torch(on)
+        {
+            let _ = send.send(News::Disobeyed(why));
         }
         if stop.requested() {
             return None;

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use super::serial::{BUFFER, OVERFLOWED, REPORT_EVERY, STALLED, lost, read_some};
 use super::{
-    Device, DeviceError, DeviceLink, DeviceState, Disconnected, OpenError, RETRY, StreamKind,
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, OpenError, RETRY,
     StreamSpec, keep_connected,
 };
 use crate::ring::Sink;
@@ -74,11 +74,8 @@ impl Device for Lines {
     }
 
     fn streams(&self) -> Vec<StreamSpec> {
-        let kind = |stream: &LinesStream| StreamKind::Series {
-            channels: stream.columns.len(),
-            rate_hz: self.config.rate_hz.unwrap_or(UNKNOWN_HZ),
-        };
-        let spec = |stream: &LinesStream| StreamSpec { id: stream.id.clone(), kind: kind(stream) };
+        let rate_hz = self.config.rate_hz.unwrap_or(UNKNOWN_HZ);
+        let spec = |s: &LinesStream| StreamSpec::series(&s.id, s.columns.len(), rate_hz);
         self.config.streams.iter().map(spec).collect()
     }
 

@@ -25,7 +25,7 @@ use lost_sound::Listening;
 
 use super::{
     Device, DeviceError, DeviceLink, DeviceState, Disconnected, LONGEST_RETRY, OpenError,
-    StreamKind, StreamSpec, keep_connected,
+    StreamSpec, keep_connected,
 };
 use crate::ring::{SeriesSink, SeriesTap, Sink, Waker, series};
 use crate::scene::SourceId;
@@ -83,8 +83,7 @@ impl Device for Microphone {
     }
 
     fn streams(&self) -> Vec<StreamSpec> {
-        let kind = StreamKind::Series { channels: 1, rate_hz: f64::from(RATE_HZ) };
-        vec![StreamSpec { id: self.stream.clone(), kind }]
+        vec![StreamSpec::series(&self.stream, 1, f64::from(RATE_HZ))]
     }
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {

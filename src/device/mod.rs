@@ -58,6 +58,16 @@ pub struct StreamSpec {
     pub kind: StreamKind,
 }
 
+impl StreamSpec {
+    pub fn series(id: &SourceId, channels: usize, rate_hz: f64) -> Self {
+        Self { id: id.clone(), kind: StreamKind::Series { channels, rate_hz } }
+    }
+
+    pub fn images(id: &SourceId) -> Self {
+        Self { id: id.clone(), kind: StreamKind::Images }
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StreamKind {
     Series {
@@ -287,56 +297,36 @@ fn keep_connected(
     longest: Duration,
     mut connect: impl FnMut() -> Result<(), Disconnected>,
 ) -> Result<(), DeviceError> {
-    let (mut was_there, mut retry) = (false, Retry::new(longest));
+    let (mut was_there, mut reported, mut wait) = (false, None, RETRY);
     while !link.stopped() {
         match connect() {
             Ok(()) => break,
             Err(Disconnected::Lost(why)) => {
-                (was_there, retry) = (true, Retry::new(longest));
+                (was_there, reported, wait) = (true, None, RETRY);
                 link.state(DeviceState::Lost, why);
                 link.sleep_until(Instant::now() + RETRY);
             }
-            Err(Disconnected::NotOpened(error)) => retry.failed(error, was_there, link)?,
+            Err(Disconnected::NotOpened(error @ OpenError::Unfit(_))) => {
+                return Err(DeviceError::Failed(error.to_string()));
+            }
+            Err(Disconnected::NotOpened(error)) => {
+                let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
+                link.state(state, error.to_string());
+                // Warns of a new reason, such as busy instead of absent, even if the state is the same.
+                if reported.as_ref().is_some_and(|before| *before != error) {
+                    link.warn(error.to_string());
+                }
+                reported = Some(error);
+                link.sleep_until(Instant::now() + wait);
+                wait = longer(wait, longest);
+            }
         }
     }
     Ok(())
 }
 
-struct Retry {
-    /// The last failure to open the hardware; `None` if there was none.
-    reported: Option<OpenError>,
-    wait: Duration,
-    longest: Duration,
-}
-
-impl Retry {
-    /// The first wait is [`RETRY`]; each further wait is twice as long, up to `longest`.
-    fn new(longest: Duration) -> Self {
-        Self { reported: None, wait: RETRY, longest }
-    }
-
-    /// Reports a failure to open hardware, and waits. Fails if another attempt is useless.
-    fn failed(
-        &mut self,
-        error: OpenError,
-        was_there: bool,
-        link: &DeviceLink,
-    ) -> Result<(), DeviceError> {
-        if matches!(error, OpenError::Unfit(_)) {
-            return Err(DeviceError::Failed(error.to_string()));
-        }
-        let state = if was_there { DeviceState::Lost } else { DeviceState::Absent };
-        link.state(state, error.to_string());
-        // Warns of a new reason, such as busy instead of absent, even if the state is the same.
-        if self.reported.as_ref().is_some_and(|before| *before != error) {
-            link.warn(error.to_string());
-        }
-        self.reported = Some(error);
-        let wait = self.wait;
-        self.wait = (2 * wait).min(self.longest.max(RETRY));
-        link.sleep_until(Instant::now() + wait);
-        Ok(())
-    }
+fn longer(wait: Duration, longest: Duration) -> Duration {
+    (2 * wait).min(longest)
 }
 
 #[cfg(test)]
@@ -368,23 +358,28 @@ mod tests {
 
     #[test]
     fn what_is_dear_to_open_is_tried_ever_more_rarely() {
-        let (send, reports) = crossbeam_channel::unbounded();
-        // Requests a stop first, so that the attempts do not wait.
-        let stop = Stop::default();
-        stop.request();
-        let link = DeviceLink::new(0, stop, send);
-        let waits = |retry: &mut Retry| -> Vec<u64> {
-            let wait = |_| {
-                let wait = retry.wait.as_millis() as u64;
-                retry.failed(OpenError::Absent("it".into()), false, &link).unwrap();
-                wait
-            };
-            (0..6).map(wait).collect()
+        let waits = |longest| -> Vec<u128> {
+            let waits = std::iter::successors(Some(RETRY), |wait| Some(longer(*wait, longest)));
+            waits.take(6).map(|wait| wait.as_millis()).collect()
         };
-        let dear = &mut Retry::new(LONGEST_RETRY);
-        assert_eq!(waits(dear), [300, 600, 1200, 2400, 4800, 5000]);
-        assert_eq!(waits(&mut Retry::new(RETRY)), [300; 6]);
-        // All failures above make one report.
-        assert_eq!(reports.try_iter().count(), 1);
+        assert_eq!(waits(LONGEST_RETRY), [300, 600, 1200, 2400, 4800, 5000]);
+        assert_eq!(waits(RETRY), [300; 6]);
+    }
+
+    #[test]
+    fn equal_failures_to_open_make_one_report() {
+        let (send, reports) = crossbeam_channel::unbounded();
+        let stop = Stop::default();
+        let link = DeviceLink::new(0, stop.clone(), send);
+        let mut attempts = 0;
+        let connect = || {
+            attempts += 1;
+            if attempts == 3 {
+                stop.request();
+            }
+            Err(OpenError::Absent("it".into()).into())
+        };
+        keep_connected(&link, RETRY, connect).unwrap();
+        assert_eq!((attempts, reports.try_iter().count()), (3, 1));
     }
 }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::Receiver;
 
 use super::{
-    Begin, CutFrom, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamKind,
+    Begin, CutFrom, Device, DeviceError, DeviceLink, DeviceState, Mark, Open,
     StreamSpec,
 };
 use crate::library::Entry;
@@ -80,14 +80,14 @@ impl Device for Replay {
     }
 
     fn streams(&self) -> Vec<StreamSpec> {
-        let kind = |spec: &SourceSpec| match spec.domain {
-            Domain::Image => StreamKind::Images,
-            _ => StreamKind::Series {
-                channels: spec.channels,
-                rate_hz: spec.rate_hz.unwrap_or(ANY_RATE_HZ),
-            },
+        let stream = |spec: &SourceSpec| match spec.domain {
+            Domain::Image => StreamSpec::images(&spec.id),
+            _ => {
+                let rate_hz = spec.rate_hz.unwrap_or(ANY_RATE_HZ);
+                StreamSpec::series(&spec.id, spec.channels, rate_hz)
+            }
         };
-        self.specs.iter().map(|spec| StreamSpec { id: spec.id.clone(), kind: kind(spec) }).collect()
+        self.specs.iter().map(stream).collect()
     }
 
     fn waits(&self) -> bool {

@@ -20,7 +20,7 @@ use serialport::SerialPort;
 use surfaced_wire::{Command, DecodeError, MAX_ENCODED, Message, Status, encode};
 
 use super::{
-    Device, DeviceError, DeviceLink, DeviceState, Disconnected, RETRY, StreamKind, StreamSpec,
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, RETRY, StreamSpec,
     keep_connected,
 };
 use crate::ring::Sink;
@@ -64,11 +64,8 @@ impl Device for Stylus {
     }
 
     fn streams(&self) -> Vec<StreamSpec> {
-        let kind = |wanted: &Wanted| StreamKind::Series {
-            channels: wanted.channels.len(),
-            rate_hz: f64::from(self.config.rate_hz),
-        };
-        let spec = |wanted: &Wanted| StreamSpec { id: wanted.id.clone(), kind: kind(wanted) };
+        let rate_hz = f64::from(self.config.rate_hz);
+        let spec = |wanted: &Wanted| StreamSpec::series(&wanted.id, wanted.channels.len(), rate_hz);
         self.config.streams.iter().map(spec).collect()
     }
 

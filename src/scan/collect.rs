@@ -43,6 +43,13 @@ pub(super) struct Collector {
     pub commands: Receiver<ScanCommand>,
 }
 
+impl Drop for Collector {
+    /// Stops the devices however the collector ends, since devices would wait for it for ever.
+    fn drop(&mut self) {
+        self.stop.request();
+    }
+}
+
 impl Collector {
     pub fn run(mut self) -> Totals {
         let mut stop_seen: Option<Instant> = None;

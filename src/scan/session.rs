@@ -112,11 +112,7 @@ impl Session {
             detector,
             commands: cued,
         };
-        let collector = spawn("collector", move || {
-            // Stops the devices however the collector ends, since devices would wait for it for ever.
-            let _end = EndsAll(collector.stop.clone());
-            collector.run()
-        })?;
+        let collector = spawn("collector", move || collector.run())?;
         let mut session = Self {
             events,
             commands,
@@ -187,15 +183,6 @@ impl Session {
 impl Drop for Session {
     fn drop(&mut self) {
         self.request_stop();
-    }
-}
-
-/// Requests a stop when it is dropped.
-struct EndsAll(Stop);
-
-impl Drop for EndsAll {
-    fn drop(&mut self) {
-        self.0.request();
     }
 }
 

@@ -6,7 +6,7 @@
 //! and on any thread. One machine gives the same bytes each time. Another processor may differ in
 //! the last bits of a Fourier transform, and so sometimes in the last bit of a sample.
 //!
-//! [`Difficulty`] holds every constant of the model; `effect` says how the constants make a trial.
+//! [`Difficulty`] holds every constant of the model; `parameters` says how the constants make a trial.
 //!
 //! [`Difficulty::lmt108`] is calibrated on Table II of the paper. `cargo run --release --example
 //! synth_pattern -- --users 10` prints this table (mean ± standard deviation over the users), which
@@ -36,15 +36,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use contact::{Contact, Hand};
-use effect::Draws;
+use parameters::Draws;
 
 use crate::library::{Entry, Library, LibraryError, LoadTrial, Outline, Outlines};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{EXPERT, Image, Series, Signal, SignalError, Trial, TrialKey};
 
 mod contact;
-mod effect;
-mod noise;
 mod parameters;
 mod picture;
 
@@ -180,21 +178,13 @@ const UNKNOWN: usize = 12;
 const DEAD: (usize, u32) = (5, 2);
 const DEAD_SOURCE: &str = "ac";
 
-/// The embedded scene, and remarks on its difficulties.
-#[derive(Clone, Debug)]
-pub struct Embedded {
-    /// The trials: four by the expert of each surface but one, to compare with; and one of every
-    /// surface by each of three users, to be named.
-    pub library: Library,
-    /// The difficulties of the scene, one line of text each.
-    pub remarks: Vec<String>,
-}
-
 /// The synthetic scene that `surfaced replay` plays if no data are given.
 ///
-/// Its thirteen surfaces are easy to distinguish, with three difficulties that stations meet: two
-/// surfaces are almost alike, one is not in the library, and a sensor is dead in one scan.
-pub fn embedded() -> Embedded {
+/// It holds four trials by the expert of each surface but one, to compare with; and one trial of every
+/// surface by each of three users, to be named. Its thirteen surfaces are easy to distinguish, with
+/// three difficulties that stations meet and that its remarks name: two surfaces are almost alike, one
+/// is not in the library, and a sensor is dead in one scan.
+pub fn embedded() -> Library {
     let size = Parameters { surfaces: SURFACES, trials: 4, users: 3, ..Parameters::default() };
     let mut library = library(&Parameters { twins: Some(TWINS), ..size });
     let [original, twin, unknown] = [TWINS.original, TWINS.twin, UNKNOWN].map(surface_name);
@@ -205,12 +195,12 @@ pub fn embedded() -> Embedded {
         false => entry,
     };
     library.entries = library.entries.into_iter().map(silence).collect();
-    let remarks = vec![
+    library.remarks = vec![
         format!("{original} and {twin} are almost alike"),
         format!("{unknown} is not in the library"),
         format!("the accelerometer is dead in the scan of {} by {}", dead.surface, dead.user),
     ];
-    Embedded { library, remarks }
+    library
 }
 
 fn with_a_dead_line(mut trial: Trial) -> Trial {

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 use rand::Rng;
 
-use super::effect::{Draws, logistic};
+use super::parameters::{Draws, logistic};
 use crate::seed::uniform;
 use crate::trial::Image;
 
