@@ -132,6 +132,7 @@ impl Device for Camera {
         };
         keep_connected(link, LONGEST_RETRY, || {
             let stop = Stop::default();
+            watch.torch.store(false, Ordering::Release);
             let video = watch.camera.video.clone();
             let news = start_reader(video, stop.clone(), watch.torch.clone())?;
             let end = watch.follow(&news);

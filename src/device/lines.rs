@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 
 use super::serial::{BUFFER, OVERFLOWED, REPORT_EVERY, STALLED, lost, read_some};
 use super::{
-    Device, DeviceError, DeviceLink, DeviceState, Disconnected, OpenError, RETRY,
-    StreamSpec, keep_connected,
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, OpenError, RETRY, StreamSpec,
+    keep_connected,
 };
 use crate::ring::Sink;
 

@@ -10,10 +10,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 
-use super::{
-    Begin, CutFrom, Device, DeviceError, DeviceLink, DeviceState, Mark, Open,
-    StreamSpec,
-};
+use super::{Begin, CutFrom, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamSpec};
 use crate::library::Entry;
 use crate::ring::{RingSink, Sink, Stop, Stopped};
 use crate::scene::{Domain, Phase, Scene, SourceSpec};

@@ -20,8 +20,7 @@ use serialport::SerialPort;
 use surfaced_wire::{Command, DecodeError, MAX_ENCODED, Message, Status, encode};
 
 use super::{
-    Device, DeviceError, DeviceLink, DeviceState, Disconnected, RETRY, StreamSpec,
-    keep_connected,
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, RETRY, StreamSpec, keep_connected,
 };
 use crate::ring::Sink;
 

@@ -447,8 +447,6 @@ fn wait(file: &File, library: &Path, patience: Option<Duration>) -> bool {
 }
 
 #[cfg(test)]
-mod crashes;
-#[cfg(test)]
 #[path = "../../../tests/common/edited.rs"]
 mod edited;
 #[cfg(test)]
