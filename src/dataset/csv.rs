@@ -137,10 +137,6 @@ impl CsvTable {
 
     /// The trials of the table and, for a table with times, the mean rate of the first trial's rows
     /// in Hz. `name` is the path of the table's file without extension.
-    ///
-    /// # Errors
-    /// If a column is missing, a cell is not a finite number, the name does not fit the pattern, the
-    /// times do not rise, or a trial has fewer than two rows.
     pub fn trials(&self, name: &str, form: &CsvForm) -> Result<(Vec<Trial>, Option<f64>), String> {
         let mut columns = [None; 3];
         for (column, label) in columns.iter_mut().zip(&form.labels) {

@@ -104,7 +104,9 @@ impl SourceFiles {
                 if !mixed {
                     return Ok(Signal::Series(series));
                 }
-                let mixed = mixed_down(&series);
+                let mean = |frame: &[f32]| frame.iter().sum::<f32>() / frame.len() as f32;
+                let means = series.samples().chunks_exact(series.channels()).map(mean).collect();
+                let mixed = Series::new(series.rate_hz(), 1, means);
                 mixed.map(Signal::Series).map_err(|error| LibraryError::file(path, error))
             }
             Self::Picture(path) => read_picture(path).map(Signal::Image),
@@ -196,12 +198,6 @@ fn plausible(path: &Path, series: &Series) -> Result<(), LibraryError> {
         series.samples()[at]
     );
     Err(LibraryError::file(path, problem))
-}
-
-fn mixed_down(series: &Series) -> Result<Series, SignalError> {
-    let channels = series.channels();
-    let mean = |frame: &[f32]| frame.iter().sum::<f32>() / channels as f32;
-    Series::new(series.rate_hz(), 1, series.samples().chunks_exact(channels).map(mean).collect())
 }
 
 /// Largest picture file, in bytes.
@@ -307,13 +303,6 @@ impl Headers {
                 header.rate_hz
             ));
         }
-        self.remark(spec, header, mixed, path);
-        Ok(SourceFiles::Series { path: path.to_path_buf(), header, mixed })
-    }
-
-    /// Adds a remark if a file is stereo, or if its rate differs from the source's first file.
-    fn remark(&mut self, spec: &SourceSpec, header: Outline, mixed: bool, path: &Path) {
-        let id = &spec.id;
         if mixed {
             let what = format!("stereo, mixed down to the one channel of source `{id}`");
             self.note(path, what);
@@ -329,6 +318,7 @@ impl Headers {
             );
             self.note(path, what);
         }
+        Ok(SourceFiles::Series { path: path.to_path_buf(), header, mixed })
     }
 }
 

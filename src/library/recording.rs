@@ -262,7 +262,14 @@ impl<'a> RecordingOpening<'a> {
             self.headers.note(&folder.path, "not used, trial.toml says incomplete = true");
             return Ok(());
         }
-        let number = about.trial.map_or_else(|| number_of(folder), Ok);
+        let number = about.trial.or_else(|| number_in(&folder.name)).ok_or_else(|| {
+            let problem = format!(
+                "its name does not end with the number of the trial (0 to {}); rename it, for \
+                 example to `trial1`, or say `trial = N` in its trial.toml",
+                u32::MAX
+            );
+            LibraryError::file(&folder.path, problem)
+        });
         let bad_files = self.bad.len();
         let mut sources = BTreeMap::new();
         for item in files::list(&folder.path)? {
@@ -359,19 +366,6 @@ impl<'a> RecordingOpening<'a> {
         let files = self.series(&id, &item.path)?;
         Ok(Some((id, files)))
     }
-}
-
-fn number_of(folder: &Listed) -> Result<u32, LibraryError> {
-    number_in(&folder.name).ok_or_else(|| {
-        LibraryError::file(
-            &folder.path,
-            format!(
-                "its name does not end with the number of the trial (0 to {}); rename it, for \
-                 example to `trial1`, or say `trial = N` in its trial.toml",
-                u32::MAX
-            ),
-        )
-    })
 }
 
 /// The default source of a file, if neither the file's name nor `library.toml` selects another.

@@ -201,10 +201,11 @@ impl Collector {
     fn send_scans(&mut self, looked: Instant, over: bool) {
         while let Some(mut scan) = self.scans.pop_front() {
             self.send_progress(&mut scan);
-            let overdue = |(_, learnt): (Instant, Instant)| {
-                over || looked.saturating_duration_since(learnt) > self.options.deliver_limit
+            let is_due = |(_, learnt): (Instant, Instant)| {
+                let is_late = looked.saturating_duration_since(learnt) > self.options.deliver_limit;
+                over || is_late || scan.cuts.values().all(|cut| cut.delivered(&self.streams))
             };
-            if !(scan.complete(&self.streams) || scan.ended.is_some_and(overdue)) {
+            if !scan.ended.is_some_and(is_due) {
                 return self.scans.push_front(scan);
             }
             if let Some(scan) = cut(scan, &self.streams) {
@@ -227,12 +228,10 @@ impl Collector {
     }
 
     fn send_trace(&mut self) {
-        let (ends, trace) = trace(&self.streams);
+        let trace = trace(&self.streams);
         let anything = !(trace.fresh.is_empty() && trace.images.is_empty());
         if anything && self.event_queue.offer(Event::Trace(trace)) {
-            for (stream, end) in self.streams.iter_mut().zip(ends) {
-                stream.traced = end;
-            }
+            self.streams.iter_mut().for_each(|stream| stream.traced = stream.end());
         }
     }
 

@@ -63,11 +63,6 @@ impl SourceSpan {
 }
 
 impl Marked {
-    /// Whether the scan has ended and the rings have delivered all of its frames.
-    pub fn complete(&self, streams: &[Stream]) -> bool {
-        self.ended.is_some() && self.cuts.values().all(|cut| cut.delivered(streams))
-    }
-
     /// Applies a mark that belongs to the scan; returns an error if it contradicts earlier marks.
     pub fn follow(&mut self, mark: Mark, streams: &[Stream]) -> Result<(), String> {
         match mark {
@@ -84,7 +79,7 @@ impl Marked {
             },
             Mark::End { at } => {
                 for cut in self.cuts.values_mut() {
-                    let pushed = streams[cut.stream].pushed();
+                    let pushed = streams[cut.stream].meter().counts().pushed;
                     cut.end.get_or_insert(pushed.max(cut.start));
                 }
                 self.ended = Some((at, Instant::now()));
@@ -309,8 +304,8 @@ pub(super) fn next_snapshot(
     Some((step, sent, progress))
 }
 
-/// For each stream, the index after its new data; and the new data of all streams since the last trace.
-pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
+/// The new data of all streams since the last trace.
+pub(super) fn trace(streams: &[Stream]) -> Trace {
     let (mut fresh, mut images) = (Vec::new(), Vec::new());
     for stream in streams {
         match &stream.buffer {
@@ -332,7 +327,7 @@ pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
             }
         }
     }
-    (streams.iter().map(Stream::end).collect(), Trace { fresh, images })
+    Trace { fresh, images }
 }
 
 #[cfg(test)]

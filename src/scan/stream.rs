@@ -102,11 +102,6 @@ impl Stream {
         self.reckoning().position
     }
 
-    /// Index after the last frame that was put into the ring.
-    pub fn pushed(&self) -> u64 {
-        self.meter().counts().pushed
-    }
-
     pub fn exhausted(&self) -> bool {
         self.reckoning().exhausted()
     }

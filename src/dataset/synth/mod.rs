@@ -8,26 +8,9 @@
 //!
 //! [`Difficulty`] holds every constant of the model; `parameters` says how the constants make a trial.
 //!
-//! [`Difficulty::lmt108`] is calibrated on Table II of the paper. `cargo run --release --example
-//! synth_pattern -- --users 10` prints this table (mean ± standard deviation over the users), which
-//! must not be used to rank methods:
-//!
-//! | setting | synthetic, % | paper, % | difference |
-//! |---|---|---|---|
-//! | ca1 | 65.5 ± 3.7 | 65.1 | +0.4 |
-//! | ca2 | 50.3 ± 4.7 | 42.6 | +7.7 |
-//! | mi1 | 63.6 ± 23.4 | 55.9 | +7.7 |
-//! | mi2 | 23.4 ± 6.8 | 15.3 | +8.1 |
-//! | ac | 52.5 ± 15.1 | 43.8 | +8.7 |
-//! | fr | 23.6 ± 11.5 | 20.2 | +3.4 |
-//! | ir | 19.6 ± 6.8 | 23.5 | -3.9 |
-//! | me | 6.1 ± 1.4 | 8.5 | -2.4 |
-//! | all eight | 95.6 ± 4.2 | 97.2 | -1.6 |
-//! | all, without `align_mean` | 89.1 ± 9.2 | 88.7 | +0.4 |
-//!
-//! Each source is within 12 points of the paper and all eight within 3; `align_mean`, which shifts
-//! the mean of a query to that of a trial, is worth 6.5 points. `--seed 3`, which the calibration
-//! did not use, gives 97.2 ± 2.4 for all eight and 87.6 ± 6.1 without `align_mean`.
+//! [`Difficulty::lmt108`] is calibrated on Table II of the paper: each source is within 12 points of
+//! the paper, and all eight within 3. `cargo run --release --example synth_pattern -- --users 10` prints
+//! the comparison, which must not be used to rank methods.
 
 #![allow(missing_docs)] // Names that say everything need no comment.
 
@@ -136,10 +119,8 @@ fn outline(p: &Parameters, source: &str) -> Option<Outline> {
     Some(Outline { rate_hz, channels, frames })
 }
 
-/// Generates one source of one trial.
-///
-/// # Errors
-/// If a number in [`Difficulty`] is so extreme that samples are infinite or NaN.
+/// Generates one source of one trial. Fails if a number in [`Difficulty`] is so extreme that samples are
+/// infinite or NaN.
 fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, SignalError> {
     let original = p.twins.filter(|twins| key.surface == surface_name(twins.twin));
     let original = original.map(|twins| (surface_name(twins.original), twins.distance));

@@ -1,9 +1,6 @@
 //! The constants of the synthetic scene: its size and its difficulty; and the values that trials draw
 //! from them. A quantity is a centre plus independent, normally distributed effects of the surface, the
 //! user and the trial (a random-effects model).
-//!
-//! Only these numbers change if the scene is calibrated anew. The scene serves tests,
-//! demonstrations and stress tests; it must not be used to rank methods.
 
 use std::collections::BTreeMap;
 
@@ -186,8 +183,7 @@ impl Difficulty {
     ///
     /// Calibrated on Table II of the paper with `cargo run --release --example synth_pattern`: on
     /// 108 such surfaces, expert against users, the method `reference` comes near the accuracies in
-    /// the paper (table in `src/dataset/synth/mod.rs`). So this scene does not show that
-    /// `reference` is good, must not be used to rank methods, and yields no published results.
+    /// the paper. So this scene does not show that `reference` is good.
     ///
     /// Surfaces that resemble each other in a source make the source weak. Large differences
     /// between users would make the source misleading instead, and spoil the product of scores over

@@ -64,12 +64,7 @@ impl FromStr for LinesAddress {
 impl std::fmt::Display for LinesAddress {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Serial(Selector::Usb { vendor, product, serial }, baud) => {
-                write!(f, "usb:{vendor:04x}:{product:04x}")?;
-                serial.iter().try_for_each(|serial| write!(f, ":{serial}"))?;
-                write!(f, "@{baud}")
-            }
-            Self::Serial(port, BAUD) => write!(f, "{port}"),
+            Self::Serial(Selector::Path(path), BAUD) => write!(f, "{}", path.display()),
             Self::Serial(port, baud) => write!(f, "{port}@{baud}"),
             Self::Tcp(host) => write!(f, "tcp://{host}"),
             Self::Udp(host) => write!(f, "udp://{host}"),

@@ -120,8 +120,8 @@ impl std::fmt::Display for Selector {
         match self {
             Self::Auto => f.write_str("a USB serial adapter by FTDI"),
             Self::Usb { vendor, product, serial } => {
-                write!(f, "the USB device {vendor:04x}:{product:04x}")?;
-                serial.iter().try_for_each(|serial| write!(f, " {serial}"))
+                write!(f, "usb:{vendor:04x}:{product:04x}")?;
+                serial.iter().try_for_each(|serial| write!(f, ":{serial}"))
             }
             Self::Path(path) => write!(f, "{}", path.display()),
         }

@@ -278,8 +278,11 @@ impl Editor {
         let chosen = match self.choose(folder, entries, &[name.to_string()]) {
             Ok(chosen) => chosen,
             Err(error) => {
-                let unreadable = unreadable(folder, name);
-                return unreadable.map(|place| vec![(place, None)]).ok_or(error);
+                // The folder or file of a trial that cannot be read.
+                let all = places(folder).into_iter();
+                let mut all = all.map(|(surface, trial)| format!("{surface}/{trial}"));
+                let there = all.find(|there| normal(there) == normal(name)).ok_or(error)?;
+                return Ok(vec![(folder.join(there), None)]);
             }
         };
         let mut all = Vec::new();
@@ -359,13 +362,6 @@ impl Editor {
         tidy(&self.root, moves);
         Ok(error)
     }
-}
-
-/// The folder or file called `name`, if there is one, of a trial that cannot be read.
-fn unreadable(root: &Path, name: &str) -> Option<PathBuf> {
-    let all = places(root).into_iter().map(|(surface, trial)| format!("{surface}/{trial}"));
-    let mut named = all.filter(|there| normal(there) == normal(name));
-    named.next().map(|there| root.join(there))
 }
 
 /// How long an edit waits for programs that read the library. A browser waits longer for a reply.
