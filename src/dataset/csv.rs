@@ -18,17 +18,14 @@ pub type NumberedRow = (u64, Vec<String>);
 /// How to find the time of each row of a table.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Clock {
-    /// Fixed number of rows per second.
     Rate(f64),
     Times {
-        /// name of the column that holds the times
         column: String,
         /// time unit of the column, in seconds
         unit_s: f64,
     },
 }
 
-/// How to read a table: the meaning of its columns and of its file name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CsvForm {
     /// Each source, with the names of the columns that are its channels.

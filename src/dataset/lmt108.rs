@@ -255,7 +255,6 @@ fn summary(entries: &[(&TrialKey, &[SourceId])], scene: &Scene) -> Vec<String> {
     remarks
 }
 
-/// The trial, source and channel that a file holds.
 #[derive(Debug, PartialEq)]
 struct NamePart {
     key: TrialKey,

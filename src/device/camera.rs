@@ -366,7 +366,6 @@ enum FrameLight {
     Between,
 }
 
-/// Follows the state of the light from frame to frame.
 struct Cycle {
     settle: Duration,
     phase: FlashPhase,

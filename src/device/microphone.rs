@@ -264,7 +264,6 @@ struct LevelWatch {
 }
 
 impl LevelWatch {
-    /// Takes samples. Returns the level if it has changed.
     fn take(&mut self, samples: &[f32]) -> Option<SoundLevel> {
         let before = self.level;
         for &x in samples {

@@ -30,7 +30,6 @@ use crate::ring::{Sink, Stop, Stopped};
 use crate::scene::{Phase, SourceId};
 use crate::trial::TrialKey;
 
-/// A source of data streams, such as a sensor or a played recording.
 pub trait Device: Send {
     fn name(&self) -> &str;
 
@@ -71,7 +70,6 @@ impl StreamSpec {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StreamKind {
     Series {
-        /// number of samples per frame
         channels: usize,
         /// nominal rate in Hz, for the size of the ring; a scan's marks give its actual rate
         rate_hz: f64,
@@ -84,9 +82,7 @@ pub enum StreamKind {
 pub enum DeviceState {
     /// The device has not been found yet.
     Absent,
-    /// The device was found, and is being set up.
     Opening,
-    /// The device delivers data.
     Streaming,
     /// The device is connected, but delivers no data.
     Stalled,
@@ -175,7 +171,6 @@ impl DeviceLink {
         self.send(DeviceReportKind::Warning(text.into()));
     }
 
-    /// Reports the rate that the device has measured for all its streams, in Hz.
     pub fn rate(&self, rate_hz: f64) {
         self.send(DeviceReportKind::Rate(rate_hz));
     }
@@ -223,7 +218,6 @@ pub enum Mark {
 pub struct Begin {
     /// The true label of the scan, if known. It is reported with the answer, but never used for it.
     pub truth: Option<TrialKey>,
-    /// Whether a generator made the scan (synthetic data).
     pub synthetic: bool,
 }
 

@@ -19,7 +19,6 @@ use crate::trial::{Image, Series, Signal, Trial};
 /// Rate in Hz for which a source's ring is sized if the scene gives no rate.
 const ANY_RATE_HZ: f64 = 44_100.0;
 
-/// Plays trials, one after the other.
 #[derive(Debug)]
 pub struct Replay {
     specs: Vec<SourceSpec>,
@@ -49,7 +48,6 @@ impl Replay {
         self
     }
 
-    /// Sets the length of the parts in which a recording is pushed, in seconds.
     pub fn chunk_s(mut self, seconds: f64) -> Self {
         self.chunk_s = seconds;
         self

@@ -107,7 +107,6 @@ const CONFIRM: Duration = Duration::from_millis(500);
 #[derive(Clone, Debug, Default)]
 pub struct Light {
     wanted: Arc<AtomicBool>,
-    /// The light's state in the last report of the stylus.
     reported: Arc<AtomicBool>,
 }
 
@@ -147,7 +146,6 @@ const REPEAT: Duration = Duration::from_millis(100);
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Shortest time between two reports of errors.
 pub(super) const REPORT_EVERY: Duration = Duration::from_secs(1);
-/// Most bytes taken in one read.
 pub(super) const BUFFER: usize = 64 * 1024;
 pub(super) const OVERFLOWED: &str = "frames did not fit into a ring";
 
@@ -176,7 +174,6 @@ impl ErrorCounts {
         *self.0.entry(text).or_default() += count;
     }
 
-    /// Keeps the highest of the counts.
     pub fn highest(&mut self, text: &'static str, count: u64) {
         let highest = self.0.entry(text).or_default();
         *highest = count.max(*highest);
@@ -217,7 +214,7 @@ impl Connection<'_> {
             self.read(&mut buffer).map_err(|why| lost(&self.path, &why))?;
             let now = Instant::now();
             let silent = now - self.samples_at;
-            if (silent >= STALLED || !self.intake.introduced())
+            if (silent >= STALLED || !self.intake.introduced)
                 && self.start_sent_at.is_none_or(|at| now - at >= STALLED.min(2 * REPEAT))
             {
                 // A repeated start does no harm: a stylus that samples already answers it only with
@@ -302,7 +299,7 @@ impl Connection<'_> {
     fn why_silent(&self) -> String {
         match &self.refused {
             Some(why) => why.clone(),
-            None if !self.intake.introduced() && self.intake.damaged > 0 => {
+            None if !self.intake.introduced && self.intake.damaged > 0 => {
                 format!("no stylus answers on {}; check port and wiring", self.path)
             }
             None => format!("no samples come from {}; check that the stylus has power", self.path),
@@ -344,7 +341,6 @@ impl Connection<'_> {
     }
 }
 
-/// Errors on the line since the last report.
 #[derive(Default)]
 struct LinkErrors {
     counts: ErrorCounts,

@@ -57,7 +57,6 @@ pub(crate) struct Listed {
 }
 
 impl Listed {
-    /// Describes a folder by its path; `None` if its name is not UTF-8.
     pub fn folder(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?.to_string();
         Some(Self { name, path: path.to_path_buf(), is_dir: true, unusable: None })
@@ -76,7 +75,6 @@ impl Listed {
         SERIES.contains(&self.stem_and_extension().1.as_str())
     }
 
-    /// The name without its extension, and the extension in lower case.
     pub fn stem_and_extension(&self) -> (&str, String) {
         match self.name.rsplit_once('.') {
             Some((stem, extension)) => (stem, extension.to_ascii_lowercase()),

@@ -22,7 +22,6 @@ pub(crate) enum SourceFiles {
         mixed: bool,
     },
     Picture(PathBuf),
-    /// One text file for each channel.
     Columns {
         paths: Vec<PathBuf>,
         rate_hz: f64,
@@ -241,7 +240,6 @@ fn read_picture(path: &Path) -> Result<Image, LibraryError> {
 /// Checks the headers of a library's WAV and FLAC files against the described channels and rates.
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
-    /// The library's folder.
     root: PathBuf,
     first: BTreeMap<SourceId, (f64, PathBuf)>,
     /// For each source: the lowest rate of a file, in Hz, that is too low for the default band.

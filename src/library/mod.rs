@@ -36,7 +36,6 @@ pub enum LibraryError {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outline {
     pub rate_hz: f64,
-    /// Number of samples in a frame.
     pub channels: usize,
     pub frames: usize,
 }
@@ -44,7 +43,6 @@ pub struct Outline {
 /// The [`Outline`] (rate, channels, length) of each source of a trial that is a series.
 pub type Outlines = BTreeMap<SourceId, Outline>;
 
-/// All errors as one text: their count, then one line each.
 fn list(errors: &[LibraryError]) -> String {
     let lines = errors.iter().map(|error| format!("\n  {error}"));
     format!("{} files cannot be used:{}", errors.len(), lines.collect::<String>())
@@ -59,7 +57,6 @@ impl LibraryError {
         }
     }
 
-    /// Combines errors into one; `None` if `errors` is empty.
     pub fn of_all(mut errors: Vec<Self>) -> Option<Self> {
         match errors.len() {
             0 | 1 => errors.pop(),
@@ -213,7 +210,6 @@ impl Entry {
         Self { key, ..self.changed(move |trial| Trial { key: is.clone(), ..trial }) }
     }
 
-    /// A copy of this entry with `source` as its only source.
     pub(crate) fn with_only(&self, source: &SourceId) -> Self {
         Self { sources: vec![source.clone()], ..self.clone() }
     }
@@ -251,7 +247,6 @@ impl Entry {
     }
 }
 
-/// Labelled trials, and the description of their sources.
 #[derive(Clone, Debug)]
 pub struct Library {
     pub name: String,
@@ -276,7 +271,6 @@ impl Library {
 
 #[derive(Debug)]
 pub(crate) struct Unreadable {
-    /// Index of the trial in the library's `entries`.
     pub entry: usize,
     pub source: SourceId,
     pub error: LibraryError,
@@ -349,7 +343,6 @@ impl About {
         }
     }
 
-    /// This content as the text of a `trial.toml`.
     pub fn to_toml(&self) -> String {
         // `About` holds only strings, numbers and tables, which TOML can express.
         toml::to_string(self).expect("what is known of a trial is plain TOML")

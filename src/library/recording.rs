@@ -126,7 +126,6 @@ struct RecordingOpening<'a> {
     root: &'a Path,
     name: String,
     scene: Scene,
-    /// The description of each source in `library.toml`.
     declared: BTreeMap<SourceId, SourceBlock>,
     /// Sources without a described number of channels; their first recording gives it.
     unknown: BTreeSet<SourceId>,
@@ -219,7 +218,6 @@ impl<'a> RecordingOpening<'a> {
         self.loose(&normal(&surface.name), &loose);
     }
 
-    /// Adds the files that lie directly in a surface's folder.
     fn loose(&mut self, surface: &str, files: &[&Listed]) {
         let taken: Vec<u32> = (self.trials.keys())
             .filter(|key| key.surface == surface && key.user == EXPERT)

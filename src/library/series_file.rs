@@ -167,7 +167,6 @@ const PCM: u16 = 1;
 const FLOAT: u16 = 3;
 const EXTENSIBLE: u16 = 0xFFFE;
 
-/// The format and size of a file's samples.
 #[derive(Clone, Copy, Debug)]
 struct WavData {
     /// [`PCM`] or [`FLOAT`].

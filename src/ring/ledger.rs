@@ -21,7 +21,6 @@ const NAP: Duration = Duration::from_millis(2);
 /// Most stretches that may wait for the consumer. If no more stretches fit, new frames are lost, too.
 const STRETCHES: usize = 256;
 
-/// The producer's half of the bookkeeping.
 pub(super) struct Ledger {
     meter: Arc<Meter>,
     stretches: HeapProd<(u64, u64)>,
@@ -32,7 +31,6 @@ pub(super) struct Ledger {
     room: Receiver<()>,
 }
 
-/// The consumer's half of the bookkeeping.
 pub struct Reckoning {
     pub meter: Arc<Meter>,
     stretches: HeapCons<(u64, u64)>,
@@ -80,7 +78,6 @@ impl Ledger {
         self.meter.head.store(self.head, Ordering::Release);
     }
 
-    /// Wakes the collector if the ring should be emptied soon.
     pub(super) fn wake_if_half_full(&self, ring: &impl Observer) {
         if ring.occupied_len() * 2 >= ring.capacity().get() {
             self.waker.wake();
@@ -181,7 +178,6 @@ pub struct Meter {
 pub struct Counts {
     /// Frames that the device offered, that is, the frames in the ring, received and lost.
     pub pushed: u64,
-    /// Frames that came out of the ring.
     pub received: u64,
     /// Frames that never entered the ring, since it was full or they never arrived at the device.
     pub lost: u64,

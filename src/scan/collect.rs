@@ -19,7 +19,6 @@ use super::{Event, Options, ScanCommand, Totals};
 use crate::device::{DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark};
 use crate::ring::Stop;
 
-/// The longest wait between two turns of the loop.
 const TURN: Duration = Duration::from_millis(5);
 /// Seconds of each stream that are kept, so that marks can refer to past frames.
 const LOOKBACK_S: f64 = 5.0;

@@ -7,7 +7,6 @@
 
 use std::collections::VecDeque;
 
-/// Thresholds of taps and drags.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectorConfig {
     /// Level at which contact begins; [`SensorKind`] defines its unit.
@@ -226,7 +225,6 @@ impl StreamLevel {
         }
     }
 
-    /// Forgets the noise floor, so that it is learnt again.
     pub fn relearn(&mut self) {
         self.blocks.clear();
         self.lowest = f64::INFINITY;

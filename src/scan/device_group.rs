@@ -55,7 +55,6 @@ impl DeviceGroup {
         })
     }
 
-    /// The first stream of the group.
     pub fn leader<'a>(&self, streams: &'a [Stream]) -> &'a Stream {
         &streams[self.channels[0].0]
     }

@@ -15,7 +15,6 @@ use crate::device::{Begin, CutFrom, Mark, Open};
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Image, Series, Signal, Trial, TrialKey};
 
-/// A scan that has begun and is not sent yet.
 #[derive(Debug, Default)]
 pub(super) struct Marked {
     pub number: u32,
@@ -192,7 +191,6 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, history: &SeriesHistory) -> C
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fresh {
     pub source: SourceId,
-    /// Frames a second.
     pub rate_hz: f64,
     pub channels: usize,
     /// Index of the first frame, counted from the start of the source or stream.
@@ -203,7 +201,6 @@ pub struct Fresh {
 #[derive(Clone, Debug)]
 pub struct Progress {
     pub number: u32,
-    /// The true label, as in [`Scan::truth`].
     pub truth: Option<TrialKey>,
     /// Seconds of drag that this snapshot and all earlier ones hold together.
     pub scan_s: f64,
@@ -213,7 +210,6 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Appends the data of a `later` snapshot of the same scan.
     pub(crate) fn append(&mut self, later: Self) {
         self.scan_s = later.scan_s;
         for fresh in later.fresh {
@@ -304,7 +300,6 @@ pub(super) fn next_snapshot(
     Some((step, sent, progress))
 }
 
-/// The new data of all streams since the last trace.
 pub(super) fn trace(streams: &[Stream]) -> Trace {
     let (mut fresh, mut images) = (Vec::new(), Vec::new());
     for stream in streams {

@@ -152,7 +152,6 @@ impl Stream {
 #[derive(Debug)]
 pub struct SeriesHistory {
     pub channels: usize,
-    /// Index of the first frame that is kept.
     pub base: u64,
     samples: Vec<f32>,
     /// The gaps as ranges of indexes, in order; no two of them touch.
@@ -236,7 +235,6 @@ pub(super) fn image(recent: &RecentImages, index: u64) -> Option<&Arc<Image>> {
     recent.iter().find(|(at, _)| *at == index).map(|(_, image)| image)
 }
 
-/// The first `channels` channels of frames that have `wide` channels.
 pub(super) fn narrow(samples: &[f32], wide: usize, channels: usize) -> Vec<f32> {
     if wide == channels {
         return samples.to_vec();

@@ -89,7 +89,6 @@ pub struct LibraryToml {
     pub sources: Scene,
     /// The file's own description of each source, which takes precedence over the defaults.
     pub(crate) declared: BTreeMap<SourceId, SourceBlock>,
-    /// Whether the file holds `synthetic = true`.
     pub synthetic: bool,
 }
 

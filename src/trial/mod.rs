@@ -65,7 +65,6 @@ pub(crate) fn normal(label: &str) -> String {
 /// Keys are ordered by surface, then user, then number. Ties are broken in this order.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct TrialKey {
-    /// The surface's label, which recognition has to find.
     pub surface: String,
     /// The person who moved the stylus; [`EXPERT`] unless the recording says otherwise.
     pub user: String,
@@ -90,7 +89,6 @@ impl std::fmt::Display for TrialKey {
     }
 }
 
-/// Why data cannot be a signal.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum SignalError {
     #[error("it holds no samples; record again, or remove the file")]
@@ -195,7 +193,6 @@ impl Series {
         self.frames() as f64 / self.rate_hz
     }
 
-    /// Whether every frame equals the first.
     pub fn is_constant(&self) -> bool {
         self.samples.chunks(self.channels).all(|frame| *frame == self.samples[..self.channels])
     }
@@ -211,7 +208,6 @@ impl Series {
             .expect("samples fill whole frames")
     }
 
-    /// The samples as a mutable array of shape (frames, channels).
     pub fn view_mut(&mut self) -> ArrayViewMut2<'_, f32> {
         let shape = (self.frames(), self.channels);
         // The constructor checked that the samples fill whole frames.
@@ -235,14 +231,11 @@ impl Series {
 /// A picture of [`Image::ROWS`] × [`Image::COLS`] pixels, 8-bit RGB, upright.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
-    /// Row by row, three bytes a pixel.
     rgb: Vec<u8>,
 }
 
 impl Image {
-    /// Height in pixels.
     pub const ROWS: usize = 480;
-    /// Width in pixels.
     pub const COLS: usize = 320;
 
     /// An image from RGB bytes, row by row. A picture that lies on its side (480 wide, 320 high) is
@@ -266,7 +259,6 @@ impl Image {
         }
     }
 
-    /// Red, green and blue of a pixel.
     pub fn pixel(&self, row: usize, col: usize) -> [u8; 3] {
         let at = (row * Self::COLS + col) * 3;
         [self.rgb[at], self.rgb[at + 1], self.rgb[at + 2]]

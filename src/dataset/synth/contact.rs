@@ -11,7 +11,6 @@ use realfft::num_complex::Complex;
 use super::parameters::{Draws, logistic};
 use crate::seed::{normal, uniform};
 
-/// The input for the signal of one source in one trial: random draws, hand, length and rate.
 pub(super) struct Contact<'a> {
     pub draws: &'a Draws<'a>,
     pub hand: &'a Hand,
@@ -197,7 +196,6 @@ impl Spectrum {
         }
     }
 
-    /// Amplitude of the spectrum at a frequency in Hz.
     fn density(&self, hz: f64) -> f64 {
         let hz = hz.max(20.0);
         let bumps: f64 = self

@@ -144,7 +144,6 @@ fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, Sign
     Series::new(rate_hz, channels, samples).map(Signal::Series)
 }
 
-/// Whether a surface conducts electricity: some meshes and glossy plates do.
 fn conducts(draws: &Draws<'_>) -> bool {
     CONDUCTORS.iter().any(|kind| draws.key.surface.ends_with(kind))
         && draws.surface_uniform("metal", 0) < draws.d.metal_fraction

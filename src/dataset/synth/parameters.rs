@@ -36,7 +36,6 @@ pub struct Parameters {
     pub seed: u64,
     pub drag_seconds: f64,
     pub twins: Option<Twins>,
-    /// how well sources separate surfaces, and how much users differ
     pub difficulty: Difficulty,
 }
 
@@ -44,7 +43,6 @@ pub struct Parameters {
 pub struct Twins {
     /// one of the two similar surfaces, counted from 0
     pub original: usize,
-    /// the other of the two similar surfaces, counted from 0
     pub twin: usize,
     /// difference between the two: 0 for equal surfaces, 1 for unrelated ones
     pub distance: f64,
@@ -217,7 +215,6 @@ pub(super) struct Draws<'a> {
 }
 
 impl Draws<'_> {
-    /// The value of a quantity in this trial.
     pub fn value(&self, name: &str) -> f64 {
         self.nth(name, 0)
     }
@@ -258,7 +255,6 @@ impl Draws<'_> {
     }
 }
 
-/// The logistic function, which maps any number to a number between 0 and 1.
 pub(super) fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }

@@ -120,7 +120,6 @@ impl WaveTexture {
         Self { cols, per_row }
     }
 
-    /// Writes the texture of one row into `line`.
     fn row(&self, row: usize, line: &mut [f32; Image::COLS]) {
         line.fill(0.0);
         for (cols, per_row) in self.cols.iter().zip(self.per_row) {

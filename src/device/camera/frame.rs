@@ -14,7 +14,6 @@ pub enum FrameFormat {
     /// Four bytes Y0 U Y1 V for each two pixels (BT.601, Y from 16 to 235).
     Yuyv,
     Rgb,
-    /// Three bytes per pixel: blue, green, red.
     Bgr,
 }
 
@@ -22,14 +21,12 @@ pub enum FrameFormat {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frame {
     pub format: FrameFormat,
-    /// Width in pixels that the camera announced.
     pub width: u32,
     pub height: u32,
     pub bytes: Vec<u8>,
 }
 
 impl Frame {
-    /// Decodes the picture in the frame. An error says why this is impossible.
     pub fn to_rgb(&self) -> Result<RgbImage, String> {
         let (width, height) = (self.width, self.height);
         let bytes = match self.format {

@@ -47,7 +47,6 @@ impl Turn {
     }
 }
 
-/// Ratio of width to height of the compared region.
 const ASPECT: f64 = Image::COLS as f64 / Image::ROWS as f64;
 /// Longest side, in pixels, of a picture that is shown to users.
 const LONGEST: u32 = 480;

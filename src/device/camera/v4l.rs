@@ -160,7 +160,6 @@ fn listed(number: u32, name: String) -> Option<ListedDevice> {
     Some(ListedDevice { id, name, node: Some(node.display().to_string()), problem })
 }
 
-/// Whether a node is the first of its camera's nodes.
 fn is_first(number: u32) -> bool {
     std::fs::read_to_string(format!("/sys/class/video4linux/video{number}/index"))
         .map_or(true, |index| index.trim() == "0")

@@ -13,14 +13,12 @@ use crate::device::serial::{Selector, WAIT};
 
 /// Default rate of a microcontroller's serial port, in baud.
 const BAUD: u32 = 115_200;
-/// Longest time that connecting may take.
 const CONNECT: Duration = Duration::from_secs(1);
 /// Length in bytes of the buffer for a datagram; no datagram is longer.
 const DATAGRAM: usize = 64 * 1024;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LinesAddress {
-    /// A serial port and its rate in baud.
     Serial(Selector, u32),
     /// `HOST:PORT` of a program that accepts TCP connections and sends lines to each client.
     Tcp(String),
@@ -161,7 +159,6 @@ static STDIN: Mutex<StdinReader> = Mutex::new(StdinReader { blocks: None, first:
 struct StdinReader {
     /// The blocks that the thread has read; `None` before the first read.
     blocks: Option<Receiver<Vec<u8>>>,
-    /// Bytes that were put back, to be returned first.
     first: Vec<u8>,
 }
 

@@ -14,13 +14,11 @@ pub enum Line<'a> {
     Header(&'a [String]),
     /// A line that is neither a row nor a header.
     Garbage,
-    /// A line longer than [`LONGEST_LINE`].
     TooLong,
 }
 
 #[derive(Debug, Default)]
 pub struct LineParser {
-    /// The bytes of the incomplete line.
     line: Vec<u8>,
     /// Whether the incomplete line is too long, and will be dropped.
     too_long: bool,

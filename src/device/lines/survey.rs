@@ -115,12 +115,10 @@ impl Survey {
         self.rows > 0
     }
 
-    /// Whether bytes have come, but no rows.
     pub fn is_garbage(&self) -> bool {
         self.bytes > 0 && !self.has_rows()
     }
 
-    /// The names of the columns; empty if there is no header.
     pub fn names(&self) -> &[String] {
         if self.names.len() == self.columns.len() { &self.names } else { &[] }
     }
@@ -236,7 +234,6 @@ fn round_rate(rate_hz: f64) -> f64 {
     (if near { coarse } else { digits(3) }).round().max(1.0)
 }
 
-/// The units that a column can count in.
 const ROWS: &str = "rows";
 const MICROS: &str = "microseconds";
 const TIME: &str = "time";
@@ -268,7 +265,6 @@ impl Steps {
         self.numbers += 1;
     }
 
-    /// The mean of the steps that are close to the median step.
     fn usual(&self) -> f64 {
         let mut up = self.up.clone();
         up.sort_unstable_by(f64::total_cmp);

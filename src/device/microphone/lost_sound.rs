@@ -27,14 +27,12 @@ enum Before {
     Frames,
     /// A pause, with the time of the first frames after it.
     Pause(f64),
-    /// A loss of unknown duration.
     Loss,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Carried {
     pub sound: bool,
-    /// The new level; `None` if the level has not changed.
     pub level: Option<SoundLevel>,
 }
 
@@ -61,7 +59,6 @@ impl<'a> Listening<'a> {
         now_s - self.last_s
     }
 
-    /// Whether sound comes much faster than real time.
     pub fn unpaced(&self, now_s: f64) -> bool {
         self.pace.unpaced(now_s, self.sink.position())
     }
@@ -221,12 +218,16 @@ mod tests {
 
     #[derive(Clone, Copy, Debug)]
     enum SinkAct {
-        /// Plays sound for this number of steps.
         Play(u64),
         /// Pauses for `steps` steps. The share `passed_over` of their sound never arrives. The rest
         /// arrives in one burst, after `after` more steps with sound. During the burst, the ring is
         /// read after each callback if `piecewise`, otherwise once at the end.
-        Stall { steps: u64, passed_over: f64, after: u64, piecewise: bool },
+        Stall {
+            steps: u64,
+            passed_over: f64,
+            after: u64,
+            piecewise: bool,
+        },
         /// Pauses for this number of steps, then reopens the stream.
         Reopen(u64),
     }
@@ -254,7 +255,6 @@ mod tests {
             self.look(listening);
         }
 
-        /// Delivers delayed sound at once.
         fn burst(&mut self, listening: &mut Listening, mut frames: u64, piecewise: bool) {
             while frames > 0 {
                 let part = if piecewise { frames.min(PERIOD) } else { frames };

@@ -51,7 +51,6 @@ pub(super) fn create_folder(path: &Path) -> io::Result<()> {
     fs::create_dir_all(path)
 }
 
-/// Removes a file, if it is there.
 pub(super) fn remove_file(path: &Path) {
     let _ = point().and_then(|()| fs::remove_file(path));
 }

@@ -94,7 +94,7 @@ impl Editor {
     }
 
     fn finish_left(&mut self) -> Result<(), LibraryError> {
-        let Some(last) = self.steps.last() else { return Ok(()) };
+        let Some(last) = self.steps.known.last() else { return Ok(()) };
         let Some((moves, undoing)) = last.left() else { return Ok(()) };
         let what = format!("{}{}", if undoing { "undo " } else { "" }, last.step.what);
         let (moves, root) = (moves.to_vec(), self.root.display().to_string());
@@ -221,7 +221,7 @@ impl Editor {
     /// # Errors
     /// If there is no step to undo, or the file system refuses.
     pub fn undo(&mut self) -> Result<Step, LibraryError> {
-        let Some(last) = self.steps.last() else {
+        let Some(last) = self.steps.known.last() else {
             return Err(LibraryError::file(&self.root, "there is no step to undo"));
         };
         let mut step = last.step.clone();

@@ -110,7 +110,6 @@ fn state(root: &Path, scene: &Scene) -> BTreeMap<Vec<u8>, String> {
     state
 }
 
-/// A temporary folder, in memory if possible.
 fn scratch() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
 }
