@@ -47,8 +47,7 @@ pub struct CsvTable {
 }
 
 impl CsvTable {
-    /// Reads a table. Commas, semicolons, tabs or spaces separate its columns, and each line must have
-    /// as many columns as the first.
+    /// Reads a table, whose columns commas, semicolons, tabs or spaces separate.
     pub fn read(path: &Path) -> Result<Self, LibraryError> {
         let bytes = files::read_bytes(path, files::MOST_TEXT)?;
         Self::parse(&bytes, false).map_err(|problem| LibraryError::file(path, problem))

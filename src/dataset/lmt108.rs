@@ -123,12 +123,13 @@ impl FoundFiles {
                 continue;
             }
             if let Some(why) = item.unusable {
-                self.pass_over(&item, why);
+                self.passed.add(why, item.name.clone());
             } else if item.is_dir {
                 if above.len() < DEEPEST {
                     self.walk(&item, above)?;
                 } else {
-                    self.pass_over(&item, "not used, the database has no folders at this depth");
+                    self.passed
+                        .add("not used, the database has no folders at this depth", item.name);
                 }
             } else {
                 self.file(item, above);
@@ -142,7 +143,7 @@ impl FoundFiles {
         let (stem, extension) = item.stem_and_extension();
         let part = match parse_name(folders, stem) {
             Ok(part) => part,
-            Err(why) => return self.pass_over(&item, &format!("not used, {why}")),
+            Err(why) => return self.passed.add(format!("not used, {why}"), item.name),
         };
         let expected: &[&str] = match part.source {
             "ca1" | "ca2" => &["jpg", "jpeg", "png"],
@@ -151,30 +152,26 @@ impl FoundFiles {
         };
         if !expected.contains(&extension.as_str()) {
             let why = format!("not used, expected a .{} file for this", expected[0]);
-            return self.pass_over(&item, &why);
+            return self.passed.add(why, item.name);
         }
         let NamePart { key, source, channel, contradicts } = part;
         if contradicts {
-            self.pass_over(
-                &item,
+            self.passed.add(
                 "its folder and its name disagree whether it is for training; the folder decides",
+                item.name.clone(),
             );
         }
         let channels = self.trials.entry(key).or_default().entry(source).or_default();
         if let Entry::Vacant(free) = channels.entry(channel) {
             free.insert(item.path);
         } else {
-            self.pass_over(&item, "not used, another file holds the same recording; remove one");
+            self.passed
+                .add("not used, another file holds the same recording; remove one", item.name);
         }
-    }
-
-    fn pass_over(&mut self, item: &Listed, why: &str) {
-        self.passed.add(why, item.name.clone());
     }
 }
 
-/// The names of the channels whose file is missing. Fails if scene and database disagree about the
-/// source's number of channels.
+/// The channels whose file is missing. Fails if the scene has another number of channels.
 fn missing(spec: &SourceSpec, found: &Channels) -> Result<Vec<&'static str>, LibraryError> {
     let names: &[&'static str] = match spec.id.as_str() {
         "ac" => &["X", "Y", "Z"],

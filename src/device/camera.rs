@@ -138,8 +138,7 @@ impl Device for Camera {
             let end = watch.follow(&news);
             watch.light_off();
             stop.request();
-            // Waits until the reader has closed the camera, at its next frame; a hanging reader
-            // only costs `STOP_TIMEOUT`.
+            // Waits until the reader has closed the camera; a hanging reader costs `STOP_TIMEOUT`.
             let until = Instant::now() + STOP_TIMEOUT;
             while news.recv_deadline(until).is_ok() {}
             end
@@ -307,8 +306,7 @@ fn start_reader(
     Ok(news)
 }
 
-/// Reads frames until the camera ends, and returns the last message to send. Returns `None` after a
-/// request to stop, or if nobody receives the messages.
+/// Reads frames until the camera ends or a stop; returns the last message to send, if any.
 fn read(
     mut frames: Box<dyn Frames>,
     stop: &Stop,
@@ -320,10 +318,14 @@ fn read(
     loop {
         // The light comes first, even after a request to stop, which also switches the light off.
         let on = torch.load(Ordering::Acquire);
-        if std::mem::replace(&mut lit, on) != on
-            && let Err(why) = frames.torch(on)
-        {
-            let _ = send.send(News::Disobeyed(why));
+        if on != lit {
+            match frames.torch(on) {
+                Ok(()) => lit = on,
+                Err(why) => {
+                    torch.store(lit, Ordering::Release);
+                    let _ = send.send(News::Disobeyed(why));
+                }
+            }
         }
         if stop.requested() {
             return None;
@@ -336,8 +338,7 @@ fn read(
 }
 
 pub enum Flash {
-    /// Switches a light that is not part of the camera, for example one of the stylus. An error
-    /// says why the light may not have switched.
+    /// Switches a light that is not the camera's own, for example one of the stylus.
     Line(Box<dyn FnMut(bool) -> Result<(), String> + Send>),
     /// The camera switches its own light, by its control V4L2_CID_FLASH_LED_MODE (video for Linux).
     Camera,

@@ -124,8 +124,7 @@ fn follow(
     listening.opened(now_s());
     while !link.stopped() {
         let _ = woken.recv_timeout(LOOK);
-        // Reads errors before the ring: an overrun is reported before the sound after it enters the
-        // ring.
+        // Reads errors before the ring, since an overrun is reported before the sound after it.
         let mut gone = None;
         for trouble in errors.try_iter() {
             match trouble {
@@ -174,8 +173,7 @@ fn said_of(level: SoundLevel) -> &'static str {
 /// Number of frames mixed at once. Few callbacks have more; these are mixed in parts.
 const PART: usize = 4096;
 
-/// Takes samples in a callback, without waiting or allocating. Samples that do not fit into the
-/// ring count as lost, and keep their place.
+/// Takes samples in a callback, without waiting or allocating. Lost samples keep their place.
 pub struct CallbackSink {
     ring: SeriesSink,
     waker: Waker,

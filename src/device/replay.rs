@@ -49,23 +49,13 @@ impl Replay {
     }
 
     pub fn chunk_s(mut self, seconds: f64) -> Self {
-        self.chunk_s = seconds;
+        self.chunk_s = seconds.max(1e-6);
         self
     }
 
     pub fn synthetic(mut self, synthetic: bool) -> Self {
         self.synthetic = synthetic;
         self
-    }
-
-    fn check(&self) -> Result<(), String> {
-        match self.speed {
-            Speed::RealTime(x) if !SPEEDS.contains(&x) => Err(not_a_speed(&x.to_string())),
-            _ if !(self.chunk_s.is_finite() && self.chunk_s > 0.0) => {
-                Err(format!("chunk_s = {}; expected a positive number", self.chunk_s))
-            }
-            _ => Ok(()),
-        }
     }
 }
 
@@ -90,7 +80,11 @@ impl Device for Replay {
     }
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
-        self.check().map_err(DeviceError::Failed)?;
+        if let Speed::RealTime(factor) = self.speed
+            && !SPEEDS.contains(&factor)
+        {
+            return Err(DeviceError::Failed(not_a_speed(&factor.to_string())));
+        }
         link.state(DeviceState::Opening, "reading the first trial");
         let loaded = load_ahead(self.entries.clone())?;
         for entry in &self.entries {

@@ -217,8 +217,7 @@ impl Connection<'_> {
             if (silent >= STALLED || !self.intake.introduced)
                 && self.start_sent_at.is_none_or(|at| now - at >= STALLED.min(2 * REPEAT))
             {
-                // A repeated start does no harm: a stylus that samples already answers it only with
-                // a hello, its introduction.
+                // A repeated start does no harm: a sampling stylus answers it only with a hello.
                 self.start_sent_at = Some(now);
                 self.send(Command::Start);
             }
@@ -344,9 +343,8 @@ impl Connection<'_> {
 #[derive(Default)]
 struct LinkErrors {
     counts: ErrorCounts,
-    /// Number of warnings about introductions (hellos) of the stylus, and the last such warning.
-    hellos: u64,
-    last_hello: Option<String>,
+    /// The last warning about an introduction (hello) of the stylus, and the number of such warnings.
+    hello: Option<(String, u64)>,
 }
 
 impl LinkErrors {
@@ -362,15 +360,16 @@ impl LinkErrors {
     }
 
     fn hello(&mut self, warning: String) {
-        self.hellos += 1;
-        self.last_hello = Some(warning);
+        let count = self.hello.as_ref().map_or(0, |(_, count)| *count);
+        self.hello = Some((warning, count + 1));
     }
 
     /// Reports the errors so far as a summary, and resets the counts.
     fn report(&mut self, link: &DeviceLink) {
-        match (std::mem::take(&mut self.hellos), self.last_hello.take()) {
-            (hellos @ 2.., Some(last)) => link.warn(format!("{last} (and {} more)", hellos - 1)),
-            (_, last) => last.into_iter().for_each(|last| link.warn(last)),
+        match self.hello.take() {
+            Some((last, count @ 2..)) => link.warn(format!("{last} (and {} more)", count - 1)),
+            Some((last, _)) => link.warn(last),
+            None => {}
         }
         self.counts.report(link);
     }

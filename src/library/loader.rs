@@ -258,8 +258,7 @@ impl Headers {
         self.remarks.add(what, place.to_string());
     }
 
-    /// Checks that a WAV or FLAC file can be the data of a source. `declared` is what `library.toml`
-    /// itself says of the source.
+    /// Checks that a file can be a source's data. `declared` is what `library.toml` says of it.
     pub fn series(
         &mut self,
         spec: &SourceSpec,

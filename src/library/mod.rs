@@ -104,8 +104,7 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
         Ok(self.load(wanted)?.signals.into_iter().filter_map(outline).collect())
     }
 
-    /// A number that changes whenever the data of the `wanted` sources change. `None` if only
-    /// reading the data would tell.
+    /// A number that changes whenever the data of `wanted` change; `None` if only reading tells.
     fn stamp(&self, _wanted: &[SourceId]) -> Option<u64> {
         None
     }

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
-use ringbuf::traits::{Consumer, Observer, Producer, Split};
+use ringbuf::traits::{Consumer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
 
 use super::{Stop, Stopped, Waker};
@@ -27,7 +27,7 @@ pub(super) struct Ledger {
     /// The last stretch until a frame follows it; `None` if a frame came last.
     open: Option<Range<u64>>,
     pub head: u64,
-    waker: Waker,
+    pub waker: Waker,
     room: Receiver<()>,
 }
 
@@ -76,12 +76,6 @@ impl Ledger {
         self.open = Some(start..self.head);
         self.meter.lost.fetch_add(frames, Ordering::AcqRel);
         self.meter.head.store(self.head, Ordering::Release);
-    }
-
-    pub(super) fn wake_if_half_full(&self, ring: &impl Observer) {
-        if ring.occupied_len() * 2 >= ring.capacity().get() {
-            self.waker.wake();
-        }
     }
 
     /// Waits until the consumer has made room, but at most for [`NAP`].

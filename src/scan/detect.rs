@@ -25,8 +25,7 @@ pub struct DetectorConfig {
     pub longest_drag_s: f64,
 }
 
-/// Events of the detector. Hops are counted from the detector's first hop. In a pair (start, end),
-/// the hop `end` is not included.
+/// Events of the detector, in hops from its first. In (start, end), `end` is not included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum DetectorEvent {
     /// A drag began at hop `start`; `tap` holds the begin and end of the tap before it, if any.

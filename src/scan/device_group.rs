@@ -83,8 +83,7 @@ impl DeviceGroup {
         }
     }
 
-    /// Takes the new frames that all streams have delivered, except silent streams; returns the
-    /// events found in them.
+    /// Takes new frames up to the end of the slowest stream that is not silent; returns events.
     pub fn update(&mut self, streams: &[Stream], now_s: f64) -> Vec<DetectorEvent> {
         let rate_hz = self.leader(streams).rate_hz;
         if rate_hz != self.rate_hz {

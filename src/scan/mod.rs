@@ -112,8 +112,7 @@ pub struct Options {
     /// Length of the ring of a series, in seconds at its nominal rate; at least one frame.
     pub ring_s: f64,
     pub ring_images: usize,
-    /// Seconds of drag from one [`Progress`] to the next; for example, `Some(0.05)` makes 20 a
-    /// second in real time. Off by default.
+    /// Seconds of drag from one [`Progress`] to the next, such as `Some(0.05)`. Off by default.
     pub progress_every_s: Option<f64>,
     /// Seconds of real time from one [`Trace`] to the next. Off by default.
     pub trace_every_s: Option<f64>,

@@ -51,8 +51,7 @@ pub(super) struct ScanDetector {
 }
 
 impl ScanDetector {
-    /// A detector for these streams; it ignores parts of `detection` that name other streams. No
-    /// scan lasts longer than `longest_scan_s` seconds.
+    /// A detector for these streams; it ignores parts of `detection` that name other streams.
     pub fn new(detection: Detection, streams: &[Stream], longest_scan_s: f64) -> Self {
         let Detection { detector, groups, cuts } = detection;
         let place = |cut: CutFrom| {

@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 
 use crossbeam_channel::{Receiver, Sender};
 
+use super::clock::Clock;
 use super::collect::Collector;
 use super::event_queue::EventQueue;
 use super::scan_detector::ScanDetector;
@@ -216,7 +217,8 @@ fn join(spec: &StreamSpec, device: usize, options: &Options, waker: Waker) -> (S
             (0.0, 3, Sink::Images(sink), StreamBuffer::Images { tap, recent })
         }
     };
-    (sink, Stream::new(spec.id.clone(), device, rate_hz, channels, buffer))
+    let (id, clock, observed) = (spec.id.clone(), Clock::new(rate_hz), (0, f64::NEG_INFINITY));
+    (sink, Stream { id, device, rate_hz, channels, buffer, traced: 0, clock, observed })
 }
 
 fn spawn<T: Send + 'static>(

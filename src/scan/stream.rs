@@ -33,7 +33,7 @@ pub(super) struct Stream {
     /// Tells when each frame was sampled, on the time base of the scan detector.
     pub clock: Clock,
     /// Index after the last frame that the clock has observed, and the time when that frame arrived.
-    observed: (u64, ClockSecond),
+    pub observed: (u64, ClockSecond),
 }
 
 pub(super) enum StreamBuffer {
@@ -45,17 +45,6 @@ pub(super) enum StreamBuffer {
 pub(super) type RecentImages = VecDeque<(u64, Arc<Image>)>;
 
 impl Stream {
-    pub fn new(
-        id: SourceId,
-        device: usize,
-        rate_hz: f64,
-        channels: usize,
-        buffer: StreamBuffer,
-    ) -> Self {
-        let (clock, observed) = (Clock::new(rate_hz), (0, f64::NEG_INFINITY));
-        Self { id, device, rate_hz, channels, buffer, traced: 0, clock, observed }
-    }
-
     /// Takes over a rate that the device has measured, before its first frame.
     pub fn set_rate(&mut self, rate_hz: f64) {
         self.rate_hz = rate_hz;
@@ -106,8 +95,7 @@ impl Stream {
         self.reckoning().exhausted()
     }
 
-    /// Takes all that is in the ring, and returns whether the ring held anything. Gaps longer than
-    /// `longest_s` seconds are not filled.
+    /// Empties the ring; returns whether it held anything. Leaves gaps above `longest_s` unfilled.
     pub fn drain(&mut self, longest_s: f64) -> bool {
         match &mut self.buffer {
             StreamBuffer::Series { tap, history } => {

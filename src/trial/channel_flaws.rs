@@ -131,8 +131,7 @@ impl ChannelFlaws {
         self.seen.len() < FEWEST_VALUES
     }
 
-    /// [`Flaw::Constant`] or [`Flaw::Stuck`], if the samples so far show it; `channel` counts
-    /// from 0.
+    /// [`Flaw::Constant`] or [`Flaw::Stuck`], if the samples show it; `channel` counts from 0.
     fn dead(&self, channel: usize) -> Option<Flaw> {
         let (channel, value) = (channel + 1, self.last);
         if self.samples > 0 && self.run == self.samples {

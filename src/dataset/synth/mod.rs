@@ -119,8 +119,7 @@ fn outline(p: &Parameters, source: &str) -> Option<Outline> {
     Some(Outline { rate_hz, channels, frames })
 }
 
-/// Generates one source of one trial. Fails if a number in [`Difficulty`] is so extreme that samples are
-/// infinite or NaN.
+/// Fails if a number in [`Difficulty`] is so extreme that samples are infinite or NaN.
 fn generate(p: &Parameters, key: &TrialKey, source: &str) -> Result<Signal, SignalError> {
     let original = p.twins.filter(|twins| key.surface == surface_name(twins.twin));
     let original = original.map(|twins| (surface_name(twins.original), twins.distance));

@@ -49,8 +49,7 @@ pub struct Twins {
 }
 
 impl Default for Parameters {
-    /// The size of dataset LMT108: 108 surfaces, ten trials by the expert and one by each of ten
-    /// users.
+    /// The size of LMT108: 108 surfaces, ten trials by the expert and one by each of ten users.
     fn default() -> Self {
         Self {
             surfaces: 108,

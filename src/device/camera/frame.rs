@@ -61,8 +61,7 @@ fn yuyv_to_rgb(pairs: &[u8]) -> Vec<u8> {
     for pair in pairs.chunks_exact(4) {
         let (u, v) = (i32::from(pair[1]) - 128, i32::from(pair[3]) - 128);
         for y in [pair[0], pair[2]] {
-            // All factors (255/219 for Y, 2(1−Kr)·255/224 for V, …; Kr = 0.299, Kb = 0.114) are
-            // multiplied by 2^16.
+            // Factors (255/219 for Y, 2(1−0.299)·255/224 for V, …), multiplied by 2^16.
             let y = 76_309 * (i32::from(y) - 16) + (1 << 15);
             let parts = [y + 104_597 * v, y - 25_675 * u - 53_279 * v, y + 132_201 * u];
             // The cast is safe: after the clamp, the value fits into a byte.

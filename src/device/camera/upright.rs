@@ -15,8 +15,7 @@ pub struct Region {
     pub height: f64,
 }
 
-/// The clockwise turn that makes a camera's picture upright: 0°, 90° (if the camera lies on its
-/// left side), 180° or 270°.
+/// The clockwise turn that makes a camera's picture upright, by 0°, 90°, 180° or 270°.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
     None,
@@ -86,8 +85,7 @@ fn centre(picture: &RgbImage) -> ((f64, f64), (f64, f64)) {
     (((width - w) / 2.0, w), ((height - h) / 2.0, h))
 }
 
-/// For a new pixel, along one side: the first old pixel under it, and the weights of this and the
-/// next old pixels in the mean. The weights add up to 1.
+/// For a new pixel along a side: the first old pixel under it, and the weights of old pixels.
 type PixelShares = (usize, Vec<f32>);
 
 /// Divides `extent` old pixels (from `begin` on, of `of` in the side) among `pixels` new ones.

@@ -59,8 +59,7 @@ impl Viewfinder {
         self.lock().0.clone()
     }
 
-    /// The whole picture as a JPEG file whose longer side has at most 480 pixels. `None` before the
-    /// first picture, or if encoding fails.
+    /// The whole picture as a JPEG file of at most 480 × 480 pixels; `None` before the first.
     pub fn jpeg(&self) -> Option<Vec<u8>> {
         let picture = self.lock().1.clone()?;
         let shown = small(&picture);

@@ -184,8 +184,7 @@ impl Survey {
         Ok(round_rate(rate_hz))
     }
 
-    /// A power of ten that brings `columns` to about ±1. It makes a printed step a small share of
-    /// full scale, and leaves room above the highest number seen.
+    /// A power of ten that brings `columns` to about ±1, with room above the highest number seen.
     pub fn scale(&self, columns: &[Column]) -> f64 {
         let named = |name: &String| self.names().iter().position(|other| other == name);
         let place = |column: &Column| match column {

@@ -72,8 +72,7 @@ impl Sound for Alsa {
                 format,
                 callback(format, usize::from(config.channels), sink),
                 move |error| {
-                    // An error that does not fit into the channel is dropped, as some errors repeat
-                    // endlessly.
+                    // Some errors repeat endlessly, so one that does not fit is dropped.
                     let _ = match error.kind() {
                         ErrorKind::Xrun => errors.try_send(StreamError::Overrun),
                         ErrorKind::RealtimeDenied | ErrorKind::DeviceChanged => Ok(()),

@@ -5,8 +5,7 @@ use super::{LevelWatch, SoundLevel};
 use crate::ring::{Piece, SeriesSink, SeriesTap};
 
 const RATE_HZ: f64 = super::RATE_HZ as f64;
-/// Shortest pause, in seconds, that may hide a loss: a sound server that was delayed skips sound
-/// without a report.
+/// Shortest pause, in seconds, that may hide a loss: a delayed sound server skips sound silently.
 const PAUSE_S: f64 = 0.2;
 /// Time in seconds within which late sound has usually arrived after a pause.
 const CATCH_UP_S: f64 = 0.25;
@@ -68,8 +67,7 @@ impl<'a> Listening<'a> {
     pub fn look(&mut self, tap: &mut SeriesTap, last: bool, clock: impl Fn() -> f64) -> Carried {
         // `held` also counts frames that did not fit into the ring.
         let held = tap.meter().counts().pushed.saturating_sub(tap.position());
-        // Reads the clock after the ring: a delay between the two makes sound seem late, but never
-        // early.
+        // Reads the clock after the ring: sound may then seem late, but never early.
         let now_s = clock();
         if held == 0 {
             return Carried::default();

@@ -62,8 +62,7 @@ pub enum IntakeEvent<'a> {
     Damaged(DecodeError),
 }
 
-/// For each channel of a stream: the index of its value in the stylus's sample, and the factor to
-/// multiply the value by.
+/// For each channel of a stream: the index of its value in a sample, and the value's factor.
 type StreamPlace = Vec<(usize, f32)>;
 
 /// The part of a stylus's accepted introduction (hello) that is needed to decode samples.

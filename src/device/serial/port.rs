@@ -31,8 +31,7 @@ pub enum Selector {
 impl FromStr for Selector {
     type Err = String;
 
-    /// Parses `auto`, `usb:VENDOR:PRODUCT` or `usb:VENDOR:PRODUCT:SERIAL` (numbers in hexadecimal),
-    /// or a path.
+    /// Parses `auto`, `usb:VENDOR:PRODUCT[:SERIAL]` (numbers in hexadecimal), or a path.
     fn from_str(text: &str) -> Result<Self, String> {
         if text == "auto" {
             return Ok(Self::Auto);
@@ -128,8 +127,7 @@ impl std::fmt::Display for Selector {
     }
 }
 
-/// Explains an error of `serialport`, which reports a locked port as `NoDevice`, and a missing port
-/// in several ways.
+/// Explains an error of `serialport`, which reports a locked port as `NoDevice`.
 fn failed(path: &str, error: &serialport::Error) -> OpenError {
     let node = Path::new(path);
     let device = path.to_string();
