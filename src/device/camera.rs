@@ -136,7 +136,10 @@ impl Device for Camera {
             let video = watch.camera.video.clone();
             let news = start_reader(video, stop.clone(), watch.torch.clone())?;
             let end = watch.follow(&news);
-            watch.light_off();
+            if watch.cycle.lit() {
+                watch.switch(false);
+                watch.cycle.cancel();
+            }
             stop.request();
             // Waits until the reader has closed the camera; a hanging reader costs `STOP_TIMEOUT`.
             let until = Instant::now() + STOP_TIMEOUT;
@@ -248,13 +251,6 @@ impl CameraWatch<'_> {
         self.cycle.cancel();
         self.camera.viewfinder.light(FlashState::Failed);
         self.link.warn(format!("the flash cannot be switched: {why}"));
-    }
-
-    fn light_off(&mut self) {
-        if self.cycle.lit() {
-            self.switch(false);
-            self.cycle.cancel();
-        }
     }
 }
 

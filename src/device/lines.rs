@@ -19,7 +19,7 @@ use super::{
 };
 use crate::ring::Sink;
 
-use address::StandardInput;
+use address::put_back;
 
 pub use address::LinesAddress;
 pub use intake::{Column, Count, LinesStream};
@@ -64,7 +64,11 @@ struct Work<'a> {
 
 impl Lines {
     pub fn new(config: LinesConfig) -> Self {
-        Self { name: config.address.name(), config }
+        let name = match &config.address {
+            LinesAddress::Stdin => "lines from standard input".into(),
+            other => format!("lines from {other}"),
+        };
+        Self { name, config }
     }
 }
 
@@ -137,7 +141,7 @@ pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, S
     let (survey, bytes) = survey(&mut line, address.begins_half(), stopped)
         .map_err(|why| format!("{path}: {why}"))?;
     if *address == LinesAddress::Stdin {
-        StandardInput::put_back(bytes);
+        put_back(bytes);
     }
     if !survey.has_rows() {
         return Err(match survey.is_garbage() {

@@ -49,7 +49,11 @@ pub struct Stylus {
 
 impl Stylus {
     pub fn new(config: StylusConfig) -> Self {
-        Self { name: config.port.name(), config, light: Light::default() }
+        let name = match &config.port {
+            Selector::Auto => "stylus".into(),
+            port => format!("stylus {port}"),
+        };
+        Self { name, config, light: Light::default() }
     }
 
     pub fn light(&self) -> Light {

@@ -129,6 +129,7 @@ mod tests {
             events.iter().filter(|event| matches!(event, Event::Scan(_))).count()
         });
         let totals = event_queue.finish();
+        drop(event_queue);
         assert_eq!(reader.join().unwrap(), 10);
         assert_eq!(totals.dropped_events as usize, 10 + 10_000 - 1 - BACKLOG);
     }

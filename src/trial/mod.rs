@@ -60,9 +60,7 @@ pub(crate) fn normal(label: &str) -> String {
     label.nfc().collect()
 }
 
-/// Names one trial by its surface, its user and its repetition.
-///
-/// Keys are ordered by surface, then user, then number. Ties are broken in this order.
+/// Names one trial. Keys are ordered, and ties of rankings broken, by surface, user and number.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct TrialKey {
     pub surface: String,

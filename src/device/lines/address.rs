@@ -86,13 +86,6 @@ impl LinesAddress {
         format!("no lines of numbers come; check {check}")
     }
 
-    pub fn name(&self) -> String {
-        match self {
-            Self::Stdin => "lines from standard input".into(),
-            other => format!("lines from {other}"),
-        }
-    }
-
     /// Opens the address, and returns a reader with its name. A read times out after a moment.
     pub fn open(&self) -> Result<(Box<dyn Read>, String), OpenError> {
         let line: Box<dyn Read> = match self {
@@ -179,12 +172,10 @@ fn start_reader() -> io::Result<Receiver<Vec<u8>>> {
 /// Standard input. All values of this type share it.
 pub struct StandardInput;
 
-impl StandardInput {
-    /// Puts back bytes, so that the next reads return these bytes first.
-    pub fn put_back(bytes: Vec<u8>) {
-        if let Ok(mut reader) = STDIN.lock() {
-            reader.first.splice(0..0, bytes);
-        }
+/// Puts back bytes of standard input, so that the next reads return these bytes first.
+pub fn put_back(bytes: Vec<u8>) {
+    if let Ok(mut reader) = STDIN.lock() {
+        reader.first.splice(0..0, bytes);
     }
 }
 

@@ -89,13 +89,6 @@ impl Selector {
         }
     }
 
-    pub(super) fn name(&self) -> String {
-        match self {
-            Self::Auto => "stylus".into(),
-            other => format!("stylus {other}"),
-        }
-    }
-
     pub fn open(&self) -> Result<OpenLine, OpenError> {
         self.open_at(BAUD)
     }

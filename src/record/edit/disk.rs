@@ -81,19 +81,18 @@ use stops::point;
 
 #[cfg(test)]
 pub(super) mod stops {
-    use std::cell::Cell;
+    use std::cell::{Cell, RefCell};
     use std::io;
     use std::ops::Range;
 
     thread_local! {
-        /// The number of the next change, and the changes that the file system refuses.
-        static NEXT: Cell<(u32, (u32, u32))> = const { Cell::new((0, (0, 0))) };
+        static CHANGES: Cell<u32> = const { Cell::new(0) };
+        static REFUSED: RefCell<Range<u32>> = const { RefCell::new(0..0) };
     }
 
     pub fn point() -> io::Result<()> {
-        let (change, (first, end)) = NEXT.get();
-        NEXT.set((change + 1, (first, end)));
-        match (first..end).contains(&change) {
+        let change = CHANGES.replace(CHANGES.get() + 1);
+        match REFUSED.with_borrow(|refused| refused.contains(&change)) {
             true => Err(io::Error::other("stopped by the test")),
             false => Ok(()),
         }
@@ -102,9 +101,11 @@ pub(super) mod stops {
     /// Runs `work` while the file system refuses the `refused` changes, counted from 0. Returns the
     /// result of `work`, and whether it came to the first of these changes.
     pub fn refusing<T>(refused: Range<u32>, work: impl FnOnce() -> T) -> (T, bool) {
-        NEXT.set((0, (refused.start, refused.end)));
+        let first = refused.start;
+        CHANGES.set(0);
+        REFUSED.set(refused);
         let done = work();
-        let (changes, _) = NEXT.replace((0, (0, 0)));
-        (done, changes > refused.start)
+        REFUSED.set(0..0);
+        (done, CHANGES.get() > first)
     }
 }
