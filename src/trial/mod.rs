@@ -119,6 +119,14 @@ pub enum Signal {
 }
 
 impl Signal {
+    /// Number of frames of a series; 0 for an image.
+    pub fn frames(&self) -> usize {
+        match self {
+            Self::Image(_) => 0,
+            Self::Series(series) => series.frames(),
+        }
+    }
+
     /// A hash of the raw data, the same on every machine.
     pub fn content_hash(&self) -> u64 {
         match self {
