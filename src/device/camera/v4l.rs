@@ -147,22 +147,19 @@ fn listed(number: u32, name: String) -> Option<ListedDevice> {
     let node = Path::new(DEV).join(format!("video{number}"));
     let stable = camera_alias(Path::new(DEV), &node);
     let id = stable.as_ref().unwrap_or(&node).display().to_string();
+    let index = std::fs::read_to_string(format!("/sys/class/video4linux/video{number}/index"));
+    let is_first = index.map_or(true, |index| index.trim() == "0");
     let problem = match node_problem(&node, "video") {
         Some(problem) => Some(problem),
         None => match open(number, &id) {
             Ok(_) => None,
-            Err(OpenError::Unfit(_)) if !is_first(number) => return None,
+            Err(OpenError::Unfit(_)) if !is_first => return None,
             Err(error) => Some(error.to_string()),
         },
     };
     let unstable = "it has no permanent name; its number may change when it is plugged in again";
     let problem = problem.or_else(|| stable.is_none().then(|| unstable.to_string()));
     Some(ListedDevice { id, name, node: Some(node.display().to_string()), problem })
-}
-
-fn is_first(number: u32) -> bool {
-    std::fs::read_to_string(format!("/sys/class/video4linux/video{number}/index"))
-        .map_or(true, |index| index.trim() == "0")
 }
 
 #[cfg(test)]
