@@ -1,7 +1,9 @@
-//! JPEG files: encodes pictures, and detects files that are cut short.
+//! Encodes pictures as JPEG files, detects JPEG files that are cut short, and limits all decoders.
+
+use std::io::Cursor;
 
 use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder, ImageResult};
+use image::{ExtendedColorType, ImageEncoder, ImageReader, ImageResult, Limits};
 
 use crate::trial::Image;
 
@@ -19,6 +21,21 @@ pub(crate) fn encode_rgb(rgb: &[u8], (width, height): (u32, u32)) -> ImageResult
     let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
     encoder.write_image(rgb, width, height, ExtendedColorType::Rgb8)?;
     Ok(bytes)
+}
+
+/// Limits on a picture's sides (pixels) and memory (bytes); a hostile header may claim any size.
+const MAX_SIDE: u32 = 1 << 14;
+const MAX_BYTES: u64 = 1 << 28;
+
+/// A decoder with limits, for the PNG or JPEG file in `bytes`. It may panic on hostile bytes.
+pub(crate) fn reader(bytes: &[u8]) -> ImageResult<ImageReader<Cursor<&[u8]>>> {
+    let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(MAX_BYTES);
+    reader.limits(limits);
+    Ok(reader)
 }
 
 /// Whether the bytes are a JPEG file without its end, whose missing part a decoder would fill with

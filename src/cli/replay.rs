@@ -115,9 +115,8 @@ fn advise(args: &Args) {
 /// Uses the embedded scene. The expert's trials are the library, and the users' trials are the
 /// queries; one surface of the queries is missing from the library.
 fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
-    let synth::Embedded { library, remarks } = synth::embedded();
+    let library = synth::embedded();
     show::library(&library);
-    remarks.iter().for_each(|remark| say!("  {remark}"));
     let scene = how.narrow(library.scene.clone())?;
     let entries = within(&library, &scene)?;
     let (of_expert, mut queries): (Vec<usize>, Vec<usize>) =

@@ -18,17 +18,14 @@ pub type NumberedRow = (u64, Vec<String>);
 /// How to find the time of each row of a table.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Clock {
-    /// Fixed number of rows per second.
     Rate(f64),
     Times {
-        /// name of the column that holds the times
         column: String,
         /// time unit of the column, in seconds
         unit_s: f64,
     },
 }
 
-/// How to read a table: the meaning of its columns and of its file name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CsvForm {
     /// Each source, with the names of the columns that are its channels.
@@ -50,8 +47,7 @@ pub struct CsvTable {
 }
 
 impl CsvTable {
-    /// Reads a table. Commas, semicolons, tabs or spaces separate its columns, and each line must have
-    /// as many columns as the first.
+    /// Reads a table, whose columns commas, semicolons, tabs or spaces separate.
     pub fn read(path: &Path) -> Result<Self, LibraryError> {
         let bytes = files::read_bytes(path, files::MOST_TEXT)?;
         Self::parse(&bytes, false).map_err(|problem| LibraryError::file(path, problem))
@@ -137,10 +133,6 @@ impl CsvTable {
 
     /// The trials of the table and, for a table with times, the mean rate of the first trial's rows
     /// in Hz. `name` is the path of the table's file without extension.
-    ///
-    /// # Errors
-    /// If a column is missing, a cell is not a finite number, the name does not fit the pattern, the
-    /// times do not rise, or a trial has fewer than two rows.
     pub fn trials(&self, name: &str, form: &CsvForm) -> Result<(Vec<Trial>, Option<f64>), String> {
         let mut columns = [None; 3];
         for (column, label) in columns.iter_mut().zip(&form.labels) {

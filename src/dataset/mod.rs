@@ -23,8 +23,7 @@ pub(crate) fn is_foreign(path: &Path) -> bool {
     !copies(path, files::list(path).unwrap_or_default()).is_empty()
 }
 
-/// The copies of the LMT108 database, each with its files and folders: `path` itself if it is a
-/// copy, otherwise those folders in it that are copies.
+/// The copies of the LMT108 database, with their items: `path` itself, or else folders in it.
 fn copies(path: &Path, listed: Vec<Listed>) -> Vec<(PathBuf, Vec<Listed>)> {
     let is_copy = |listed: &[Listed]| lmt108::is_root(listed) || is_processed(listed);
     if is_copy(&listed) {

@@ -5,7 +5,6 @@
 //! While the reader hangs, the state is "stalled", and nothing waits for it. The trait `Video`
 //! hides V4L2 (video for Linux); the crate's feature `camera` adds the implementation.
 
-mod flash;
 mod frame;
 mod upright;
 #[cfg(feature = "camera")]
@@ -13,21 +12,22 @@ mod v4l;
 mod viewfinder;
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
-use self::flash::{Cycle, FrameLight};
 use self::upright::compared;
-use super::link::{Disconnected, LONGEST_RETRY, OpenError, keep_connected};
-use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
+use super::{
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, LONGEST_RETRY, OpenError,
+    StreamSpec, keep_connected,
+};
 use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
 
 pub use upright::Turn;
 pub use viewfinder::{FlashState, Viewfinder};
 
-pub(crate) use flash::{Flash, FlashControl, Shutter};
 pub(crate) use frame::Frame;
 #[cfg(feature = "camera")]
 pub(crate) use v4l::{V4l, cameras};
@@ -65,6 +65,8 @@ struct CameraWatch<'a> {
     pushed: Option<Instant>,
     damaged: u64,
     summed_up: Option<Instant>,
+    /// Whether the camera's own light is to be on; the reader switches it.
+    torch: Arc<AtomicBool>,
 }
 
 impl Camera {
@@ -112,8 +114,7 @@ impl Device for Camera {
 
     fn streams(&self) -> Vec<StreamSpec> {
         let flash = self.flash.as_ref().map(|(stream, _)| stream);
-        let images = |id: &SourceId| StreamSpec { id: id.clone(), kind: StreamKind::Images };
-        [Some(&self.plain), flash].into_iter().flatten().map(images).collect()
+        [Some(&self.plain), flash].into_iter().flatten().map(StreamSpec::images).collect()
     }
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
@@ -127,16 +128,20 @@ impl Device for Camera {
             pushed: None,
             damaged: 0,
             summed_up: None,
+            torch: Arc::default(),
         };
         keep_connected(link, LONGEST_RETRY, || {
             let stop = Stop::default();
-            let (orders, news) = start_reader(watch.camera.video.clone(), stop.clone())?;
-            let end = watch.follow(&orders, &news);
-            watch.light_off(&orders);
+            watch.torch.store(false, Ordering::Release);
+            let video = watch.camera.video.clone();
+            let news = start_reader(video, stop.clone(), watch.torch.clone())?;
+            let end = watch.follow(&news);
+            if watch.cycle.lit() {
+                watch.switch(false);
+                watch.cycle.cancel();
+            }
             stop.request();
-            drop(orders);
-            // Waits until the reader has closed the camera, at its next frame; a hanging reader
-            // only costs `STOP_TIMEOUT`.
+            // Waits until the reader has closed the camera; a hanging reader costs `STOP_TIMEOUT`.
             let until = Instant::now() + STOP_TIMEOUT;
             while news.recv_deadline(until).is_ok() {}
             end
@@ -146,11 +151,7 @@ impl Device for Camera {
 
 impl CameraWatch<'_> {
     /// Makes pictures from frames until the reader ends or a stop is requested.
-    fn follow(
-        &mut self,
-        orders: &Sender<Order>,
-        news: &Receiver<News>,
-    ) -> Result<(), Disconnected> {
+    fn follow(&mut self, news: &Receiver<News>) -> Result<(), Disconnected> {
         let mut last = Instant::now();
         while !self.link.stopped() {
             match news.recv_timeout(LOOK) {
@@ -158,7 +159,7 @@ impl CameraWatch<'_> {
                 Ok(News::Ended(why)) => return Err(why),
                 Ok(News::Disobeyed(why)) => self.no_light(&why),
                 Ok(News::Frame(frame, at)) => {
-                    if self.frame(&frame, at, orders) {
+                    if self.frame(&frame, at) {
                         last = Instant::now();
                         self.link.state(DeviceState::Streaming, "");
                     }
@@ -179,7 +180,7 @@ impl CameraWatch<'_> {
     }
 
     /// Makes a picture from a frame if one is due. Returns false if the frame is damaged.
-    fn frame(&mut self, frame: &Frame, at: Instant, orders: &Sender<Order>) -> bool {
+    fn frame(&mut self, frame: &Frame, at: Instant) -> bool {
         let has_flash = self.camera.flash.is_some();
         let shutter = &self.camera.shutter;
         let (light, switch) = self.cycle.judge(at, || has_flash && shutter.take());
@@ -197,7 +198,7 @@ impl CameraWatch<'_> {
             _ => {}
         }
         if let Some(on) = switch {
-            self.switch(on, orders);
+            self.switch(on);
         }
         good
     }
@@ -230,13 +231,13 @@ impl CameraWatch<'_> {
         }
     }
 
-    fn switch(&mut self, on: bool, orders: &Sender<Order>) {
+    fn switch(&mut self, on: bool) {
         let switched = match &mut self.camera.flash {
             None => Ok(()),
             Some((_, Flash::Line(switch))) => switch(on),
-            Some((_, Flash::Control(control))) => {
-                let order = (control.id, if on { control.on } else { control.off });
-                orders.try_send(order).map_err(|_| "the camera does not take orders".into())
+            Some((_, Flash::Camera)) => {
+                self.torch.store(on, Ordering::Release);
+                Ok(())
             }
         };
         match switched {
@@ -251,17 +252,7 @@ impl CameraWatch<'_> {
         self.camera.viewfinder.light(FlashState::Failed);
         self.link.warn(format!("the flash cannot be switched: {why}"));
     }
-
-    fn light_off(&mut self, orders: &Sender<Order>) {
-        if self.cycle.lit() {
-            self.switch(false, orders);
-            self.cycle.cancel();
-        }
-    }
 }
-
-#[cfg(test)]
-mod tests;
 
 /// A camera that can be opened any number of times.
 pub trait Video: Send + Sync {
@@ -276,8 +267,8 @@ pub trait Frames {
     /// Waits for the next frame, without a time limit. Fails if no more frames will come.
     fn next(&mut self) -> Result<Frame, String>;
 
-    /// Sets one of the camera's controls. Fails if the camera lacks it or refuses the value.
-    fn control(&mut self, id: u32, value: i64) -> Result<(), String>;
+    /// Switches the camera's own light. Fails if the camera has none.
+    fn torch(&mut self, on: bool) -> Result<(), String>;
 }
 
 enum News {
@@ -287,21 +278,18 @@ enum News {
     Ended(Disconnected),
 }
 
-/// A request to set a control of the camera: the control's id, and the value.
-type Order = (u32, i64);
-
 /// Starts the reader thread. It drops a frame that is not taken at once, since a newer one follows.
 fn start_reader(
     video: Arc<dyn Video>,
     stop: Stop,
-) -> Result<(Sender<Order>, Receiver<News>), OpenError> {
-    let (orders, ordered) = crossbeam_channel::bounded(4);
+    torch: Arc<AtomicBool>,
+) -> Result<Receiver<News>, OpenError> {
     let (send, news) = crossbeam_channel::bounded(1);
     std::thread::Builder::new()
         .name("camera-read".into())
         .spawn(move || {
             let last = match video.open() {
-                Ok(frames) => read(frames, &stop, &ordered, &send),
+                Ok(frames) => read(frames, &stop, &torch, &send),
                 Err(error) => Some(News::Ended(error.into())),
             };
             if let Some(last) = last {
@@ -311,23 +299,28 @@ fn start_reader(
         .map_err(|error| {
             OpenError::Unfit(format!("cannot start a thread to read the camera: {error}"))
         })?;
-    Ok((orders, news))
+    Ok(news)
 }
 
-/// Reads frames until the camera ends, and returns the last message to send. Returns `None` after a
-/// request to stop, or if nobody receives the messages.
+/// Reads frames until the camera ends or a stop; returns the last message to send, if any.
 fn read(
     mut frames: Box<dyn Frames>,
     stop: &Stop,
-    ordered: &Receiver<Order>,
+    torch: &AtomicBool,
     send: &Sender<News>,
 ) -> Option<News> {
     send.send(News::Opened).ok()?;
+    let mut lit = false;
     loop {
-        // Orders come first, even after a request to stop: the last order switches the light off.
-        for (control, value) in ordered.try_iter() {
-            if let Err(why) = frames.control(control, value) {
-                let _ = send.send(News::Disobeyed(why));
+        // The light comes first, even after a request to stop, which also switches the light off.
+        let on = torch.load(Ordering::Acquire);
+        if on != lit {
+            match frames.torch(on) {
+                Ok(()) => lit = on,
+                Err(why) => {
+                    torch.store(lit, Ordering::Release);
+                    let _ = send.send(News::Disobeyed(why));
+                }
             }
         }
         if stop.requested() {
@@ -339,3 +332,86 @@ fn read(
         }
     }
 }
+
+pub enum Flash {
+    /// Switches a light that is not the camera's own, for example one of the stylus.
+    Line(Box<dyn FnMut(bool) -> Result<(), String> + Send>),
+    /// The camera switches its own light, by its control V4L2_CID_FLASH_LED_MODE (video for Linux).
+    Camera,
+}
+
+/// A button that requests pictures with flash. All clones belong to the same camera.
+#[derive(Clone, Debug, Default)]
+pub struct Shutter(Arc<AtomicBool>);
+
+impl Shutter {
+    /// Requests a picture with flash. Further requests before it is taken change nothing.
+    pub fn flash(&self) {
+        self.0.store(true, Ordering::Release);
+    }
+
+    fn take(&self) -> bool {
+        self.0.swap(false, Ordering::AcqRel)
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FrameLight {
+    Plain,
+    Flash,
+    /// A frame taken while the light was changing, which is useless.
+    Between,
+}
+
+struct Cycle {
+    settle: Duration,
+    phase: FlashPhase,
+}
+
+enum FlashPhase {
+    Off,
+    Rising(Instant),
+    Falling(Instant),
+}
+
+impl Cycle {
+    /// A cycle with the light off. `settle` is the time after which all frames show a switch of the
+    /// light: light and exposure control need time, and some frames are on their way.
+    fn new(settle: Duration) -> Self {
+        Self { settle, phase: FlashPhase::Off }
+    }
+
+    /// Judges the light of a frame that arrived at `now`. Also returns whether to switch the light
+    /// on or off now (`None`: leave it). `wanted` tells whether a picture with flash is requested.
+    fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> (FrameLight, Option<bool>) {
+        let settled = |since: Instant| now.saturating_duration_since(since) >= self.settle;
+        match self.phase {
+            FlashPhase::Rising(since) if settled(since) => {
+                self.phase = FlashPhase::Falling(now);
+                (FrameLight::Flash, Some(false))
+            }
+            FlashPhase::Falling(since) if settled(since) => {
+                self.phase = FlashPhase::Off;
+                (FrameLight::Plain, None)
+            }
+            FlashPhase::Rising(_) | FlashPhase::Falling(_) => (FrameLight::Between, None),
+            FlashPhase::Off if wanted() => {
+                self.phase = FlashPhase::Rising(now);
+                (FrameLight::Plain, Some(true))
+            }
+            FlashPhase::Off => (FrameLight::Plain, None),
+        }
+    }
+
+    /// To be called if the light is off or failed: the next frames count as taken without light.
+    fn cancel(&mut self) {
+        self.phase = FlashPhase::Off;
+    }
+
+    fn lit(&self) -> bool {
+        matches!(self.phase, FlashPhase::Rising(_))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -12,12 +12,14 @@ mod survey;
 use std::io::Read;
 use std::time::{Duration, Instant};
 
-use super::link::{Disconnected, RETRY, keep_connected};
 use super::serial::{BUFFER, OVERFLOWED, REPORT_EVERY, STALLED, lost, read_some};
-use super::{Device, DeviceError, DeviceLink, DeviceState, OpenError, StreamKind, StreamSpec};
+use super::{
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, OpenError, RETRY, StreamSpec,
+    keep_connected,
+};
 use crate::ring::Sink;
 
-use address::StandardInput;
+use address::put_back;
 
 pub use address::LinesAddress;
 pub use intake::{Column, Count, LinesStream};
@@ -62,7 +64,11 @@ struct Work<'a> {
 
 impl Lines {
     pub fn new(config: LinesConfig) -> Self {
-        Self { name: config.address.name(), config }
+        let name = match &config.address {
+            LinesAddress::Stdin => "lines from standard input".into(),
+            other => format!("lines from {other}"),
+        };
+        Self { name, config }
     }
 }
 
@@ -72,11 +78,8 @@ impl Device for Lines {
     }
 
     fn streams(&self) -> Vec<StreamSpec> {
-        let kind = |stream: &LinesStream| StreamKind::Series {
-            channels: stream.columns.len(),
-            rate_hz: self.config.rate_hz.unwrap_or(UNKNOWN_HZ),
-        };
-        let spec = |stream: &LinesStream| StreamSpec { id: stream.id.clone(), kind: kind(stream) };
+        let rate_hz = self.config.rate_hz.unwrap_or(UNKNOWN_HZ);
+        let spec = |s: &LinesStream| StreamSpec::series(&s.id, s.columns.len(), rate_hz);
         self.config.streams.iter().map(spec).collect()
     }
 
@@ -138,7 +141,7 @@ pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, S
     let (survey, bytes) = survey(&mut line, address.begins_half(), stopped)
         .map_err(|why| format!("{path}: {why}"))?;
     if *address == LinesAddress::Stdin {
-        StandardInput::put_back(bytes);
+        put_back(bytes);
     }
     if !survey.has_rows() {
         return Err(match survey.is_garbage() {

@@ -110,15 +110,12 @@ pub(super) fn camera_number(dev: &Path, id: &str) -> Result<u32, OpenError> {
     // `id` may be a whole path, too, since `join` returns an absolute path unchanged.
     let node = places.iter().chain([&dev.join(id)]).find_map(|path| path.canonicalize().ok());
     let Some(node) = node else { return Err(OpenError::Absent(format!("camera {id}"))) };
-    video_number(&node).ok_or_else(|| {
+    let name = node.file_name().and_then(OsStr::to_str);
+    let number = name.and_then(|name| name.strip_prefix("video")?.parse().ok());
+    number.ok_or_else(|| {
         let node = node.display();
         OpenError::Unfit(format!("camera {id} leads to {node}; expected a node /dev/videoN"))
     })
-}
-
-#[cfg(any(feature = "camera", test))]
-fn video_number(node: &Path) -> Option<u32> {
-    node.file_name()?.to_str()?.strip_prefix("video")?.parse().ok()
 }
 
 /// The permanent link to a camera's node, by model or else by USB socket; `None` without links.

@@ -10,10 +10,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 
-use super::{
-    Begin, CutFrom, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamKind,
-    StreamSpec,
-};
+use super::{Begin, CutFrom, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamSpec};
 use crate::library::Entry;
 use crate::ring::{RingSink, Sink, Stop, Stopped};
 use crate::scene::{Domain, Phase, Scene, SourceSpec};
@@ -22,7 +19,6 @@ use crate::trial::{Image, Series, Signal, Trial};
 /// Rate in Hz for which a source's ring is sized if the scene gives no rate.
 const ANY_RATE_HZ: f64 = 44_100.0;
 
-/// Plays trials, one after the other.
 #[derive(Debug)]
 pub struct Replay {
     specs: Vec<SourceSpec>,
@@ -52,25 +48,14 @@ impl Replay {
         self
     }
 
-    /// Sets the length of the parts in which a recording is pushed, in seconds.
     pub fn chunk_s(mut self, seconds: f64) -> Self {
-        self.chunk_s = seconds;
+        self.chunk_s = seconds.max(1e-6);
         self
     }
 
     pub fn synthetic(mut self, synthetic: bool) -> Self {
         self.synthetic = synthetic;
         self
-    }
-
-    fn check(&self) -> Result<(), String> {
-        match self.speed {
-            Speed::RealTime(x) if !SPEEDS.contains(&x) => Err(not_a_speed(&x.to_string())),
-            _ if !(self.chunk_s.is_finite() && self.chunk_s > 0.0) => {
-                Err(format!("chunk_s = {}; expected a positive number", self.chunk_s))
-            }
-            _ => Ok(()),
-        }
     }
 }
 
@@ -80,14 +65,14 @@ impl Device for Replay {
     }
 
     fn streams(&self) -> Vec<StreamSpec> {
-        let kind = |spec: &SourceSpec| match spec.domain {
-            Domain::Image => StreamKind::Images,
-            _ => StreamKind::Series {
-                channels: spec.channels,
-                rate_hz: spec.rate_hz.unwrap_or(ANY_RATE_HZ),
-            },
+        let stream = |spec: &SourceSpec| match spec.domain {
+            Domain::Image => StreamSpec::images(&spec.id),
+            _ => {
+                let rate_hz = spec.rate_hz.unwrap_or(ANY_RATE_HZ);
+                StreamSpec::series(&spec.id, spec.channels, rate_hz)
+            }
         };
-        self.specs.iter().map(|spec| StreamSpec { id: spec.id.clone(), kind: kind(spec) }).collect()
+        self.specs.iter().map(stream).collect()
     }
 
     fn waits(&self) -> bool {
@@ -95,7 +80,11 @@ impl Device for Replay {
     }
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
-        self.check().map_err(DeviceError::Failed)?;
+        if let Speed::RealTime(factor) = self.speed
+            && !SPEEDS.contains(&factor)
+        {
+            return Err(DeviceError::Failed(not_a_speed(&factor.to_string())));
+        }
         link.state(DeviceState::Opening, "reading the first trial");
         let loaded = load_ahead(self.entries.clone())?;
         for entry in &self.entries {

@@ -19,8 +19,9 @@ use std::time::{Duration, Instant};
 use serialport::SerialPort;
 use surfaced_wire::{Command, DecodeError, MAX_ENCODED, Message, Status, encode};
 
-use super::link::{Disconnected, RETRY, keep_connected};
-use super::{Device, DeviceError, DeviceLink, DeviceState, StreamKind, StreamSpec};
+use super::{
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, RETRY, StreamSpec, keep_connected,
+};
 use crate::ring::Sink;
 
 pub use intake::{Intake, IntakeEvent};
@@ -48,7 +49,11 @@ pub struct Stylus {
 
 impl Stylus {
     pub fn new(config: StylusConfig) -> Self {
-        Self { name: config.port.name(), config, light: Light::default() }
+        let name = match &config.port {
+            Selector::Auto => "stylus".into(),
+            port => format!("stylus {port}"),
+        };
+        Self { name, config, light: Light::default() }
     }
 
     pub fn light(&self) -> Light {
@@ -62,11 +67,8 @@ impl Device for Stylus {
     }
 
     fn streams(&self) -> Vec<StreamSpec> {
-        let kind = |wanted: &Wanted| StreamKind::Series {
-            channels: wanted.channels.len(),
-            rate_hz: f64::from(self.config.rate_hz),
-        };
-        let spec = |wanted: &Wanted| StreamSpec { id: wanted.id.clone(), kind: kind(wanted) };
+        let rate_hz = f64::from(self.config.rate_hz);
+        let spec = |wanted: &Wanted| StreamSpec::series(&wanted.id, wanted.channels.len(), rate_hz);
         self.config.streams.iter().map(spec).collect()
     }
 
@@ -109,7 +111,6 @@ const CONFIRM: Duration = Duration::from_millis(500);
 #[derive(Clone, Debug, Default)]
 pub struct Light {
     wanted: Arc<AtomicBool>,
-    /// The light's state in the last report of the stylus.
     reported: Arc<AtomicBool>,
 }
 
@@ -149,7 +150,6 @@ const REPEAT: Duration = Duration::from_millis(100);
 const STOP_TIMEOUT: Duration = Duration::from_millis(300);
 /// Shortest time between two reports of errors.
 pub(super) const REPORT_EVERY: Duration = Duration::from_secs(1);
-/// Most bytes taken in one read.
 pub(super) const BUFFER: usize = 64 * 1024;
 pub(super) const OVERFLOWED: &str = "frames did not fit into a ring";
 
@@ -178,7 +178,6 @@ impl ErrorCounts {
         *self.0.entry(text).or_default() += count;
     }
 
-    /// Keeps the highest of the counts.
     pub fn highest(&mut self, text: &'static str, count: u64) {
         let highest = self.0.entry(text).or_default();
         *highest = count.max(*highest);
@@ -219,11 +218,10 @@ impl Connection<'_> {
             self.read(&mut buffer).map_err(|why| lost(&self.path, &why))?;
             let now = Instant::now();
             let silent = now - self.samples_at;
-            if (silent >= STALLED || !self.intake.introduced())
+            if (silent >= STALLED || !self.intake.introduced)
                 && self.start_sent_at.is_none_or(|at| now - at >= STALLED.min(2 * REPEAT))
             {
-                // A repeated start does no harm: a stylus that samples already answers it only with
-                // a hello, its introduction.
+                // A repeated start does no harm: a sampling stylus answers it only with a hello.
                 self.start_sent_at = Some(now);
                 self.send(Command::Start);
             }
@@ -304,7 +302,7 @@ impl Connection<'_> {
     fn why_silent(&self) -> String {
         match &self.refused {
             Some(why) => why.clone(),
-            None if !self.intake.introduced() && self.intake.damaged > 0 => {
+            None if !self.intake.introduced && self.intake.damaged > 0 => {
                 format!("no stylus answers on {}; check port and wiring", self.path)
             }
             None => format!("no samples come from {}; check that the stylus has power", self.path),
@@ -346,13 +344,11 @@ impl Connection<'_> {
     }
 }
 
-/// Errors on the line since the last report.
 #[derive(Default)]
 struct LinkErrors {
     counts: ErrorCounts,
-    /// Number of warnings about introductions (hellos) of the stylus, and the last such warning.
-    hellos: u64,
-    last_hello: Option<String>,
+    /// The last warning about an introduction (hello) of the stylus, and the number of such warnings.
+    hello: Option<(String, u64)>,
 }
 
 impl LinkErrors {
@@ -368,15 +364,16 @@ impl LinkErrors {
     }
 
     fn hello(&mut self, warning: String) {
-        self.hellos += 1;
-        self.last_hello = Some(warning);
+        let count = self.hello.as_ref().map_or(0, |(_, count)| *count);
+        self.hello = Some((warning, count + 1));
     }
 
     /// Reports the errors so far as a summary, and resets the counts.
     fn report(&mut self, link: &DeviceLink) {
-        match (std::mem::take(&mut self.hellos), self.last_hello.take()) {
-            (hellos @ 2.., Some(last)) => link.warn(format!("{last} (and {} more)", hellos - 1)),
-            (_, last) => last.into_iter().for_each(|last| link.warn(last)),
+        match self.hello.take() {
+            Some((last, count @ 2..)) => link.warn(format!("{last} (and {} more)", count - 1)),
+            Some((last, _)) => link.warn(last),
+            None => {}
         }
         self.counts.report(link);
     }

@@ -50,7 +50,6 @@ pub struct Cache {
     records: BTreeMap<String, Place>,
 }
 
-/// The place of a record in the file.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     stamp: u64,

@@ -57,7 +57,6 @@ pub(crate) struct Listed {
 }
 
 impl Listed {
-    /// Describes a folder by its path; `None` if its name is not UTF-8.
     pub fn folder(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?.to_string();
         Some(Self { name, path: path.to_path_buf(), is_dir: true, unusable: None })
@@ -76,7 +75,6 @@ impl Listed {
         SERIES.contains(&self.stem_and_extension().1.as_str())
     }
 
-    /// The name without its extension, and the extension in lower case.
     pub fn stem_and_extension(&self) -> (&str, String) {
         match self.name.rsplit_once('.') {
             Some((stem, extension)) => (stem, extension.to_ascii_lowercase()),
@@ -98,9 +96,6 @@ pub(crate) fn number_in(name: &str) -> Option<u32> {
 
 /// The items in a folder, sorted by name; links are followed. [`Listed::unusable`] is set for
 /// broken links, and for items that are neither files nor folders.
-///
-/// # Errors
-/// If the folder cannot be read, is a file, or holds a name that is not UTF-8.
 pub(crate) fn list(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
     let fail = |error| LibraryError::io(dir, error);
     if !std::fs::metadata(dir).map_err(fail)?.is_dir() {
@@ -115,7 +110,8 @@ pub(crate) fn list(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
         let (is_dir, unusable) = match std::fs::metadata(&path) {
             Ok(about) if about.is_dir() => (true, None),
             Ok(about) if about.is_file() => (false, None),
-            Ok(_) => (false, Some(SPECIAL)),
+            // A pipe, a socket or a device is never read, since its data may not end.
+            Ok(_) => (false, Some("not used, it is neither a file nor a folder")),
             Err(_) if name.starts_with('.') => (false, None),
             Err(_) if path.is_symlink() => (false, Some("not used, it is a link to nothing")),
             Err(error) => return Err(LibraryError::io(&path, error)),
@@ -125,9 +121,6 @@ pub(crate) fn list(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
     listed.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(listed)
 }
-
-/// The message for a pipe, a socket or a device, which are never read since their data may not end.
-const SPECIAL: &str = "not used, it is neither a file nor a folder";
 
 /// Opens a regular file, and returns its length in bytes. Refuses folders, pipes and devices.
 pub(crate) fn open(path: &Path) -> io::Result<(File, u64)> {

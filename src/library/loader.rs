@@ -2,13 +2,12 @@
 //! and channels. Samples are read when a trial is loaded.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use image::{DynamicImage, ImageDecoder, ImageError, ImageReader, Limits};
+use image::{DynamicImage, ImageDecoder, ImageReader};
 
 use super::series_file::guarded;
-use super::{LibraryError, LoadTrial, Outline, Outlines, files, series_file, text};
+use super::{LibraryError, LoadTrial, Outline, Outlines, files, series_file};
 use crate::jpeg;
 use crate::printable::counted;
 use crate::scene::{Domain, SourceBlock, SourceId, SourceSpec};
@@ -23,7 +22,6 @@ pub(crate) enum SourceFiles {
         mixed: bool,
     },
     Picture(PathBuf),
-    /// One text file for each channel.
     Columns {
         paths: Vec<PathBuf>,
         rate_hz: f64,
@@ -87,7 +85,7 @@ impl SourceFiles {
             Self::Series { header, .. } => Some(*header),
             Self::Picture(_) => None,
             Self::Columns { paths, rate_hz } => {
-                let frames = text::frames(paths)?;
+                let frames = frames_of_columns(paths)?;
                 Some(Outline { rate_hz: *rate_hz, channels: paths.len(), frames })
             }
         })
@@ -105,17 +103,87 @@ impl SourceFiles {
                 if !mixed {
                     return Ok(Signal::Series(series));
                 }
-                let mixed = mixed_down(&series);
+                let mean = |frame: &[f32]| frame.iter().sum::<f32>() / frame.len() as f32;
+                let means = series.samples().chunks_exact(series.channels()).map(mean).collect();
+                let mixed = Series::new(series.rate_hz(), 1, means);
                 mixed.map(Signal::Series).map_err(|error| LibraryError::file(path, error))
             }
             Self::Picture(path) => read_picture(path).map(Signal::Image),
             Self::Columns { paths, rate_hz } => {
-                let series = text::read(paths, *rate_hz)?;
+                let series = read_columns(paths, *rate_hz)?;
                 plausible(&paths[0], &series)?;
                 Ok(Signal::Series(series))
             }
         }
     }
+}
+
+/// Reads one text file for each channel, and cuts all channels to the length of the shortest.
+fn read_columns(paths: &[PathBuf], rate_hz: f64) -> Result<Series, LibraryError> {
+    let column = |path: &PathBuf| {
+        let bytes = files::read_bytes(path, files::MOST_TEXT)?;
+        parse_column(&bytes).map_err(|problem| LibraryError::file(path, problem))
+    };
+    let columns = paths.iter().map(column).collect::<Result<Vec<_>, _>>()?;
+    let frames = columns.iter().map(Vec::len).min().unwrap_or(0);
+    let mut samples = Vec::with_capacity(frames * columns.len());
+    for frame in 0..frames {
+        samples.extend(columns.iter().map(|column| column[frame]));
+    }
+    Series::new(rate_hz, columns.len(), samples)
+        .map_err(|error| LibraryError::file(&paths[0], error))
+}
+
+/// The number of frames that [`read_columns`] would give: the non-blank lines of the shortest file.
+fn frames_of_columns(paths: &[PathBuf]) -> Result<usize, LibraryError> {
+    let lines = |path: &PathBuf| -> Result<usize, LibraryError> {
+        let bytes = files::read_bytes(path, files::MOST_TEXT)?;
+        let lines = bytes.split(|&byte| byte == b'\n');
+        Ok(lines.filter(|line| !line.trim_ascii().is_empty()).count())
+    };
+    let lengths = paths.iter().map(lines).collect::<Result<Vec<_>, _>>()?;
+    Ok(lengths.into_iter().min().unwrap_or(0))
+}
+
+/// Parses a text with one number in each line; blank lines are allowed only at the end.
+fn parse_column(bytes: &[u8]) -> Result<Vec<f32>, String> {
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let mut numbers = Vec::with_capacity(bytes.len() / 8);
+    let mut blank = None;
+    for (line, text) in (1..).zip(bytes.split(|&byte| byte == b'\n')) {
+        let text = text.trim_ascii();
+        if text.is_empty() {
+            blank = blank.or(Some(line));
+            continue;
+        }
+        if let Some(line) = blank {
+            return Err(format!(
+                "line {line}: blank, but numbers follow; expected one number a line"
+            ));
+        }
+        let number = std::str::from_utf8(text).ok().and_then(|text| text.parse::<f64>().ok());
+        match number.map(|number| number as f32) {
+            Some(number) if number.is_finite() => numbers.push(number),
+            Some(_) => {
+                return Err(format!(
+                    "line {line}: {}; expected a finite number (a broken cable gives such values: \
+                     check the connector, then record again or remove the file)",
+                    String::from_utf8_lossy(text)
+                ));
+            }
+            None => return Err(format!("line {line}: {}", not_a_number(text))),
+        }
+    }
+    if numbers.is_empty() {
+        return Err("it holds no numbers; record again, or remove the file".into());
+    }
+    Ok(numbers)
+}
+
+fn not_a_number(text: &[u8]) -> String {
+    let shown: String = String::from_utf8_lossy(text).chars().take(40).collect();
+    let hint = if text.contains(&b',') { "; write decimals with a point, not a comma" } else { "" };
+    format!("`{}` is not a number; expected one number a line{hint}", shown.escape_debug())
 }
 
 /// Refuses samples beyond ±1e18: their squares may overflow f32 and spoil means over the library.
@@ -131,15 +199,6 @@ fn plausible(path: &Path, series: &Series) -> Result<(), LibraryError> {
     Err(LibraryError::file(path, problem))
 }
 
-fn mixed_down(series: &Series) -> Result<Series, SignalError> {
-    let channels = series.channels();
-    let mean = |frame: &[f32]| frame.iter().sum::<f32>() / channels as f32;
-    Series::new(series.rate_hz(), 1, series.samples().chunks_exact(channels).map(mean).collect())
-}
-
-/// Limits on a picture's sides (pixels) and memory (bytes); a hostile header may claim any size.
-const MAX_SIDE: u32 = 1 << 14;
-const MAX_BYTES: u64 = 1 << 28;
 /// Largest picture file, in bytes.
 const MOST_PICTURE: u64 = 1 << 26;
 
@@ -160,7 +219,8 @@ fn read_picture(path: &Path) -> Result<Image, LibraryError> {
     }
     guarded(
         || {
-            let decoder = decoder(&bytes).map_err(|error| damaged(&error.to_string()))?;
+            let reader = jpeg::reader(&bytes).and_then(ImageReader::into_decoder);
+            let decoder = reader.map_err(|error| damaged(&error.to_string()))?;
             let (width, height) = decoder.dimensions();
             let (width, height) = (width as usize, height as usize);
             // Checks the size first: a picture of a wrong size need not be decoded.
@@ -177,20 +237,9 @@ fn read_picture(path: &Path) -> Result<Image, LibraryError> {
     )
 }
 
-fn decoder(bytes: &[u8]) -> Result<impl ImageDecoder, ImageError> {
-    let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    limits.max_alloc = Some(MAX_BYTES);
-    reader.limits(limits);
-    reader.into_decoder()
-}
-
 /// Checks the headers of a library's WAV and FLAC files against the described channels and rates.
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
-    /// The library's folder.
     root: PathBuf,
     first: BTreeMap<SourceId, (f64, PathBuf)>,
     /// For each source: the lowest rate of a file, in Hz, that is too low for the default band.
@@ -204,18 +253,12 @@ impl Headers {
         Self { root: root.to_path_buf(), remarks, ..Self::default() }
     }
 
-    /// Adds a remark on a file or folder of the library.
     pub fn note(&mut self, path: &Path, what: impl Into<String>) {
         let place = path.strip_prefix(&self.root).unwrap_or(path).display();
         self.remarks.add(what, place.to_string());
     }
 
-    /// Checks that a WAV or FLAC file can be the data of a source. `declared` is what `library.toml`
-    /// itself says of the source.
-    ///
-    /// # Errors
-    /// If the source is an image, the file cannot be read, or its channels or rate differ from the
-    /// expected ones, or if its rate is too low for the declared band.
+    /// Checks that a file can be a source's data. `declared` is what `library.toml` says of it.
     pub fn series(
         &mut self,
         spec: &SourceSpec,
@@ -257,13 +300,6 @@ impl Headers {
                 header.rate_hz
             ));
         }
-        self.remark(spec, header, mixed, path);
-        Ok(SourceFiles::Series { path: path.to_path_buf(), header, mixed })
-    }
-
-    /// Adds a remark if a file is stereo, or if its rate differs from the source's first file.
-    fn remark(&mut self, spec: &SourceSpec, header: Outline, mixed: bool, path: &Path) {
-        let id = &spec.id;
         if mixed {
             let what = format!("stereo, mixed down to the one channel of source `{id}`");
             self.note(path, what);
@@ -279,6 +315,7 @@ impl Headers {
             );
             self.note(path, what);
         }
+        Ok(SourceFiles::Series { path: path.to_path_buf(), header, mixed })
     }
 }
 
@@ -297,5 +334,34 @@ impl Remarks {
             1 => format!("{}: {what}", places[0]),
             count => format!("{} and {} more: {what}", places[0], count - 1),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spaces_line_ends_and_a_blank_last_line_do_not_matter() {
+        let text = b"\xef\xbb\xbf  1.5\r\n-2e-1\t\r\n3\n\n";
+        assert_eq!(parse_column(text).unwrap(), [1.5, -0.2, 3.0]);
+        assert_eq!(parse_column(b"1\n2").unwrap(), [1.0, 2.0]);
+    }
+
+    #[test]
+    fn what_is_no_number_is_named_with_its_line() {
+        for (text, begin, part) in [
+            ("1\n0,5\n", "line 2: `0,5` is not a number", "point"),
+            ("1\n2\nNaN\n", "line 3: NaN", "finite"),
+            ("1\n2\ninf\n", "line 3: inf", "finite"),
+            ("1\n2\n-Infinity\n", "line 3: -Infinity", "finite"),
+            ("1\n2\n1e99\n", "line 3: 1e99", "finite"),
+            ("1\n\n2\n", "line 2: blank, but numbers follow", "one number a line"),
+            ("1 2\n", "line 1: `1 2` is not", "one number a line"),
+            ("\n\n", "it holds no numbers", "record again"),
+        ] {
+            let said = parse_column(text.as_bytes()).unwrap_err();
+            assert!(said.starts_with(begin) && said.contains(part), "{said}");
+        }
     }
 }

@@ -2,18 +2,11 @@
 
 #![allow(missing_docs)] // Names that say everything need no comment.
 
-mod about;
 pub mod cache;
 pub(crate) mod files;
 pub(crate) mod loader;
-mod loose;
 pub mod recording;
 pub(crate) mod series_file;
-mod text;
-mod wav;
-
-pub use about::About;
-pub(crate) use about::FILE as ABOUT_FILE;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -21,9 +14,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Signal, Trial, TrialKey};
+use crate::trial::{Signal, Trial, TrialKey, normal};
 
 #[derive(Debug, thiserror::Error)]
 pub enum LibraryError {
@@ -42,7 +36,6 @@ pub enum LibraryError {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outline {
     pub rate_hz: f64,
-    /// Number of samples in a frame.
     pub channels: usize,
     pub frames: usize,
 }
@@ -50,7 +43,6 @@ pub struct Outline {
 /// The [`Outline`] (rate, channels, length) of each source of a trial that is a series.
 pub type Outlines = BTreeMap<SourceId, Outline>;
 
-/// All errors as one text: their count, then one line each.
 fn list(errors: &[LibraryError]) -> String {
     let lines = errors.iter().map(|error| format!("\n  {error}"));
     format!("{} files cannot be used:{}", errors.len(), lines.collect::<String>())
@@ -65,7 +57,6 @@ impl LibraryError {
         }
     }
 
-    /// Combines errors into one; `None` if `errors` is empty.
     pub fn of_all(mut errors: Vec<Self>) -> Option<Self> {
         match errors.len() {
             0 | 1 => errors.pop(),
@@ -113,8 +104,7 @@ pub trait LoadTrial: Send + Sync + fmt::Debug {
         Ok(self.load(wanted)?.signals.into_iter().filter_map(outline).collect())
     }
 
-    /// A number that changes whenever the data of the `wanted` sources change. `None` if only
-    /// reading the data would tell.
+    /// A number that changes whenever the data of `wanted` change; `None` if only reading tells.
     fn stamp(&self, _wanted: &[SourceId]) -> Option<u64> {
         None
     }
@@ -219,7 +209,6 @@ impl Entry {
         Self { key, ..self.changed(move |trial| Trial { key: is.clone(), ..trial }) }
     }
 
-    /// A copy of this entry with `source` as its only source.
     pub(crate) fn with_only(&self, source: &SourceId) -> Self {
         Self { sources: vec![source.clone()], ..self.clone() }
     }
@@ -257,7 +246,6 @@ impl Entry {
     }
 }
 
-/// Labelled trials, and the description of their sources.
 #[derive(Clone, Debug)]
 pub struct Library {
     pub name: String,
@@ -282,7 +270,6 @@ impl Library {
 
 #[derive(Debug)]
 pub(crate) struct Unreadable {
-    /// Index of the trial in the library's `entries`.
     pub entry: usize,
     pub source: SourceId,
     pub error: LibraryError,
@@ -298,4 +285,109 @@ pub(crate) fn unreadable(entries: &[Entry]) -> Vec<Unreadable> {
         entry.sources.iter().filter_map(read).collect::<Vec<_>>()
     };
     entries.par_iter().enumerate().flat_map_iter(of_entry).collect()
+}
+
+/// Name of the file that describes a trial, in the trial's folder.
+pub(crate) const ABOUT_FILE: &str = "trial.toml";
+
+/// The content of `trial.toml`: surface, user, start, notes and devices of one recorded trial. Every key
+/// is optional; unknown keys are refused.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct About {
+    /// The label of the surface; if missing, the name of the surface's folder is the label.
+    pub surface: Option<String>,
+    pub user: Option<String>,
+    /// The trial's number; if it is missing, the number at the end of the folder's name counts.
+    pub trial: Option<u32>,
+    /// Time at which the recording began, as a TOML date or any text.
+    #[serde(deserialize_with = "date_or_text")]
+    pub started_at: Option<String>,
+    pub notes: Option<String>,
+    /// Whether a program generated the trial, so that no sensor recorded it.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub synthetic: bool,
+    /// Whether the recording was cut short, for example by a power cut; such trials are skipped.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub incomplete: bool,
+    /// Times of tap and drag, written by older versions. They are kept in the file, but not used.
+    pub scan: Option<toml::Table>,
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub devices: BTreeMap<String, String>,
+}
+
+fn date_or_text<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<String>, D::Error> {
+    match toml::Value::deserialize(from)? {
+        toml::Value::String(text) => Ok(Some(text)),
+        toml::Value::Datetime(date) => Ok(Some(date.to_string())),
+        other => Err(serde::de::Error::custom(format!(
+            "{} is neither a date nor text; expected for example 2025-01-31T12:00:00Z",
+            other.type_str()
+        ))),
+    }
+}
+
+impl About {
+    /// Reads `trial.toml` in a trial's folder; a missing file counts as an empty one.
+    ///
+    /// # Errors
+    /// If the file is not TOML, has an unknown key or an impossible value; the error names the line.
+    pub fn read(trial: &Path) -> Result<Self, LibraryError> {
+        let path = trial.join(ABOUT_FILE);
+        match files::read_text_if_there(&path)? {
+            None => Ok(Self::default()),
+            Some(text) => {
+                Self::from_toml(&text).map_err(|problem| LibraryError::file(&path, problem))
+            }
+        }
+    }
+
+    pub fn to_toml(&self) -> String {
+        // `About` holds only strings, numbers and tables, which TOML can express.
+        toml::to_string(self).expect("what is known of a trial is plain TOML")
+    }
+
+    fn from_toml(text: &str) -> Result<Self, String> {
+        let mut about: Self =
+            toml::from_str(text).map_err(|error| error.to_string().trim_end().to_string())?;
+        for name in [&mut about.surface, &mut about.user].into_iter().flatten() {
+            *name = normal(name);
+        }
+        let names = [("surface", &about.surface), ("user", &about.user)];
+        if let Some((key, _)) = names.iter().find(|(_, name)| name.as_deref() == Some("")) {
+            return Err(format!("{key} = \"\"; write a name, or remove the line"));
+        }
+        Ok(about)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_known_survives_being_written() {
+        let about = About {
+            surface: Some("steel \"A\"\n".into()),
+            user: Some("expert".into()),
+            trial: Some(3),
+            started_at: Some("2025-01-31T12:00:00Z".into()),
+            notes: Some("pressed hard".into()),
+            synthetic: true,
+            incomplete: true,
+            scan: Some(toml::toml! { drag_s = [0.5, 5.3] }),
+            devices: BTreeMap::from([("mi2".into(), "hw:1".into())]),
+        };
+        assert_eq!(About::from_toml(&about.to_toml()), Ok(about));
+        assert_eq!(About::from_toml(""), Ok(About::default()));
+    }
+
+    #[test]
+    fn a_start_may_be_a_date_or_text() {
+        let start = |text: &str| About::from_toml(text).map(|about| about.started_at.unwrap());
+        assert_eq!(start("started_at = 2025-01-31T12:00:00Z").unwrap(), "2025-01-31T12:00:00Z");
+        assert_eq!(start("started_at = \"noon\"").unwrap(), "noon");
+        let error = start("notes = \"\"\nstarted_at = 12").unwrap_err();
+        assert!(error.contains("line 2") && error.contains("neither a date"), "{error}");
+    }
 }

@@ -7,8 +7,14 @@
 //!     trial.toml                 optional: see [`About`]
 //!     mi2.wav  ac.wav  …         one WAV or FLAC for each source
 //!     ca1.png or ca1.jpg
-//!   SURFACE/NAME.wav             a file outside a trial folder: see module `loose`
+//!   SURFACE/NAME.wav             a file outside a trial folder
 //! ```
+//! A file outside a trial folder holds one source of a trial. A name that begins with the name of a
+//! source, such as `mi2_03.wav`, selects that source. Any other file holds the only source that
+//! `library.toml` describes, or the sound of a drag if it describes none or several. The trial's number
+//! is the one at the end of the name, if every name ends with a number and no source has a number
+//! twice. If not, the files are numbered in the order of their names. Files of one surface and number
+//! form one trial.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -16,7 +22,7 @@ use std::sync::Arc;
 
 use super::files::{self, Listed, number_in};
 use super::loader::{FileTrial, Headers, Remarks, SourceFiles};
-use super::{About, Entry, Library, LibraryError, Opened, loose, series_file};
+use super::{About, Entry, Library, LibraryError, Opened, series_file};
 use crate::printable::counted;
 use crate::scene::{Domain, LibraryToml, Scene, SourceBlock, SourceId};
 use crate::trial::{EXPERT, TrialKey, UNLABELLED, normal};
@@ -120,7 +126,6 @@ struct RecordingOpening<'a> {
     root: &'a Path,
     name: String,
     scene: Scene,
-    /// The description of each source in `library.toml`.
     declared: BTreeMap<SourceId, SourceBlock>,
     /// Sources without a described number of channels; their first recording gives it.
     unknown: BTreeSet<SourceId>,
@@ -213,7 +218,6 @@ impl<'a> RecordingOpening<'a> {
         self.loose(&normal(&surface.name), &loose);
     }
 
-    /// Adds the files that lie directly in a surface's folder, by the rules of [`loose`].
     fn loose(&mut self, surface: &str, files: &[&Listed]) {
         let taken: Vec<u32> = (self.trials.keys())
             .filter(|key| key.surface == surface && key.user == EXPERT)
@@ -221,13 +225,13 @@ impl<'a> RecordingOpening<'a> {
             .collect();
         let only = self.declared.keys().next().filter(|_| self.declared.len() == 1);
         let names: Vec<&str> = files.iter().map(|item| item.stem_and_extension().0).collect();
-        let places = loose::places(&names, &self.scene, only, &taken);
+        let places = loose_places(&names, &self.scene, only, &taken);
         for (item, place) in files.iter().zip(places) {
             match self.series(&place.source, &item.path) {
                 Err(error) => self.bad.push(error),
                 Ok(file) => {
                     if place.guessed {
-                        self.headers.note(&item.path, loose::remark(&place.source));
+                        self.headers.note(&item.path, guessed_remark(&place.source));
                     }
                     let key = TrialKey::new(surface, EXPERT, place.number);
                     let trial = || (item.path.clone(), BTreeMap::new());
@@ -256,7 +260,14 @@ impl<'a> RecordingOpening<'a> {
             self.headers.note(&folder.path, "not used, trial.toml says incomplete = true");
             return Ok(());
         }
-        let number = about.trial.map_or_else(|| number_of(folder), Ok);
+        let number = about.trial.or_else(|| number_in(&folder.name)).ok_or_else(|| {
+            let problem = format!(
+                "its name does not end with the number of the trial (0 to {}); rename it, for \
+                 example to `trial1`, or say `trial = N` in its trial.toml",
+                u32::MAX
+            );
+            LibraryError::file(&folder.path, problem)
+        });
         let bad_files = self.bad.len();
         let mut sources = BTreeMap::new();
         for item in files::list(&folder.path)? {
@@ -355,15 +366,80 @@ impl<'a> RecordingOpening<'a> {
     }
 }
 
-fn number_of(folder: &Listed) -> Result<u32, LibraryError> {
-    number_in(&folder.name).ok_or_else(|| {
-        LibraryError::file(
-            &folder.path,
-            format!(
-                "its name does not end with the number of the trial (0 to {}); rename it, for \
-                 example to `trial1`, or say `trial = N` in its trial.toml",
-                u32::MAX
-            ),
-        )
-    })
+/// The default source of a file, if neither the file's name nor `library.toml` selects another.
+const USUAL: &str = "mi2";
+
+#[derive(Clone, Debug, PartialEq)]
+struct FilePlace {
+    source: SourceId,
+    number: u32,
+    /// Whether the file's name does not begin with the name of a source.
+    guessed: bool,
+}
+
+/// The source and the trial number of each file in `names` (without extension), in order. `only` is
+/// the only source that `library.toml` describes; numbers in `taken` belong to other trials.
+fn loose_places(
+    names: &[&str],
+    scene: &Scene,
+    only: Option<&SourceId>,
+    taken: &[u32],
+) -> Vec<FilePlace> {
+    let usual = || scene.get(USUAL).map(|spec| spec.id.clone());
+    let Some(usual) = only.cloned().or_else(usual) else { return Vec::new() };
+    let place = |name: &&str| {
+        let (named, number) = (source_of(name, scene), number_in(name).unwrap_or_default());
+        let guessed = named.is_none();
+        FilePlace { source: named.unwrap_or_else(|| usual.clone()), number, guessed }
+    };
+    let mut places: Vec<FilePlace> = names.iter().map(place).collect();
+    let free = |name: &&str| number_in(name).is_some_and(|number| !taken.contains(&number));
+    let different: BTreeSet<_> = places.iter().map(|place| (&place.source, place.number)).collect();
+    if different.len() < names.len() || !names.iter().all(free) {
+        let first = taken.iter().max().map_or(1, |most| most.saturating_add(1));
+        let mut next: BTreeMap<SourceId, u32> = BTreeMap::new();
+        for place in &mut places {
+            let next = next.entry(place.source.clone()).or_insert(first);
+            place.number = *next;
+            *next = next.saturating_add(1);
+        }
+    }
+    places
+}
+
+/// The remark on files that were read as `source`, since their names begin with no source's name.
+fn guessed_remark(source: &SourceId) -> String {
+    let what = if source.as_str() == USUAL { "sound of a drag" } else { "the source" };
+    format!("read as {what} (`{source}`); begin the file name with another source to change that")
+}
+
+/// The source that `name` begins with, if no letter or digit follows; of several, the longest.
+fn source_of(name: &str, scene: &Scene) -> Option<SourceId> {
+    let begins = |id: &str| {
+        let rest = name.strip_prefix(id)?;
+        Some(!rest.starts_with(char::is_alphanumeric))
+    };
+    let longest = scene.sources().filter(|spec| begins(spec.id.as_str()) == Some(true));
+    longest.max_by_key(|spec| spec.id.as_str().len()).map(|spec| spec.id.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn placed(names: &[&str], taken: &[u32]) -> Vec<(String, u32)> {
+        let places = loose_places(names, &Scene::lmt108(), None, taken);
+        places.iter().map(|place| (place.source.to_string(), place.number)).collect()
+    }
+
+    #[test]
+    fn names_say_source_and_number_where_they_can() {
+        let of = |name: &str, number| (name.to_string(), number);
+        assert_eq!(placed(&["scan 3", "scan 12"], &[]), [of("mi2", 3), of("mi2", 12)]);
+        assert_eq!(placed(&["ac_1", "mi2-1"], &[]), [of("ac", 1), of("mi2", 1)]);
+        assert_eq!(placed(&["ac"], &[]), [of("ac", 1)]);
+        assert_eq!(placed(&["acorn1", "first"], &[]), [of("mi2", 1), of("mi2", 2)]);
+        assert_eq!(placed(&["a1", "b1"], &[]), [of("mi2", 1), of("mi2", 2)], "one number twice");
+        assert_eq!(placed(&["scan1", "scan2"], &[1]), [of("mi2", 2), of("mi2", 3)]);
+    }
 }

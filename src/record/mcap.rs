@@ -62,7 +62,8 @@ fn attached(recording: &Path) -> Result<Vec<(String, PathBuf)>, LibraryError> {
     let library = root.ancestors().nth(2).unwrap_or(&root);
     let description = library.join(DESCRIPTION);
     if description.is_file() {
-        all.push((DESCRIPTION.into(), inside(&description, library)?));
+        inside(&description, library)?;
+        all.push((DESCRIPTION.into(), description));
     }
     below(&root, library, &mut all)?;
     Ok(all)
@@ -83,11 +84,11 @@ fn below(folder: &Path, root: &Path, all: &mut Vec<(String, PathBuf)>) -> Result
     Ok(())
 }
 
-/// Returns `path`. Refuses a link that leads out of `root`, to files that nobody meant to share.
-fn inside(path: &Path, root: &Path) -> Result<PathBuf, LibraryError> {
+/// Refuses a link that leads out of `root`, to files that nobody meant to share.
+fn inside(path: &Path, root: &Path) -> Result<(), LibraryError> {
     let real = path.canonicalize().map_err(|error| LibraryError::io(path, error))?;
     match real.starts_with(root) {
-        true => Ok(path.to_path_buf()),
+        true => Ok(()),
         false => Err(LibraryError::file(
             path,
             format!("a link that leads out of the recording, to {}; copy it in", real.display()),

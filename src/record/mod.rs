@@ -141,7 +141,6 @@ pub fn append_trial(
 /// A trial whose files are all written, but whose folder does not have its final name yet.
 struct UnfinishedTrial<'a> {
     library: &'a Path,
-    /// The folder of the trial's surface.
     surface: PathBuf,
     options: &'a TrialOptions,
     /// A temporary folder with a random name for this trial alone. It is removed on drop.

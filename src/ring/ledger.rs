@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
-use ringbuf::traits::{Consumer, Observer, Producer, Split};
+use ringbuf::traits::{Consumer, Producer, Split};
 use ringbuf::{HeapCons, HeapProd, HeapRb};
 
 use super::{Stop, Stopped, Waker};
@@ -21,18 +21,16 @@ const NAP: Duration = Duration::from_millis(2);
 /// Most stretches that may wait for the consumer. If no more stretches fit, new frames are lost, too.
 const STRETCHES: usize = 256;
 
-/// The producer's half of the bookkeeping.
 pub(super) struct Ledger {
     meter: Arc<Meter>,
     stretches: HeapProd<(u64, u64)>,
     /// The last stretch until a frame follows it; `None` if a frame came last.
     open: Option<Range<u64>>,
     pub head: u64,
-    waker: Waker,
+    pub waker: Waker,
     room: Receiver<()>,
 }
 
-/// The consumer's half of the bookkeeping.
 pub struct Reckoning {
     pub meter: Arc<Meter>,
     stretches: HeapCons<(u64, u64)>,
@@ -78,13 +76,6 @@ impl Ledger {
         self.open = Some(start..self.head);
         self.meter.lost.fetch_add(frames, Ordering::AcqRel);
         self.meter.head.store(self.head, Ordering::Release);
-    }
-
-    /// Wakes the collector if the ring should be emptied soon.
-    pub(super) fn wake_if_half_full(&self, ring: &impl Observer) {
-        if ring.occupied_len() * 2 >= ring.capacity().get() {
-            self.waker.wake();
-        }
     }
 
     /// Waits until the consumer has made room, but at most for [`NAP`].
@@ -181,7 +172,6 @@ pub struct Meter {
 pub struct Counts {
     /// Frames that the device offered, that is, the frames in the ring, received and lost.
     pub pushed: u64,
-    /// Frames that came out of the ring.
     pub received: u64,
     /// Frames that never entered the ring, since it was full or they never arrived at the device.
     pub lost: u64,

@@ -63,7 +63,6 @@ impl Sink {
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// Requests the end; this cannot be undone.
     pub fn request(&self) {
         self.0.store(true, Ordering::Release);
     }

@@ -17,27 +17,21 @@ pub struct RingSink<T> {
     ledger: Ledger,
 }
 
-/// The device's end of a ring of samples.
 pub type SeriesSink = RingSink<f32>;
-/// The device's end of a ring of pictures.
 pub type ImageSink = RingSink<Arc<Image>>;
 
-/// The collector's end of a ring.
 pub struct RingTap<T> {
     ring: HeapCons<T>,
     channels: usize,
     reckoning: Reckoning,
 }
 
-/// The collector's end of a ring of samples.
 pub type SeriesTap = RingTap<f32>;
-/// The collector's end of a ring of pictures.
 pub type ImageTap = RingTap<Arc<Image>>;
 
 /// A piece of what comes out of a ring in order, either samples or a gap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Piece<'a, T = f32> {
-    /// Interleaved samples, in whole frames.
     Samples(&'a [T]),
     /// This many frames are missing here.
     Missing(u64),
@@ -80,7 +74,9 @@ impl<T: Clone> RingSink<T> {
         let entered = self.enter(samples);
         let lost = (frames - entered) as u64;
         self.ledger.lose(lost);
-        self.ledger.wake_if_half_full(&self.ring);
+        if self.ring.occupied_len() * 2 >= self.ring.capacity().get() {
+            self.ledger.waker.wake();
+        }
         lost
     }
 
@@ -115,7 +111,6 @@ impl<T: Clone> RingSink<T> {
         len / channels
     }
 
-    /// Puts in the frames that fit, and returns their number.
     fn enter(&mut self, samples: &[T]) -> usize {
         // Rounds down to whole frames, so that a frame is never split between two calls.
         let fits = self.ring.vacant_len().min(samples.len()) / self.channels * self.channels;

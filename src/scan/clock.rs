@@ -29,7 +29,6 @@ const STEP_S: ClockSecond = 0.01;
 /// Converts frame indexes of a stream to times of the time base, by a line fitted to arrivals.
 #[derive(Clone, Debug)]
 pub struct Clock {
-    /// Nominal time from frame to frame.
     period_s: ClockSecond,
     /// Finished bins, oldest first, as points (nominal time, delay).
     bins: VecDeque<ClockPoint>,
@@ -182,7 +181,6 @@ fn edge_under(points: &[ClockPoint], middle: ClockSecond) -> Option<Line> {
 mod tests {
     use super::*;
 
-    /// Pseudo-random numbers in 0..1, determined by their seed.
     fn uniform(seed: &mut u64) -> f64 {
         *seed =
             seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

@@ -19,7 +19,6 @@ use super::{Event, Options, ScanCommand, Totals};
 use crate::device::{DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark};
 use crate::ring::Stop;
 
-/// The longest wait between two turns of the loop.
 const TURN: Duration = Duration::from_millis(5);
 /// Seconds of each stream that are kept, so that marks can refer to past frames.
 const LOOKBACK_S: f64 = 5.0;
@@ -41,6 +40,13 @@ pub(super) struct Collector {
     /// Sets the marks of scans; `None` if the devices set them.
     pub detector: Option<ScanDetector>,
     pub commands: Receiver<ScanCommand>,
+}
+
+impl Drop for Collector {
+    /// Stops the devices however the collector ends, since devices would wait for it for ever.
+    fn drop(&mut self) {
+        self.stop.request();
+    }
 }
 
 impl Collector {
@@ -111,10 +117,7 @@ impl Collector {
             DeviceReportKind::Rate(rate_hz) => {
                 let own = self.streams.iter_mut().filter(|stream| stream.device == device);
                 let series = own.filter(|stream| stream.rate_hz > 0.0);
-                series.for_each(|stream| stream.rate_hz = rate_hz);
-                if let Some(detector) = &mut self.detector {
-                    detector.follow_rates(&self.streams, device);
-                }
+                series.for_each(|stream| stream.set_rate(rate_hz));
             }
             DeviceReportKind::Mark(mark) => self.mark(device, &name, mark),
             DeviceReportKind::Ended(result) => {
@@ -169,9 +172,9 @@ impl Collector {
 
     /// Runs one `step` of the detector, if there is one; applies its marks and passes on its
     /// warnings. Warnings about a mark say that it was set by `who`.
-    fn detect(&mut self, who: &str, step: impl Fn(&mut ScanDetector, &[Stream])) {
+    fn detect(&mut self, who: &str, step: impl Fn(&mut ScanDetector, &mut [Stream])) {
         let Some(detector) = &mut self.detector else { return };
-        step(detector, &self.streams);
+        step(detector, &mut self.streams);
         let marks = std::mem::take(&mut detector.marks);
         let warnings = std::mem::take(&mut detector.warnings);
         marks.into_iter().for_each(|mark| self.mark(DETECTOR, who, mark));
@@ -197,10 +200,11 @@ impl Collector {
     fn send_scans(&mut self, looked: Instant, over: bool) {
         while let Some(mut scan) = self.scans.pop_front() {
             self.send_progress(&mut scan);
-            let overdue = |(_, learnt): (Instant, Instant)| {
-                over || looked.saturating_duration_since(learnt) > self.options.deliver_limit
+            let is_due = |(_, learnt): (Instant, Instant)| {
+                let is_late = looked.saturating_duration_since(learnt) > self.options.deliver_limit;
+                over || is_late || scan.cuts.values().all(|cut| cut.delivered(&self.streams))
             };
-            if !(scan.complete(&self.streams) || scan.ended.is_some_and(overdue)) {
+            if !scan.ended.is_some_and(is_due) {
                 return self.scans.push_front(scan);
             }
             if let Some(scan) = cut(scan, &self.streams) {
@@ -223,12 +227,10 @@ impl Collector {
     }
 
     fn send_trace(&mut self) {
-        let (ends, trace) = trace(&self.streams);
+        let trace = trace(&self.streams);
         let anything = !(trace.fresh.is_empty() && trace.images.is_empty());
         if anything && self.event_queue.offer(Event::Trace(trace)) {
-            for (stream, end) in self.streams.iter_mut().zip(ends) {
-                stream.traced = end;
-            }
+            self.streams.iter_mut().for_each(|stream| stream.traced = stream.end());
         }
     }
 
@@ -248,7 +250,7 @@ impl Collector {
     fn finish(mut self) -> Totals {
         self.drain();
         self.detect("the detector", ScanDetector::update);
-        self.detect("the detector", ScanDetector::finish);
+        self.detect("the detector", |detector, streams| detector.finish(streams));
         self.abandon(|_| true, "the session ended");
         // Sends incomplete scans as they are, since a device that hangs never delivers the rest.
         self.drain();

@@ -7,7 +7,6 @@
 
 use std::collections::VecDeque;
 
-/// Thresholds of taps and drags.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectorConfig {
     /// Level at which contact begins; [`SensorKind`] defines its unit.
@@ -26,8 +25,7 @@ pub struct DetectorConfig {
     pub longest_drag_s: f64,
 }
 
-/// Events of the detector. Hops are counted from the detector's first hop. In a pair (start, end),
-/// the hop `end` is not included.
+/// Events of the detector, in hops from its first. In (start, end), `end` is not included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum DetectorEvent {
     /// A drag began at hop `start`; `tap` holds the begin and end of the tap before it, if any.
@@ -41,8 +39,7 @@ pub(crate) enum DetectorEvent {
 #[derive(Clone, Copy, Debug)]
 enum DetectorState {
     Quiet { tap: Option<(u64, u64)> },
-    Contact { tap: Option<(u64, u64)>, start: u64, quiet_at: Option<u64> },
-    Drag { start: u64, quiet_at: Option<u64> },
+    Contact { tap: Option<(u64, u64)>, start: u64, quiet_at: Option<u64>, is_drag: bool },
 }
 
 #[derive(Clone, Debug)]
@@ -76,33 +73,25 @@ impl Detector {
                     *tap = None;
                 }
                 if level >= config.onset {
-                    self.state = DetectorState::Contact { tap: *tap, start: at, quiet_at: None };
+                    let (tap, start, quiet_at, is_drag) = (*tap, at, None, false);
+                    self.state = DetectorState::Contact { tap, start, quiet_at, is_drag };
                 }
                 None
             }
-            DetectorState::Contact { tap, start, quiet_at } => {
+            DetectorState::Contact { tap, start, quiet_at, is_drag } => {
                 *quiet_at = if is_quiet { Some(quiet_at.unwrap_or(at)) } else { None };
+                let hold_s = if *is_drag { config.drag_hold_s } else { config.tap_hold_s };
                 match *quiet_at {
-                    Some(end) if lasted(end, config.tap_hold_s) => {
-                        self.state = DetectorState::Quiet { tap: Some((*start, end)) };
-                        None
+                    Some(end) if lasted(end, hold_s) => {
+                        let tap = (!*is_drag).then_some((*start, end));
+                        self.state = DetectorState::Quiet { tap };
+                        tap.is_none().then_some(DetectorEvent::End { end })
                     }
-                    None if lasted(*start, config.longest_tap_s) => {
-                        let event = DetectorEvent::Drag { tap: *tap, start: *start };
-                        self.state = DetectorState::Drag { start: *start, quiet_at: None };
-                        Some(event)
+                    None if !*is_drag && lasted(*start, config.longest_tap_s) => {
+                        *is_drag = true;
+                        Some(DetectorEvent::Drag { tap: *tap, start: *start })
                     }
-                    _ => None,
-                }
-            }
-            DetectorState::Drag { start, quiet_at } => {
-                *quiet_at = if is_quiet { Some(quiet_at.unwrap_or(at)) } else { None };
-                match *quiet_at {
-                    Some(end) if lasted(end, config.drag_hold_s) => {
-                        self.state = DetectorState::Quiet { tap: None };
-                        Some(DetectorEvent::End { end })
-                    }
-                    _ if lasted(*start, config.longest_drag_s) => {
+                    _ if *is_drag && lasted(*start, config.longest_drag_s) => {
                         self.state = DetectorState::Quiet { tap: None };
                         Some(DetectorEvent::NoiseTimeout)
                     }
@@ -116,7 +105,7 @@ impl Detector {
     pub fn finish(&mut self) -> Option<DetectorEvent> {
         let state = std::mem::replace(&mut self.state, DetectorState::Quiet { tap: None });
         match state {
-            DetectorState::Drag { quiet_at, .. } => {
+            DetectorState::Contact { quiet_at, is_drag: true, .. } => {
                 Some(DetectorEvent::End { end: quiet_at.unwrap_or(self.hop) })
             }
             _ => None,
@@ -235,7 +224,6 @@ impl StreamLevel {
         }
     }
 
-    /// Forgets the noise floor, so that it is learnt again.
     pub fn relearn(&mut self) {
         self.blocks.clear();
         self.lowest = f64::INFINITY;

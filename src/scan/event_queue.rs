@@ -74,14 +74,14 @@ impl EventQueue {
     }
 
     /// Sends as much of the backlog as the reader takes, and then the totals.
-    pub fn finish(mut self) -> Totals {
+    pub fn finish(&mut self) -> Totals {
         self.waits = true;
         self.flush();
         // The reader takes no more, so the events left are dropped, and the totals count them.
         self.totals.dropped_events += self.backlog.len() as u64;
         self.backlog.clear();
         let _ = self.send(Event::Finished(self.totals.clone()));
-        self.totals
+        self.totals.clone()
     }
 
     fn patient(&mut self) -> bool {
@@ -129,6 +129,7 @@ mod tests {
             events.iter().filter(|event| matches!(event, Event::Scan(_))).count()
         });
         let totals = event_queue.finish();
+        drop(event_queue);
         assert_eq!(reader.join().unwrap(), 10);
         assert_eq!(totals.dropped_events as usize, 10 + 10_000 - 1 - BACKLOG);
     }

@@ -15,7 +15,6 @@ use crate::device::{Begin, CutFrom, Mark, Open};
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Image, Series, Signal, Trial, TrialKey};
 
-/// A scan that has begun and is not sent yet.
 #[derive(Debug, Default)]
 pub(super) struct Marked {
     pub number: u32,
@@ -63,11 +62,6 @@ impl SourceSpan {
 }
 
 impl Marked {
-    /// Whether the scan has ended and the rings have delivered all of its frames.
-    pub fn complete(&self, streams: &[Stream]) -> bool {
-        self.ended.is_some() && self.cuts.values().all(|cut| cut.delivered(streams))
-    }
-
     /// Applies a mark that belongs to the scan; returns an error if it contradicts earlier marks.
     pub fn follow(&mut self, mark: Mark, streams: &[Stream]) -> Result<(), String> {
         match mark {
@@ -84,7 +78,7 @@ impl Marked {
             },
             Mark::End { at } => {
                 for cut in self.cuts.values_mut() {
-                    let pushed = streams[cut.stream].pushed();
+                    let pushed = streams[cut.stream].meter().counts().pushed;
                     cut.end.get_or_insert(pushed.max(cut.start));
                 }
                 self.ended = Some((at, Instant::now()));
@@ -197,7 +191,6 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, history: &SeriesHistory) -> C
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fresh {
     pub source: SourceId,
-    /// Frames a second.
     pub rate_hz: f64,
     pub channels: usize,
     /// Index of the first frame, counted from the start of the source or stream.
@@ -208,7 +201,6 @@ pub struct Fresh {
 #[derive(Clone, Debug)]
 pub struct Progress {
     pub number: u32,
-    /// The true label, as in [`Scan::truth`].
     pub truth: Option<TrialKey>,
     /// Seconds of drag that this snapshot and all earlier ones hold together.
     pub scan_s: f64,
@@ -218,7 +210,6 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Appends the data of a `later` snapshot of the same scan.
     pub(crate) fn append(&mut self, later: Self) {
         self.scan_s = later.scan_s;
         for fresh in later.fresh {
@@ -309,8 +300,7 @@ pub(super) fn next_snapshot(
     Some((step, sent, progress))
 }
 
-/// For each stream, the index after its new data; and the new data of all streams since the last trace.
-pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
+pub(super) fn trace(streams: &[Stream]) -> Trace {
     let (mut fresh, mut images) = (Vec::new(), Vec::new());
     for stream in streams {
         match &stream.buffer {
@@ -332,7 +322,7 @@ pub(super) fn trace(streams: &[Stream]) -> (Vec<u64>, Trace) {
             }
         }
     }
-    (streams.iter().map(Stream::end).collect(), Trace { fresh, images })
+    Trace { fresh, images }
 }
 
 #[cfg(test)]

@@ -10,8 +10,8 @@
 pub(crate) mod clock;
 mod collect;
 pub mod detect;
+mod device_group;
 mod event_queue;
-mod group;
 mod marked_scan;
 mod scan_detector;
 mod session;
@@ -48,7 +48,6 @@ pub struct Scan {
     /// Reasons why the scan should not be trusted, one line each; empty if there are none. A gap of
     /// at most 1 ms is no reason, since the frame before the gap is repeated to fill it.
     pub spoiled: Vec<String>,
-    /// The time of the scan's last sample.
     pub ended_at: Instant,
 }
 
@@ -74,7 +73,6 @@ pub enum Event {
     /// A scan has reached a part, such as the drag, or has ended; some of its data may still come.
     Phase {
         scan: u32,
-        /// the part; `None` if the scan has ended
         phase: Option<Phase>,
     },
     Progress(Progress),
@@ -95,7 +93,6 @@ pub enum Event {
 pub struct Totals {
     pub scans: u32,
     pub streams: BTreeMap<SourceId, Counts>,
-    /// Devices that failed or panicked, and why.
     pub failed: Vec<(String, String)>,
     /// Devices that did not stop in time and were abandoned.
     pub abandoned: Vec<String>,
@@ -105,7 +102,6 @@ pub struct Totals {
 }
 
 impl Totals {
-    /// Number of frames lost in all streams, within scans and between them.
     pub fn lost(&self) -> u64 {
         self.streams.values().map(|counts| counts.lost).sum()
     }
@@ -116,8 +112,7 @@ pub struct Options {
     /// Length of the ring of a series, in seconds at its nominal rate; at least one frame.
     pub ring_s: f64,
     pub ring_images: usize,
-    /// Seconds of drag from one [`Progress`] to the next; for example, `Some(0.05)` makes 20 a
-    /// second in real time. Off by default.
+    /// Seconds of drag from one [`Progress`] to the next, such as `Some(0.05)`. Off by default.
     pub progress_every_s: Option<f64>,
     /// Seconds of real time from one [`Trace`] to the next. Off by default.
     pub trace_every_s: Option<f64>,
@@ -126,9 +121,7 @@ pub struct Options {
     pub longest_scan_s: f64,
     /// How long a scan waits for missing data after its end.
     pub deliver_limit: Duration,
-    /// How long a stop waits for the devices.
     pub stop_limit: Duration,
-    /// Capacity of the queue of events.
     pub events: usize,
     /// Detects scans in streams that carry no marks. Off by default.
     pub detection: Option<Detection>,

@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 
 use crossbeam_channel::{Receiver, Sender};
 
+use super::clock::Clock;
 use super::collect::Collector;
 use super::event_queue::EventQueue;
 use super::scan_detector::ScanDetector;
@@ -112,11 +113,7 @@ impl Session {
             detector,
             commands: cued,
         };
-        let collector = spawn("collector", move || {
-            // Stops the devices however the collector ends, since devices would wait for it for ever.
-            let _end = EndsAll(collector.stop.clone());
-            collector.run()
-        })?;
+        let collector = spawn("collector", move || collector.run())?;
         let mut session = Self {
             events,
             commands,
@@ -190,15 +187,6 @@ impl Drop for Session {
     }
 }
 
-/// Requests a stop when it is dropped.
-struct EndsAll(Stop);
-
-impl Drop for EndsAll {
-    fn drop(&mut self) {
-        self.0.request();
-    }
-}
-
 fn check(options: &Options) -> Result<(), SessionError> {
     let seconds = [
         ("ring_s", Some(options.ring_s)),
@@ -229,7 +217,8 @@ fn join(spec: &StreamSpec, device: usize, options: &Options, waker: Waker) -> (S
             (0.0, 3, Sink::Images(sink), StreamBuffer::Images { tap, recent })
         }
     };
-    (sink, Stream { id: spec.id.clone(), device, rate_hz, channels, buffer, traced: 0 })
+    let (id, clock, observed) = (spec.id.clone(), Clock::new(rate_hz), (0, f64::NEG_INFINITY));
+    (sink, Stream { id, device, rate_hz, channels, buffer, traced: 0, clock, observed })
 }
 
 fn spawn<T: Send + 'static>(

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::clock::{Clock, ClockSecond};
 use crate::ring::{ImageTap, Meter, Piece, Reckoning, SeriesTap};
 use crate::scene::SourceId;
 use crate::trial::Image;
@@ -12,6 +13,11 @@ use crate::trial::Image;
 const RECENT_IMAGES: u64 = 8;
 /// Most pictures that are kept, even if a scan needs older ones.
 const MOST_IMAGES: usize = 64;
+/// A stream that has delivered nothing for this long takes no part in detection.
+const SILENT_S: ClockSecond = 0.5;
+/// A drag is over if its streams have delivered nothing for this long. The time is longer than any
+/// machine suspends a driver.
+const GONE_S: ClockSecond = 3.0;
 
 pub(super) struct Stream {
     pub id: SourceId,
@@ -24,6 +30,10 @@ pub(super) struct Stream {
     pub buffer: StreamBuffer,
     /// Index after the last frame that was sent in a trace.
     pub traced: u64,
+    /// Tells when each frame was sampled, on the time base of the scan detector.
+    pub clock: Clock,
+    /// Index after the last frame that the clock has observed, and the time when that frame arrived.
+    pub observed: (u64, ClockSecond),
 }
 
 pub(super) enum StreamBuffer {
@@ -35,6 +45,36 @@ pub(super) enum StreamBuffer {
 pub(super) type RecentImages = VecDeque<(u64, Arc<Image>)>;
 
 impl Stream {
+    /// Takes over a rate that the device has measured, before its first frame.
+    pub fn set_rate(&mut self, rate_hz: f64) {
+        self.rate_hz = rate_hz;
+        self.clock = Clock::new(rate_hz);
+    }
+
+    /// Notes that the frames which have come out of the ring since the last call arrived at `now_s`.
+    pub fn observe(&mut self, now_s: ClockSecond) {
+        let end = self.end();
+        if end > self.observed.0 {
+            self.observed = (end, now_s);
+            self.clock.observe(end, now_s);
+        }
+    }
+
+    pub fn alive(&self, now_s: ClockSecond) -> bool {
+        now_s - self.observed.1 <= SILENT_S
+    }
+
+    /// Whether the stream's data have been missing long enough to end its drag.
+    pub fn gone(&self, now_s: ClockSecond) -> bool {
+        now_s - self.observed.1 > GONE_S
+    }
+
+    /// Index of the frame that is sampled now; if the stream is silent, the index of its next frame.
+    pub fn index_now(&self, now_s: ClockSecond) -> u64 {
+        let by_clock = self.clock.index_at(now_s).filter(|_| self.alive(now_s));
+        by_clock.unwrap_or(self.observed.0)
+    }
+
     fn reckoning(&self) -> &Reckoning {
         match &self.buffer {
             StreamBuffer::Series { tap, .. } => tap.reckoning(),
@@ -51,17 +91,11 @@ impl Stream {
         self.reckoning().position
     }
 
-    /// Index after the last frame that was put into the ring.
-    pub fn pushed(&self) -> u64 {
-        self.meter().counts().pushed
-    }
-
     pub fn exhausted(&self) -> bool {
         self.reckoning().exhausted()
     }
 
-    /// Takes all that is in the ring, and returns whether the ring held anything. Gaps longer than
-    /// `longest_s` seconds are not filled.
+    /// Empties the ring; returns whether it held anything. Leaves gaps above `longest_s` unfilled.
     pub fn drain(&mut self, longest_s: f64) -> bool {
         match &mut self.buffer {
             StreamBuffer::Series { tap, history } => {
@@ -106,7 +140,6 @@ impl Stream {
 #[derive(Debug)]
 pub struct SeriesHistory {
     pub channels: usize,
-    /// Index of the first frame that is kept.
     pub base: u64,
     samples: Vec<f32>,
     /// The gaps as ranges of indexes, in order; no two of them touch.
@@ -190,7 +223,6 @@ pub(super) fn image(recent: &RecentImages, index: u64) -> Option<&Arc<Image>> {
     recent.iter().find(|(at, _)| *at == index).map(|(_, image)| image)
 }
 
-/// The first `channels` channels of frames that have `wide` channels.
 pub(super) fn narrow(samples: &[f32], wide: usize, channels: usize) -> Vec<f32> {
     if wide == channels {
         return samples.to_vec();

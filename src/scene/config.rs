@@ -48,12 +48,12 @@ pub(crate) struct SourceBlock {
 
 impl Scene {
     pub fn lmt108() -> Self {
-        let text = include_str!("../../configs/lmt108.toml");
+        let text = include_str!("../../configs/sources.toml");
         // This cannot fail, since a test parses the embedded file.
         Self::from_toml(text).expect("the embedded scene parses")
     }
 
-    /// A scene from the text of a TOML file (`configs/lmt108.toml` shows the form).
+    /// A scene from the text of a TOML file (`configs/sources.toml` shows the form).
     ///
     /// # Errors
     /// If the text is not TOML, has an unknown key, or describes an impossible source. The error
@@ -89,7 +89,6 @@ pub struct LibraryToml {
     pub sources: Scene,
     /// The file's own description of each source, which takes precedence over the defaults.
     pub(crate) declared: BTreeMap<SourceId, SourceBlock>,
-    /// Whether the file holds `synthetic = true`.
     pub synthetic: bool,
 }
 

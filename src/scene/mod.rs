@@ -66,7 +66,6 @@ impl Borrow<str> for SourceId {
 pub enum Domain {
     /// Random bins of the amplitude spectrum between two frequencies in Hz, both included.
     Spectrum {
-        /// lowest and highest frequency
         band_hz: (f64, f64),
     },
     /// Equidistant samples in time.
@@ -106,7 +105,6 @@ pub enum Colour {
 pub enum Phase {
     /// A picture, which belongs to no part of the scan.
     Still,
-    /// The tap that opens a scan.
     Tap,
     Drag,
 }
@@ -114,15 +112,11 @@ pub enum Phase {
 /// Describes one source and how it is compared.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SourceSpec {
-    /// Short name of the source and of its files.
     pub id: SourceId,
     pub what: String,
-    /// The physical sensor.
     pub sensor: String,
-    /// The part of a scan that the source is cut from.
     pub phase: Phase,
     pub domain: Domain,
-    /// The part of each pixel that is compared, if the source is an image.
     pub colour: Colour,
     pub channels: usize,
     /// The sample rate that recordings must have, in Hz; `None` if any rate is accepted.

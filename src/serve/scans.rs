@@ -203,7 +203,7 @@ async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Pr
     let source = SourceId::new(whole.unwrap_or(stem)).map_err(|_| Problem::NotFound)?;
     let (finder, image) = {
         let inner = hub.lock();
-        let finder = inner.viewfinder.clone().filter(|finder| *finder.source() == source);
+        let finder = inner.viewfinder.clone().filter(|finder| finder.view().source == source);
         (finder, inner.pictures.get(&source).cloned())
     };
     let is_whole = whole.is_some();

@@ -94,10 +94,10 @@ impl Assembled {
         let mut camera = Camera::new(config.source.clone(), video, config.turn, config.every);
         self.viewfinder = Some(camera.viewfinder());
         if let Some(flash) = &config.flash {
-            let by = match (flash.control, light) {
-                (Some(control), _) => Some(Flash::Control(control)),
-                (None, Some(light)) => Some(Flash::Line(Box::new(move |on| light.switch(on)))),
-                (None, None) => None,
+            let by = match (flash.by_camera, light) {
+                (true, _) => Some(Flash::Camera),
+                (false, Some(light)) => Some(Flash::Line(Box::new(move |on| light.switch(on)))),
+                (false, None) => None,
             };
             if let Some(by) = by {
                 camera = camera.flash(flash.source.clone(), by, flash.settle);

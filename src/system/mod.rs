@@ -81,8 +81,7 @@ impl Drop for Locked {
     }
 }
 
-/// Returns freed memory to the system, since the allocator of glibc keeps it. Called after a large
-/// part of the memory was freed.
+/// Returns freed memory to the system, which the allocator of glibc would keep.
 pub(crate) fn give_back_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: `malloc_trim` takes no pointer, and any thread may call it at any time.

@@ -70,7 +70,6 @@ pub(crate) fn open_at_once(path: &Path) -> io::Result<File> {
     OpenOptions::new().read(true).custom_flags(OFlags::NONBLOCK.bits() as i32).open(path)
 }
 
-/// Fills `bytes` from position `offset` of a file.
 pub(crate) fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
     file.read_exact_at(bytes, offset)
 }
@@ -81,7 +80,6 @@ pub(crate) fn processor_s() -> Option<f64> {
     Some(time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9)
 }
 
-/// Whether this user may read and write a device.
 pub(crate) fn may_use(node: &Path) -> io::Result<()> {
     Ok(access(node, Access::READ_OK | Access::WRITE_OK)?)
 }

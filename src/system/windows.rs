@@ -58,7 +58,6 @@ fn about(path: &Path) -> Option<file::Information> {
     file::information(Handle::from_path_any(path).ok()?).ok()
 }
 
-/// Opens a file for reading.
 pub(crate) fn open_at_once(path: &Path) -> io::Result<File> {
     File::open(path)
 }

@@ -89,7 +89,6 @@ pub fn is_plain(image: &Image) -> bool {
     image.rgb().chunks_exact(3).all(|pixel| pixel == first)
 }
 
-/// Finds the flaws of one channel, sample by sample.
 #[derive(Clone, Debug)]
 struct ChannelFlaws {
     samples: usize,
@@ -132,8 +131,7 @@ impl ChannelFlaws {
         self.seen.len() < FEWEST_VALUES
     }
 
-    /// [`Flaw::Constant`] or [`Flaw::Stuck`], if the samples so far show it; `channel` counts
-    /// from 0.
+    /// [`Flaw::Constant`] or [`Flaw::Stuck`], if the samples show it; `channel` counts from 0.
     fn dead(&self, channel: usize) -> Option<Flaw> {
         let (channel, value) = (channel + 1, self.last);
         if self.samples > 0 && self.run == self.samples {
@@ -162,7 +160,6 @@ impl ChannelFlaws {
         found(f32::from_bits(most), share, SHARE).or_else(|| found(0.0, at_zero, STUCK))
     }
 
-    /// Converts a number of samples to a share of all samples so far.
     fn share(&self, samples: usize) -> f64 {
         samples as f64 / self.samples.max(1) as f64
     }
@@ -197,7 +194,6 @@ impl SeriesFlaws {
     }
 }
 
-/// The flaws of a series, channel by channel.
 pub fn flaws(series: &Series) -> Vec<Flaw> {
     let mut found = SeriesFlaws::new(series.channels());
     found.add(series.samples());

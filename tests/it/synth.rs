@@ -111,7 +111,7 @@ fn only_meshes_and_glossy_surfaces_are_metal_and_most_are() {
 fn a_scene_says_that_it_is_synthetic() {
     let library = library(&small());
     assert!(library.synthetic && library.name.starts_with("synthetic"));
-    assert!(embedded().library.synthetic);
+    assert!(embedded().synthetic);
 }
 
 #[test]

@@ -1,9 +1,13 @@
-//! The constants of the synthetic scene: its size and its difficulty.
-//!
-//! Only these numbers change if the scene is calibrated anew. The scene serves tests,
-//! demonstrations and stress tests; it must not be used to rank methods.
+//! The constants of the synthetic scene: its size and its difficulty; and the values that trials draw
+//! from them. A quantity is a centre plus independent, normally distributed effects of the surface, the
+//! user and the trial (a random-effects model).
 
 use std::collections::BTreeMap;
+
+use rand_chacha::ChaCha8Rng;
+
+use crate::seed::{self, normal, uniform};
+use crate::trial::{EXPERT, TrialKey};
 
 /// Mean and spreads (standard deviations) of one quantity, in the quantity's unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,7 +36,6 @@ pub struct Parameters {
     pub seed: u64,
     pub drag_seconds: f64,
     pub twins: Option<Twins>,
-    /// how well sources separate surfaces, and how much users differ
     pub difficulty: Difficulty,
 }
 
@@ -40,15 +43,13 @@ pub struct Parameters {
 pub struct Twins {
     /// one of the two similar surfaces, counted from 0
     pub original: usize,
-    /// the other of the two similar surfaces, counted from 0
     pub twin: usize,
     /// difference between the two: 0 for equal surfaces, 1 for unrelated ones
     pub distance: f64,
 }
 
 impl Default for Parameters {
-    /// The size of dataset LMT108: 108 surfaces, ten trials by the expert and one by each of ten
-    /// users.
+    /// The size of LMT108: 108 surfaces, ten trials by the expert and one by each of ten users.
     fn default() -> Self {
         Self {
             surfaces: 108,
@@ -179,8 +180,7 @@ impl Difficulty {
     ///
     /// Calibrated on Table II of the paper with `cargo run --release --example synth_pattern`: on
     /// 108 such surfaces, expert against users, the method `reference` comes near the accuracies in
-    /// the paper (table in `src/dataset/synth/mod.rs`). So this scene does not show that
-    /// `reference` is good, must not be used to rank methods, and yields no published results.
+    /// the paper. So this scene does not show that `reference` is good.
     ///
     /// Surfaces that resemble each other in a source make the source weak. Large differences
     /// between users would make the source misleading instead, and spoil the product of scores over
@@ -199,5 +199,102 @@ impl Default for Difficulty {
     fn default() -> Self {
         let effects = QUANTITIES.map(|(name, easy, _)| (name, easy)).into();
         Self { effects, force_drift: 0.15, metal_fraction: 0.75, metal_correlation_s: 0.02 }
+    }
+}
+
+/// The random draws of one trial. Each draw has its own seed, made from names, so that it does not
+/// depend on draws of other quantities or other trials.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Draws<'a> {
+    pub seed: u64,
+    pub d: &'a Difficulty,
+    pub key: &'a TrialKey,
+    /// The surface that the trial's surface resembles, if any, and the distance to it (0: alike).
+    pub like: Option<(&'a str, f64)>,
+}
+
+impl Draws<'_> {
+    pub fn value(&self, name: &str) -> f64 {
+        self.nth(name, 0)
+    }
+
+    /// The value number `index` among quantities with equal spreads, such as the heights of bumps.
+    pub fn nth(&self, name: &str, index: u32) -> f64 {
+        let effect = self.d.effects[name];
+        let (name, index) = (name.as_bytes(), &index.to_le_bytes()[..]);
+        let (surface, user) = (self.key.surface.as_bytes(), self.key.user.as_bytes());
+        let number = self.key.number.to_le_bytes();
+        let draw = |sd: f64, key: &[&[u8]]| match sd {
+            0.0 => 0.0,
+            _ => sd * normal(&mut seed::rng(self.seed, key)),
+        };
+        let hand = if self.key.user == EXPERT { 0.0 } else { effect.user };
+        let of_surface =
+            |surface: &str| draw(effect.surface, &[b"surface", name, index, surface.as_bytes()]);
+        let own = of_surface(&self.key.surface);
+        effect.centre
+            + self.like.map_or(own, |(other, far)| (1.0 - far) * of_surface(other) + far * own)
+            + draw(hand, &[b"user", name, index, user])
+            + draw(effect.trial, &[b"trial", name, index, surface, user, &number])
+    }
+
+    /// A uniform number in [0, 1), the same in all trials of a surface and of a surface like it.
+    pub fn surface_uniform(&self, name: &str, index: u32) -> f64 {
+        let index = index.to_le_bytes();
+        let surface = self.like.map_or(self.key.surface.as_str(), |(other, _)| other);
+        let key = [b"uniform", name.as_bytes(), &index, surface.as_bytes()];
+        uniform(&mut seed::rng(self.seed, &key))
+    }
+
+    /// A generator for noise that differs between trials.
+    pub fn noise(&self, name: &str) -> ChaCha8Rng {
+        let number = self.key.number.to_le_bytes();
+        let (surface, user) = (self.key.surface.as_bytes(), self.key.user.as_bytes());
+        seed::rng(self.seed, &[b"noise", name.as_bytes(), surface, user, &number])
+    }
+}
+
+pub(super) fn logistic(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LEVEL: Effect = Effect { centre: 1.0, surface: 0.5, user: 0.25, trial: 0.125 };
+
+    fn value_like(key: TrialKey, effect: Effect, like: Option<(&str, f64)>) -> f64 {
+        let d = &Difficulty { effects: [("level", effect)].into(), ..Difficulty::default() };
+        Draws { seed: 7, d, key: &key, like }.value("level")
+    }
+
+    fn value(key: TrialKey, effect: Effect) -> f64 {
+        value_like(key, effect, None)
+    }
+
+    #[test]
+    fn the_expert_is_the_zero_of_the_user_effect() {
+        let hands = Effect { surface: 0.0, trial: 0.0, ..LEVEL };
+        assert_eq!(value(TrialKey::new("A", EXPERT, 1), hands), 1.0);
+        assert_ne!(value(TrialKey::new("A", "user1", 1), hands), 1.0);
+    }
+
+    #[test]
+    fn a_surface_effect_is_shared_by_all_trials_of_the_surface() {
+        let surfaces = Effect { user: 0.0, trial: 0.0, ..LEVEL };
+        let first = value(TrialKey::new("A", EXPERT, 1), surfaces);
+        assert_eq!(first, value(TrialKey::new("A", "user3", 3), surfaces));
+        assert_ne!(first, value(TrialKey::new("B", EXPERT, 1), surfaces));
+    }
+
+    #[test]
+    fn a_twin_is_almost_like_its_original() {
+        let surfaces = Effect { user: 0.0, trial: 0.0, ..LEVEL };
+        let value =
+            |surface: &str, like| value_like(TrialKey::new(surface, EXPERT, 1), surfaces, like);
+        let (a, b) = (value("A", None), value("B", None));
+        assert_eq!(value("B", Some(("A", 0.0))), a);
+        assert!((value("B", Some(("A", 0.25))) - (0.75 * a + 0.25 * b)).abs() < 1e-12);
     }
 }

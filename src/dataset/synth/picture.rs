@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 use rand::Rng;
 
-use super::effect::{Draws, logistic};
+use super::parameters::{Draws, logistic};
 use crate::seed::uniform;
 use crate::trial::Image;
 
@@ -120,7 +120,6 @@ impl WaveTexture {
         Self { cols, per_row }
     }
 
-    /// Writes the texture of one row into `line`.
     fn row(&self, row: usize, line: &mut [f32; Image::COLS]) {
         line.fill(0.0);
         for (cols, per_row) in self.cols.iter().zip(self.per_row) {

@@ -1,16 +1,11 @@
 //! Frames in the formats of cameras, and their conversion to RGB.
 
 use std::borrow::Cow;
-use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use image::{DynamicImage, ImageFormat, ImageReader, Limits, RgbImage};
+use image::{DynamicImage, RgbImage};
 
 use crate::jpeg;
-
-/// Longest accepted side of a frame, in pixels.
-const MAX_SIDE: u32 = 1 << 13;
-const MAX_BYTES: u64 = 1 << 28;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameFormat {
@@ -19,7 +14,6 @@ pub enum FrameFormat {
     /// Four bytes Y0 U Y1 V for each two pixels (BT.601, Y from 16 to 235).
     Yuyv,
     Rgb,
-    /// Three bytes per pixel: blue, green, red.
     Bgr,
 }
 
@@ -27,14 +21,12 @@ pub enum FrameFormat {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frame {
     pub format: FrameFormat,
-    /// Width in pixels that the camera announced.
     pub width: u32,
     pub height: u32,
     pub bytes: Vec<u8>,
 }
 
 impl Frame {
-    /// Decodes the picture in the frame. An error says why this is impossible.
     pub fn to_rgb(&self) -> Result<RgbImage, String> {
         let (width, height) = (self.width, self.height);
         let bytes = match self.format {
@@ -69,8 +61,7 @@ fn yuyv_to_rgb(pairs: &[u8]) -> Vec<u8> {
     for pair in pairs.chunks_exact(4) {
         let (u, v) = (i32::from(pair[1]) - 128, i32::from(pair[3]) - 128);
         for y in [pair[0], pair[2]] {
-            // All factors (255/219 for Y, 2(1−Kr)·255/224 for V, …; Kr = 0.299, Kb = 0.114) are
-            // multiplied by 2^16.
+            // Factors (255/219 for Y, 2(1−0.299)·255/224 for V, …), multiplied by 2^16.
             let y = 76_309 * (i32::from(y) - 16) + (1 << 15);
             let parts = [y + 104_597 * v, y - 25_675 * u - 53_279 * v, y + 132_201 * u];
             // The cast is safe: after the clamp, the value fits into a byte.
@@ -89,15 +80,8 @@ fn decode_jpeg(bytes: &[u8]) -> Result<RgbImage, String> {
     }
     let whole = with_tables(bytes);
     // Catches panics, which decoders may have on hostile input. No damaged state remains.
-    let decoded = catch_unwind(AssertUnwindSafe(|| {
-        let mut reader = ImageReader::with_format(Cursor::new(&whole), ImageFormat::Jpeg);
-        let mut limits = Limits::default();
-        limits.max_image_width = Some(MAX_SIDE);
-        limits.max_image_height = Some(MAX_SIDE);
-        limits.max_alloc = Some(MAX_BYTES);
-        reader.limits(limits);
-        reader.decode()
-    }));
+    let decode = || jpeg::reader(&whole)?.decode();
+    let decoded = catch_unwind(AssertUnwindSafe(decode));
     let decoded = decoded.map_err(|_| "the decoder failed")?;
     decoded.map(DynamicImage::into_rgb8).map_err(|error| error.to_string())
 }

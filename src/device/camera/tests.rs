@@ -1,7 +1,7 @@
 //! Tests of the camera's driver, with simulated cameras that fail like real ones.
 
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::AtomicUsize;
 
 use super::Frames;
 use super::frame::FrameFormat;
@@ -21,12 +21,19 @@ type CameraScript = dyn Fn(usize, usize) -> CameraAct + Send + Sync;
 struct ScriptedCamera {
     script: Arc<CameraScript>,
     openings: AtomicUsize,
-    /// All values that the camera's control was set to; the open stream shares this list.
-    light: Arc<Mutex<Vec<i64>>>,
+    /// All states that the camera's light was switched to; the open stream shares this list.
+    light: Arc<Mutex<Vec<bool>>>,
+    has_torch: bool,
     first: Option<OpenError>,
 }
 
-struct Playing(Arc<CameraScript>, usize, usize, Arc<Mutex<Vec<i64>>>);
+struct Playing {
+    script: Arc<CameraScript>,
+    opening: usize,
+    frame: usize,
+    light: Arc<Mutex<Vec<bool>>>,
+    has_torch: bool,
+}
 
 impl Video for ScriptedCamera {
     fn device(&self) -> String {
@@ -37,7 +44,13 @@ impl Video for ScriptedCamera {
         let opening = self.openings.fetch_add(1, Ordering::SeqCst);
         match &self.first {
             Some(error) if opening == 0 => Err(error.clone()),
-            _ => Ok(Box::new(Playing(self.script.clone(), opening, 0, self.light.clone()))),
+            _ => Ok(Box::new(Playing {
+                script: self.script.clone(),
+                opening,
+                frame: 0,
+                light: self.light.clone(),
+                has_torch: self.has_torch,
+            })),
         }
     }
 }
@@ -45,11 +58,11 @@ impl Video for ScriptedCamera {
 impl Frames for Playing {
     fn next(&mut self) -> Result<Frame, String> {
         std::thread::sleep(Duration::from_millis(5));
-        self.2 += 1;
-        match (self.0)(self.1, self.2 - 1) {
+        self.frame += 1;
+        match (self.script)(self.opening, self.frame - 1) {
             CameraAct::Frame(mut frame) => {
                 // Frames are red while the camera's light is on.
-                if self.3.lock().unwrap().last() == Some(&1) {
+                if self.light.lock().unwrap().last() == Some(&true) {
                     frame.bytes.iter_mut().step_by(3).for_each(|byte| *byte = 255);
                 }
                 Ok(frame)
@@ -61,9 +74,9 @@ impl Frames for Playing {
         }
     }
 
-    fn control(&mut self, id: u32, value: i64) -> Result<(), String> {
-        self.3.lock().unwrap().push(value);
-        if id == 7 { Ok(()) } else { Err("no such control".into()) }
+    fn torch(&mut self, on: bool) -> Result<(), String> {
+        self.light.lock().unwrap().push(on);
+        if self.has_torch { Ok(()) } else { Err("no such control".into()) }
     }
 }
 
@@ -77,7 +90,8 @@ fn short() -> Frame {
 
 fn scripted(script: impl Fn(usize, usize) -> CameraAct + Send + Sync + 'static) -> ScriptedCamera {
     let openings = AtomicUsize::new(0);
-    ScriptedCamera { script: Arc::new(script), openings, light: Arc::default(), first: None }
+    let (script, light) = (Arc::new(script), Arc::default());
+    ScriptedCamera { script, openings, light, has_torch: true, first: None }
 }
 
 fn camera(video: ScriptedCamera) -> Camera {
@@ -179,10 +193,9 @@ fn damaged_frames_are_summed_up_and_only_damaged_ones_are_a_stall() {
 fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
     let video = scripted(|_, _| CameraAct::Frame(grey()));
     let light = video.light.clone();
-    let control = Flash::Control(FlashControl { id: 7, on: 1, off: 0 });
     let ca2 = SourceId::new("ca2").unwrap();
     // Long enough for a loaded machine to see the light on.
-    let camera = camera(video).flash(ca2, control, Duration::from_millis(400));
+    let camera = camera(video).flash(ca2, Flash::Camera, Duration::from_millis(400));
     let (shutter, finder) = (camera.shutter(), camera.viewfinder());
     let (running, mut taps) = start(camera);
     running.says(&["opening", "streaming"]);
@@ -202,16 +215,16 @@ fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
     assert!(shown_on && finder.view().flash == FlashState::Off);
     assert!(finder.view().region.is_some() && finder.jpeg().is_some());
     taps[0].drain_images(|_, image| assert_eq!(image.pixel(0, 0), [90, 90, 90]));
-    assert_eq!(*light.lock().unwrap(), [1, 0]);
+    assert_eq!(*light.lock().unwrap(), [true, false]);
 }
 
 #[test]
 fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
     let ca2 = || SourceId::new("ca2").unwrap();
     let broken = Flash::Line(Box::new(|_| Err("the stylus does not answer".into())));
-    let wrong = Flash::Control(FlashControl { id: 8, on: 1, off: 0 });
-    for (flash, part) in [(broken, "does not answer"), (wrong, "no such control")] {
-        let video = scripted(|_, _| CameraAct::Frame(grey()));
+    for (flash, part) in [(broken, "does not answer"), (Flash::Camera, "no such control")] {
+        let mut video = scripted(|_, _| CameraAct::Frame(grey()));
+        video.has_torch = false;
         let camera = camera(video).flash(ca2(), flash, Duration::from_millis(50));
         camera.shutter().flash();
         let finder = camera.viewfinder();
@@ -221,4 +234,27 @@ fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
         running.end();
         assert!(!taps[1].drain_images(|_, _| {}));
     }
+}
+
+#[test]
+fn a_picture_with_flash_is_one_taken_after_the_light_has_settled() {
+    let mut cycle = Cycle::new(Duration::from_millis(100));
+    let begin = Instant::now();
+    let judge = |i: u64| cycle.judge(begin + Duration::from_millis(40 * i), || i == 2);
+    let seen: Vec<_> = (0..12).map(judge).collect();
+    let plain = (FrameLight::Plain, None);
+    let between = (FrameLight::Between, None);
+    let (on, flash) = ((FrameLight::Plain, Some(true)), (FrameLight::Flash, Some(false)));
+    let expected = [plain, plain, on, between, between, flash, between, between, plain];
+    assert_eq!(seen[..9], expected);
+    assert!(seen[9..].iter().all(|frame| *frame == plain));
+}
+
+#[test]
+fn a_shutter_is_released_once() {
+    let shutter = Shutter::default();
+    assert!(!shutter.take());
+    shutter.clone().flash();
+    shutter.flash();
+    assert!(shutter.take() && !shutter.take());
 }

@@ -1,7 +1,7 @@
 //! Turns a picture upright, and cuts out the region of 320 × 480 pixels (wide × high) to compare.
 
 use image::RgbImage;
-use image::imageops::{rotate90, rotate180, rotate270};
+use image::imageops::{rotate90, rotate180, rotate270, thumbnail};
 use serde::Serialize;
 
 use crate::trial::Image;
@@ -15,8 +15,7 @@ pub struct Region {
     pub height: f64,
 }
 
-/// The clockwise turn that makes a camera's picture upright: 0°, 90° (if the camera lies on its
-/// left side), 180° or 270°.
+/// The clockwise turn that makes a camera's picture upright, by 0°, 90°, 180° or 270°.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
     None,
@@ -47,7 +46,6 @@ impl Turn {
     }
 }
 
-/// Ratio of width to height of the compared region.
 const ASPECT: f64 = Image::COLS as f64 / Image::ROWS as f64;
 /// Longest side, in pixels, of a picture that is shown to users.
 const LONGEST: u32 = 480;
@@ -74,18 +72,10 @@ pub fn region(upright: &RgbImage) -> Region {
 }
 
 /// Scales a picture down until no side is longer than `LONGEST` pixels.
-///
-/// `None` if the picture is empty.
-pub fn small(picture: &RgbImage) -> Option<RgbImage> {
-    if picture.is_empty() {
-        return None;
-    }
-    let longest = picture.width().max(picture.height());
+pub fn small(picture: &RgbImage) -> RgbImage {
+    let longest = picture.width().max(picture.height()).max(1);
     let fit = |side: u32| (side * LONGEST.min(longest) / longest).max(1);
-    let shares = |side: u32| pixel_shares((0.0, f64::from(side)), fit(side) as usize, side);
-    let (across, down) = (shares(picture.width()), shares(picture.height()));
-    let bytes = scale(picture, &across, &down);
-    RgbImage::from_raw(fit(picture.width()), fit(picture.height()), bytes)
+    thumbnail(picture, fit(picture.width()), fit(picture.height()))
 }
 
 /// Start and length, in x and in y, of the largest region of 2:3 in the centre of a picture.
@@ -95,8 +85,7 @@ fn centre(picture: &RgbImage) -> ((f64, f64), (f64, f64)) {
     (((width - w) / 2.0, w), ((height - h) / 2.0, h))
 }
 
-/// For a new pixel, along one side: the first old pixel under it, and the weights of this and the
-/// next old pixels in the mean. The weights add up to 1.
+/// For a new pixel along a side: the first old pixel under it, and the weights of old pixels.
 type PixelShares = (usize, Vec<f32>);
 
 /// Divides `extent` old pixels (from `begin` on, of `of` in the side) among `pixels` new ones.

@@ -22,6 +22,10 @@ const DEV: &str = "/dev";
 const CODINGS: [Coding; 4] = [Coding::RAWRGB, Coding::RAWBGR, Coding::YUYV, Coding::MJPEG];
 /// Preferred frames per second. Higher rates cost computing time and light.
 const RATE_HZ: u32 = 30;
+/// The control of a camera's own light, with its values for a light that stays on and for none.
+const V4L2_CID_FLASH_LED_MODE: u128 = 0x009c_0901;
+const TORCH: i64 = 2;
+const NO_LIGHT: i64 = 0;
 
 #[derive(Clone, Debug)]
 pub struct V4l {
@@ -77,17 +81,10 @@ impl Frames for Reader {
         })
     }
 
-    fn control(&mut self, id: u32, value: i64) -> Result<(), String> {
-        let control = KnownCameraControl::Other(u128::from(id));
-        let known = self.0.camera_controls().unwrap_or_default();
-        let boolean = known.iter().any(|known| {
-            known.control() == control && matches!(known.value(), ControlValueSetter::Boolean(_))
-        });
-        let setter = match boolean {
-            true => ControlValueSetter::Boolean(value != 0),
-            false => ControlValueSetter::Integer(value),
-        };
-        self.0.set_camera_control(control, setter).map_err(|error| error.to_string())
+    fn torch(&mut self, on: bool) -> Result<(), String> {
+        let mode = KnownCameraControl::Other(V4L2_CID_FLASH_LED_MODE);
+        let value = ControlValueSetter::Integer(if on { TORCH } else { NO_LIGHT });
+        self.0.set_camera_control(mode, value).map_err(|error| error.to_string())
     }
 }
 
@@ -150,23 +147,19 @@ fn listed(number: u32, name: String) -> Option<ListedDevice> {
     let node = Path::new(DEV).join(format!("video{number}"));
     let stable = camera_alias(Path::new(DEV), &node);
     let id = stable.as_ref().unwrap_or(&node).display().to_string();
+    let index = std::fs::read_to_string(format!("/sys/class/video4linux/video{number}/index"));
+    let is_first = index.map_or(true, |index| index.trim() == "0");
     let problem = match node_problem(&node, "video") {
         Some(problem) => Some(problem),
         None => match open(number, &id) {
             Ok(_) => None,
-            Err(OpenError::Unfit(_)) if !is_first(number) => return None,
+            Err(OpenError::Unfit(_)) if !is_first => return None,
             Err(error) => Some(error.to_string()),
         },
     };
     let unstable = "it has no permanent name; its number may change when it is plugged in again";
     let problem = problem.or_else(|| stable.is_none().then(|| unstable.to_string()));
     Some(ListedDevice { id, name, node: Some(node.display().to_string()), problem })
-}
-
-/// Whether a node is the first of its camera's nodes.
-fn is_first(number: u32) -> bool {
-    std::fs::read_to_string(format!("/sys/class/video4linux/video{number}/index"))
-        .map_or(true, |index| index.trim() == "0")
 }
 
 #[cfg(test)]

@@ -10,18 +10,15 @@ use super::upright::{Region, region, small};
 use crate::jpeg;
 use crate::scene::SourceId;
 
-/// The known state of a camera's light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FlashState {
     None,
     Off,
     On,
-    /// The last attempt to switch the light failed.
     Failed,
 }
 
-/// The data that a viewfinder shows beside the picture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CameraView {
     /// The stream of the camera's pictures taken without flash.
@@ -33,53 +30,39 @@ pub struct CameraView {
 
 /// Holds a camera's newest picture for readers. All clones share it.
 #[derive(Clone, Debug)]
-pub struct Viewfinder {
-    source: SourceId,
-    sight: Arc<Mutex<Sight>>,
-}
-
-#[derive(Debug)]
-struct Sight {
-    picture: Option<Arc<RgbImage>>,
-    flash: FlashState,
-}
+pub struct Viewfinder(Arc<Mutex<(CameraView, Option<Arc<RgbImage>>)>>);
 
 impl Viewfinder {
     /// A viewfinder for a camera; `source` is the stream of its pictures without flash.
     pub fn new(source: SourceId) -> Self {
-        let sight = Sight { picture: None, flash: FlashState::None };
-        Self { source, sight: Arc::new(Mutex::new(sight)) }
+        let view = CameraView { source, region: None, flash: FlashState::None };
+        Self(Arc::new(Mutex::new((view, None))))
     }
 
-    fn lock(&self) -> MutexGuard<'_, Sight> {
-        // A lock poisoned by a panic is usable: each change is a single assignment.
-        self.sight.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, (CameraView, Option<Arc<RgbImage>>)> {
+        // A lock poisoned by a panic is usable: any mixture of old and new parts is valid.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Sets the picture to show: a whole picture, already upright.
     pub fn show(&self, picture: RgbImage) {
-        self.lock().picture = Some(Arc::new(picture));
+        let mut seen = self.lock();
+        seen.0.region = Some(region(&picture));
+        seen.1 = Some(Arc::new(picture));
     }
 
     pub fn light(&self, flash: FlashState) {
-        self.lock().flash = flash;
-    }
-
-    pub fn source(&self) -> &SourceId {
-        &self.source
+        self.lock().0.flash = flash;
     }
 
     pub fn view(&self) -> CameraView {
-        let sight = self.lock();
-        let region = sight.picture.as_ref().map(|picture| region(picture));
-        CameraView { source: self.source.clone(), region, flash: sight.flash }
+        self.lock().0.clone()
     }
 
-    /// The whole picture as a JPEG file whose longer side has at most 480 pixels. `None` before the
-    /// first picture, or if encoding fails.
+    /// The whole picture as a JPEG file of at most 480 × 480 pixels; `None` before the first.
     pub fn jpeg(&self) -> Option<Vec<u8>> {
-        let picture = self.lock().picture.clone()?;
-        let shown = small(&picture)?;
+        let picture = self.lock().1.clone()?;
+        let shown = small(&picture);
         jpeg::encode_rgb(shown.as_raw(), shown.dimensions()).ok()
     }
 }

@@ -13,14 +13,12 @@ use crate::device::serial::{Selector, WAIT};
 
 /// Default rate of a microcontroller's serial port, in baud.
 const BAUD: u32 = 115_200;
-/// Longest time that connecting may take.
 const CONNECT: Duration = Duration::from_secs(1);
 /// Length in bytes of the buffer for a datagram; no datagram is longer.
 const DATAGRAM: usize = 64 * 1024;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LinesAddress {
-    /// A serial port and its rate in baud.
     Serial(Selector, u32),
     /// `HOST:PORT` of a program that accepts TCP connections and sends lines to each client.
     Tcp(String),
@@ -64,12 +62,7 @@ impl FromStr for LinesAddress {
 impl std::fmt::Display for LinesAddress {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Serial(Selector::Usb { vendor, product, serial }, baud) => {
-                write!(f, "usb:{vendor:04x}:{product:04x}")?;
-                serial.iter().try_for_each(|serial| write!(f, ":{serial}"))?;
-                write!(f, "@{baud}")
-            }
-            Self::Serial(port, BAUD) => write!(f, "{port}"),
+            Self::Serial(Selector::Path(path), BAUD) => write!(f, "{}", path.display()),
             Self::Serial(port, baud) => write!(f, "{port}@{baud}"),
             Self::Tcp(host) => write!(f, "tcp://{host}"),
             Self::Udp(host) => write!(f, "udp://{host}"),
@@ -91,13 +84,6 @@ impl LinesAddress {
             _ => "what the program there sends",
         };
         format!("no lines of numbers come; check {check}")
-    }
-
-    pub fn name(&self) -> String {
-        match self {
-            Self::Stdin => "lines from standard input".into(),
-            other => format!("lines from {other}"),
-        }
     }
 
     /// Opens the address, and returns a reader with its name. A read times out after a moment.
@@ -166,7 +152,6 @@ static STDIN: Mutex<StdinReader> = Mutex::new(StdinReader { blocks: None, first:
 struct StdinReader {
     /// The blocks that the thread has read; `None` before the first read.
     blocks: Option<Receiver<Vec<u8>>>,
-    /// Bytes that were put back, to be returned first.
     first: Vec<u8>,
 }
 
@@ -187,12 +172,10 @@ fn start_reader() -> io::Result<Receiver<Vec<u8>>> {
 /// Standard input. All values of this type share it.
 pub struct StandardInput;
 
-impl StandardInput {
-    /// Puts back bytes, so that the next reads return these bytes first.
-    pub fn put_back(bytes: Vec<u8>) {
-        if let Ok(mut reader) = STDIN.lock() {
-            reader.first.splice(0..0, bytes);
-        }
+/// Puts back bytes of standard input, so that the next reads return these bytes first.
+pub fn put_back(bytes: Vec<u8>) {
+    if let Ok(mut reader) = STDIN.lock() {
+        reader.first.splice(0..0, bytes);
     }
 }
 

@@ -51,13 +51,14 @@ const RESTARTS: &str = "restarts of the device";
 
 #[derive(Debug, PartialEq)]
 pub enum LinesEvent<'a> {
-    /// Interleaved frames of a stream.
-    Frames { stream: usize, samples: &'a [f32] },
+    Frames {
+        stream: usize,
+        samples: &'a [f32],
+    },
     /// Number of frames that are missing or unusable, in all streams.
     Missing(u64),
 }
 
-/// The meaning of the columns at present.
 #[derive(Debug)]
 struct Layout {
     width: usize,

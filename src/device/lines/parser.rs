@@ -14,13 +14,11 @@ pub enum Line<'a> {
     Header(&'a [String]),
     /// A line that is neither a row nor a header.
     Garbage,
-    /// A line longer than [`LONGEST_LINE`].
     TooLong,
 }
 
 #[derive(Debug, Default)]
 pub struct LineParser {
-    /// The bytes of the incomplete line.
     line: Vec<u8>,
     /// Whether the incomplete line is too long, and will be dropped.
     too_long: bool,
@@ -83,28 +81,23 @@ impl LineParser {
             return;
         }
         let half = std::mem::take(&mut self.half);
-        match self.parse(line) {
-            Some(true) if !half => on(Line::Row(&self.row)),
-            Some(false) => on(Line::Header(&self.names)),
-            None if !half => on(Line::Garbage),
-            _ => {}
-        }
-    }
-
-    /// Parses a line. Returns `Some(true)` for a row, `Some(false)` for a header, `None` otherwise.
-    fn parse(&mut self, line: &[u8]) -> Option<bool> {
         self.row.clear();
         self.row.extend(Fields(Some(line)).map(|field| value_of(field).unwrap_or(f64::NAN)));
         // Fields are parsed again only if none is a finite number, which is rare.
-        if self.row.iter().any(|x| !x.is_nan()) || Fields(Some(line)).any(|f| value_of(f).is_some())
-        {
-            return Some(true);
+        let has_number = self.row.iter().any(|x| !x.is_nan());
+        if has_number || Fields(Some(line)).any(|field| value_of(field).is_some()) {
+            if !half {
+                on(Line::Row(&self.row));
+            }
+            return;
         }
         self.names.clear();
-        for field in Fields(Some(line)) {
-            self.names.push(name_of(field)?.to_string());
+        self.names.extend(Fields(Some(line)).map_while(name_of).map(String::from));
+        match self.names.len() == self.row.len() {
+            true => on(Line::Header(&self.names)),
+            false if !half => on(Line::Garbage),
+            false => {}
         }
-        Some(false)
     }
 }
 

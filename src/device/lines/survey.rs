@@ -115,12 +115,10 @@ impl Survey {
         self.rows > 0
     }
 
-    /// Whether bytes have come, but no rows.
     pub fn is_garbage(&self) -> bool {
         self.bytes > 0 && !self.has_rows()
     }
 
-    /// The names of the columns; empty if there is no header.
     pub fn names(&self) -> &[String] {
         if self.names.len() == self.columns.len() { &self.names } else { &[] }
     }
@@ -186,8 +184,7 @@ impl Survey {
         Ok(round_rate(rate_hz))
     }
 
-    /// A power of ten that brings `columns` to about ±1. It makes a printed step a small share of
-    /// full scale, and leaves room above the highest number seen.
+    /// A power of ten that brings `columns` to about ±1, with room above the highest number seen.
     pub fn scale(&self, columns: &[Column]) -> f64 {
         let named = |name: &String| self.names().iter().position(|other| other == name);
         let place = |column: &Column| match column {
@@ -236,7 +233,6 @@ fn round_rate(rate_hz: f64) -> f64 {
     (if near { coarse } else { digits(3) }).round().max(1.0)
 }
 
-/// The units that a column can count in.
 const ROWS: &str = "rows";
 const MICROS: &str = "microseconds";
 const TIME: &str = "time";
@@ -268,7 +264,6 @@ impl Steps {
         self.numbers += 1;
     }
 
-    /// The mean of the steps that are close to the median step.
     fn usual(&self) -> f64 {
         let mut up = self.up.clone();
         up.sort_unstable_by(f64::total_cmp);

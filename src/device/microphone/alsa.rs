@@ -72,8 +72,7 @@ impl Sound for Alsa {
                 format,
                 callback(format, usize::from(config.channels), sink),
                 move |error| {
-                    // An error that does not fit into the channel is dropped, as some errors repeat
-                    // endlessly.
+                    // Some errors repeat endlessly, so one that does not fit is dropped.
                     let _ = match error.kind() {
                         ErrorKind::Xrun => errors.try_send(StreamError::Overrun),
                         ErrorKind::RealtimeDenied | ErrorKind::DeviceChanged => Ok(()),
@@ -185,24 +184,19 @@ pub fn microphones() -> Result<Vec<ListedDevice>, OpenError> {
     let devices = host.devices().map_err(|error| OpenError::Failed(error.to_string()))?;
     let listed = devices.filter(DeviceTrait::supports_input).filter_map(|device| {
         let id = device.id().ok()?.id().to_string();
-        worth_listing(&id).then(|| ListedDevice {
-            name: device.to_string(),
-            problem: problem(&id, &device),
-            node: None,
-            id,
-        })
+        if !worth_listing(&id) {
+            return None;
+        }
+        let problem = match device.supported_input_configs() {
+            Err(error) => Some(explain(&id, &error).to_string()),
+            Ok(offers) => {
+                let offers: Vec<_> = offers.collect();
+                choose(&offers).is_none().then(|| unfit(&id, &offers).to_string())
+            }
+        };
+        Some(ListedDevice { name: device.to_string(), problem, node: None, id })
     });
     Ok(listed.collect())
-}
-
-fn problem(id: &str, device: &Device) -> Option<String> {
-    match device.supported_input_configs() {
-        Err(error) => Some(explain(id, &error).to_string()),
-        Ok(offers) => {
-            let offers: Vec<_> = offers.collect();
-            choose(&offers).is_none().then(|| unfit(id, &offers).to_string())
-        }
-    }
 }
 
 /// Whether to list the name `id`, since ALSA has many names for one device. Of a card's names, only

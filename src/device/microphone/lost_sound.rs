@@ -1,12 +1,11 @@
 //! Carries sound from the callback's ring to the session, and finds lost sound by the clock. Estimates
 //! how many frames an interruption cost, how many were only late, and whether the rate is right.
 
-use super::level::{self, LevelWatch, SoundLevel};
+use super::{LevelWatch, SoundLevel};
 use crate::ring::{Piece, SeriesSink, SeriesTap};
 
-const RATE_HZ: f64 = level::RATE_HZ as f64;
-/// Shortest pause, in seconds, that may hide a loss: a sound server that was delayed skips sound
-/// without a report.
+const RATE_HZ: f64 = super::RATE_HZ as f64;
+/// Shortest pause, in seconds, that may hide a loss: a delayed sound server skips sound silently.
 const PAUSE_S: f64 = 0.2;
 /// Time in seconds within which late sound has usually arrived after a pause.
 const CATCH_UP_S: f64 = 0.25;
@@ -27,14 +26,12 @@ enum Before {
     Frames,
     /// A pause, with the time of the first frames after it.
     Pause(f64),
-    /// A loss of unknown duration.
     Loss,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Carried {
     pub sound: bool,
-    /// The new level; `None` if the level has not changed.
     pub level: Option<SoundLevel>,
 }
 
@@ -61,7 +58,6 @@ impl<'a> Listening<'a> {
         now_s - self.last_s
     }
 
-    /// Whether sound comes much faster than real time.
     pub fn unpaced(&self, now_s: f64) -> bool {
         self.pace.unpaced(now_s, self.sink.position())
     }
@@ -71,8 +67,7 @@ impl<'a> Listening<'a> {
     pub fn look(&mut self, tap: &mut SeriesTap, last: bool, clock: impl Fn() -> f64) -> Carried {
         // `held` also counts frames that did not fit into the ring.
         let held = tap.meter().counts().pushed.saturating_sub(tap.position());
-        // Reads the clock after the ring: a delay between the two makes sound seem late, but never
-        // early.
+        // Reads the clock after the ring: sound may then seem late, but never early.
         let now_s = clock();
         if held == 0 {
             return Carried::default();
@@ -221,12 +216,16 @@ mod tests {
 
     #[derive(Clone, Copy, Debug)]
     enum SinkAct {
-        /// Plays sound for this number of steps.
         Play(u64),
         /// Pauses for `steps` steps. The share `passed_over` of their sound never arrives. The rest
         /// arrives in one burst, after `after` more steps with sound. During the burst, the ring is
         /// read after each callback if `piecewise`, otherwise once at the end.
-        Stall { steps: u64, passed_over: f64, after: u64, piecewise: bool },
+        Stall {
+            steps: u64,
+            passed_over: f64,
+            after: u64,
+            piecewise: bool,
+        },
         /// Pauses for this number of steps, then reopens the stream.
         Reopen(u64),
     }
@@ -254,7 +253,6 @@ mod tests {
             self.look(listening);
         }
 
-        /// Delivers delayed sound at once.
         fn burst(&mut self, listening: &mut Listening, mut frames: u64, piecewise: bool) {
             while frames > 0 {
                 let part = if piecewise { frames.min(PERIOD) } else { frames };

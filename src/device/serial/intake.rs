@@ -42,7 +42,6 @@ pub enum IntakeEvent<'a> {
         stream: usize,
         samples: &'a [f32],
     },
-    /// Frames of a stream that were lost.
     Missing {
         stream: usize,
         frames: u64,
@@ -63,8 +62,7 @@ pub enum IntakeEvent<'a> {
     Damaged(DecodeError),
 }
 
-/// For each channel of a stream: the index of its value in the stylus's sample, and the factor to
-/// multiply the value by.
+/// For each channel of a stream: the index of its value in a sample, and the value's factor.
 type StreamPlace = Vec<(usize, f32)>;
 
 /// The part of a stylus's accepted introduction (hello) that is needed to decode samples.
@@ -83,7 +81,7 @@ pub struct Intake {
     /// The table of the last accepted introduction (hello).
     table: Option<Table>,
     /// Whether samples can be decoded: the last hello was accepted, and samples fit its table.
-    introduced: bool,
+    pub(super) introduced: bool,
     /// Expected index of the next sample; `None` before the first sample.
     next: Option<u64>,
     last_s: f64,
@@ -99,10 +97,6 @@ impl Intake {
     /// Decodes the `wanted` streams from samples taken at `rate_hz`.
     pub fn new(wanted: Vec<Wanted>, rate_hz: u32) -> Self {
         Self { lag: vec![0; wanted.len()], wanted, rate_hz, ..Self::default() }
-    }
-
-    pub fn introduced(&self) -> bool {
-        self.introduced
     }
 
     /// To be called when the line was reopened: the stylus must then introduce itself again.

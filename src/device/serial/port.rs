@@ -31,8 +31,7 @@ pub enum Selector {
 impl FromStr for Selector {
     type Err = String;
 
-    /// Parses `auto`, `usb:VENDOR:PRODUCT` or `usb:VENDOR:PRODUCT:SERIAL` (numbers in hexadecimal),
-    /// or a path.
+    /// Parses `auto`, `usb:VENDOR:PRODUCT[:SERIAL]` (numbers in hexadecimal), or a path.
     fn from_str(text: &str) -> Result<Self, String> {
         if text == "auto" {
             return Ok(Self::Auto);
@@ -90,13 +89,6 @@ impl Selector {
         }
     }
 
-    pub(super) fn name(&self) -> String {
-        match self {
-            Self::Auto => "stylus".into(),
-            other => format!("stylus {other}"),
-        }
-    }
-
     pub fn open(&self) -> Result<OpenLine, OpenError> {
         self.open_at(BAUD)
     }
@@ -120,16 +112,15 @@ impl std::fmt::Display for Selector {
         match self {
             Self::Auto => f.write_str("a USB serial adapter by FTDI"),
             Self::Usb { vendor, product, serial } => {
-                write!(f, "the USB device {vendor:04x}:{product:04x}")?;
-                serial.iter().try_for_each(|serial| write!(f, " {serial}"))
+                write!(f, "usb:{vendor:04x}:{product:04x}")?;
+                serial.iter().try_for_each(|serial| write!(f, ":{serial}"))
             }
             Self::Path(path) => write!(f, "{}", path.display()),
         }
     }
 }
 
-/// Explains an error of `serialport`, which reports a locked port as `NoDevice`, and a missing port
-/// in several ways.
+/// Explains an error of `serialport`, which reports a locked port as `NoDevice`.
 fn failed(path: &str, error: &serialport::Error) -> OpenError {
     let node = Path::new(path);
     let device = path.to_string();

@@ -51,6 +51,15 @@ pub(super) fn create_folder(path: &Path) -> io::Result<()> {
     fs::create_dir_all(path)
 }
 
+pub(super) fn remove_file(path: &Path) {
+    let _ = point().and_then(|()| fs::remove_file(path));
+}
+
+/// Removes a folder, if it is there and empty.
+pub(super) fn remove_empty_folder(path: &Path) {
+    let _ = point().and_then(|()| fs::remove_dir(path));
+}
+
 pub(super) fn link(target: &Path, path: &Path) -> io::Result<()> {
     point()?;
     system::link_folder(target, path)
@@ -72,49 +81,31 @@ use stops::point;
 
 #[cfg(test)]
 pub(super) mod stops {
-    use std::cell::Cell;
+    use std::cell::{Cell, RefCell};
     use std::io;
-    use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-
-    /// How a test disturbs a change on disk.
-    #[derive(Clone, Copy, Debug, PartialEq)]
-    pub enum Stop {
-        /// The process is killed at this change.
-        Kill,
-        /// The file system refuses this one change.
-        Fail,
-        /// The file system refuses this change and all later ones.
-        FailOn,
-    }
+    use std::ops::Range;
 
     thread_local! {
-        static AT: Cell<Option<(u32, Stop)>> = const { Cell::new(None) };
+        static CHANGES: Cell<u32> = const { Cell::new(0) };
+        static REFUSED: RefCell<Range<u32>> = const { RefCell::new(0..0) };
     }
 
     pub fn point() -> io::Result<()> {
-        let Some((left, stop)) = AT.get() else { return Ok(()) };
-        if left > 0 {
-            AT.set(Some((left - 1, stop)));
-            return Ok(());
+        let change = CHANGES.replace(CHANGES.get() + 1);
+        match REFUSED.with_borrow(|refused| refused.contains(&change)) {
+            true => Err(io::Error::other("stopped by the test")),
+            false => Ok(()),
         }
-        if stop == Stop::Kill {
-            resume_unwind(Box::new(stop));
-        }
-        AT.set(Some((0, stop)).filter(|_| stop == Stop::FailOn));
-        Err(io::Error::other("stopped by the test"))
     }
 
-    /// Runs `work`, and interrupts its change number `change` (from 0) by `stop`. Returns the
-    /// result of `work` (`None` if it was killed), and whether `work` made that many changes.
-    pub fn until<T>(change: u32, stop: Stop, work: impl FnOnce() -> T) -> (Option<T>, bool) {
-        AT.set(Some((change, stop)));
-        let done = catch_unwind(AssertUnwindSafe(work));
-        let reached = !matches!(AT.replace(None), Some((left, _)) if left > 0 || stop == Stop::Kill)
-            || done.is_err();
-        match done {
-            Ok(done) => (Some(done), reached),
-            Err(panic) if panic.is::<Stop>() => (None, true),
-            Err(panic) => resume_unwind(panic),
-        }
+    /// Runs `work` while the file system refuses the `refused` changes, counted from 0. Returns the
+    /// result of `work`, and whether it came to the first of these changes.
+    pub fn refusing<T>(refused: Range<u32>, work: impl FnOnce() -> T) -> (T, bool) {
+        let first = refused.start;
+        CHANGES.set(0);
+        REFUSED.set(refused);
+        let done = work();
+        REFUSED.set(0..0);
+        (done, CHANGES.get() > first)
     }
 }

@@ -109,8 +109,7 @@ fn listed(root: &Path, entry: &Entry) -> ListedTrial {
     }
 }
 
-/// The next free trial number for each surface and user. Removed trials keep their numbers, since
-/// they may be restored.
+/// The next free number for each surface and user; removed trials keep theirs for a restore.
 pub(crate) fn numbers_after(
     library: &Path,
     scene: &Scene,

@@ -94,7 +94,7 @@ impl Editor {
     }
 
     fn finish_left(&mut self) -> Result<(), LibraryError> {
-        let Some(last) = self.steps.last() else { return Ok(()) };
+        let Some(last) = self.steps.known.last() else { return Ok(()) };
         let Some((moves, undoing)) = last.left() else { return Ok(()) };
         let what = format!("{}{}", if undoing { "undo " } else { "" }, last.step.what);
         let (moves, root) = (moves.to_vec(), self.root.display().to_string());
@@ -221,7 +221,7 @@ impl Editor {
     /// # Errors
     /// If there is no step to undo, or the file system refuses.
     pub fn undo(&mut self) -> Result<Step, LibraryError> {
-        let Some(last) = self.steps.last() else {
+        let Some(last) = self.steps.known.last() else {
             return Err(LibraryError::file(&self.root, "there is no step to undo"));
         };
         let mut step = last.step.clone();
@@ -278,8 +278,11 @@ impl Editor {
         let chosen = match self.choose(folder, entries, &[name.to_string()]) {
             Ok(chosen) => chosen,
             Err(error) => {
-                let unreadable = unreadable(folder, name);
-                return unreadable.map(|place| vec![(place, None)]).ok_or(error);
+                // The folder or file of a trial that cannot be read.
+                let all = places(folder).into_iter();
+                let mut all = all.map(|(surface, trial)| format!("{surface}/{trial}"));
+                let there = all.find(|there| normal(there) == normal(name)).ok_or(error)?;
+                return Ok(vec![(folder.join(there), None)]);
             }
         };
         let mut all = Vec::new();
@@ -361,13 +364,6 @@ impl Editor {
     }
 }
 
-/// The folder or file called `name`, if there is one, of a trial that cannot be read.
-fn unreadable(root: &Path, name: &str) -> Option<PathBuf> {
-    let all = places(root).into_iter().map(|(surface, trial)| format!("{surface}/{trial}"));
-    let mut named = all.filter(|there| normal(there) == normal(name));
-    named.next().map(|there| root.join(there))
-}
-
 /// How long an edit waits for programs that read the library. A browser waits longer for a reply.
 const PATIENCE: Duration = Duration::from_secs(8);
 /// How long a program waits for a lock before it logs which program holds it.
@@ -446,8 +442,6 @@ fn wait(file: &File, library: &Path, patience: Option<Duration>) -> bool {
     }
 }
 
-#[cfg(test)]
-mod crashes;
 #[cfg(test)]
 #[path = "../../../tests/common/edited.rs"]
 mod edited;

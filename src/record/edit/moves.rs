@@ -122,23 +122,16 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// The place where the trial of a move lies now: before or after the move, or gone.
-#[derive(PartialEq)]
-enum Place {
-    Before,
-    After,
-    /// Neither at the old path nor at the new one; another trial may lie there.
-    Gone,
-}
-
-fn place(from: &Path, to: &Path, one: &Move) -> Place {
+/// Whether the trial of a move lies at its new path; `None` if it lies neither there nor at its old
+/// path, where another trial may lie.
+fn is_moved(from: &Path, to: &Path, one: &Move) -> Option<bool> {
     match (identity(from), identity(to)) {
-        (before, _) if before.is_some() && before == one.inode => Place::Before,
-        (_, after) if after.is_some() && after == one.inode => Place::After,
+        (before, _) if before.is_some() && before == one.inode => Some(false),
+        (_, after) if after.is_some() && after == one.inode => Some(true),
         // The inode differs, for example in a copy of the library. Then the existing path decides.
-        (Some(_), None) => Place::Before,
-        (None, Some(_)) => Place::After,
-        _ => Place::Gone,
+        (Some(_), None) => Some(false),
+        (None, Some(_)) => Some(true),
+        _ => None,
     }
 }
 
@@ -198,7 +191,7 @@ pub(super) fn carry_out(root: &Path, moves: &[Move]) -> Result<(), LibraryError>
     let ends = |one: &Move| (root.join(&one.from), root.join(&one.to));
     for one in moves {
         let (from, to) = ends(one);
-        if place(&from, &to, one) == Place::Before {
+        if is_moved(&from, &to, one) == Some(false) {
             let parent = to.parent().unwrap_or(root);
             disk::create_folder(parent)
                 .and_then(|()| disk::move_to(&from, &to))
@@ -211,13 +204,13 @@ pub(super) fn carry_out(root: &Path, moves: &[Move]) -> Result<(), LibraryError>
     let mut labels = Vec::new();
     for one in moves {
         let (from, to) = ends(one);
-        let is_there = place(&from, &to, one) == Place::After;
+        let is_there = is_moved(&from, &to, one) == Some(true);
         let Some(key) = one.is.as_ref().filter(|_| is_there) else { continue };
         let unfinished = unfinished(&to);
         match label(&to, &to, key)? {
             Some(text) => labels.push((unfinished, to, text)),
             // Removes a file that a call that was cut short may have left.
-            None => drop(fs::remove_file(&unfinished)),
+            None => disk::remove_file(&unfinished),
         }
     }
     for (unfinished, _, text) in &labels {
@@ -254,7 +247,7 @@ fn relink(one: &Move, link: &Path) -> std::io::Result<()> {
         _ => return Ok(()),
     };
     let unfinished = link.with_file_name(".link.unfinished");
-    let _ = fs::remove_file(&unfinished);
+    disk::remove_file(&unfinished);
     disk::link(&target, &unfinished)?;
     disk::rename(&unfinished, link)
 }
@@ -263,8 +256,7 @@ fn relink(one: &Move, link: &Path) -> std::io::Result<()> {
 pub(super) fn tidy(root: &Path, moves: &[Move]) {
     for name in moves.iter().flat_map(|one| [&one.from, &one.to]) {
         let folder = root.join(name);
-        let _ = fs::remove_file(unfinished(&folder));
-        // `remove_dir` removes only an empty folder.
-        let _ = fs::remove_dir(folder.parent().unwrap_or(root));
+        disk::remove_file(&unfinished(&folder));
+        disk::remove_empty_folder(folder.parent().unwrap_or(root));
     }
 }

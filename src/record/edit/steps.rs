@@ -179,7 +179,8 @@ pub(super) struct Steps {
     path: PathBuf,
     file: File,
     end: u64,
-    known: Vec<KnownStep>,
+    /// All steps, the latest last.
+    pub known: Vec<KnownStep>,
     _lock: Locked,
 }
 
@@ -196,10 +197,6 @@ impl Steps {
         let (known, end) = read(library)?;
         let file = open(&path).map_err(fail)?;
         Ok(Self { path: path.clone(), file, end, known, _lock: Locked(lock) })
-    }
-
-    pub fn last(&self) -> Option<&KnownStep> {
-        self.known.last()
     }
 
     /// Adds lines to the list of steps: all of them or, after an error, none.

@@ -1,5 +1,12 @@
+//! Tests of edits, and tests that kill an edit, or let the disk refuse a change, at each change on disk
+//! in turn.
+//!
+//! A killed program makes no further changes. So it leaves the same files as a program that still
+//! runs, but whose changes the disk refuses from that moment on.
+
 use std::fs;
 
+use super::disk::stops::refusing;
 use super::edited::{copy_trial, held, library, one};
 use super::*;
 
@@ -82,4 +89,165 @@ fn a_letter_is_the_same_in_both_of_its_forms() {
     let surfaces: BTreeSet<_> =
         trials(root, &scene).unwrap().into_iter().map(|entry| entry.key.surface).collect();
     assert_eq!(surfaces, BTreeSet::from(["\u{e9}rable".to_string()]));
+}
+
+/// Maps the data of each trial, present or removed, to the trial's name.
+fn state(root: &Path, scene: &Scene) -> BTreeMap<Vec<u8>, String> {
+    let mut state = BTreeMap::new();
+    let of = |entries: Vec<Entry>, place: &str| -> Vec<_> {
+        let one = |entry: &Entry| {
+            let bytes = fs::read(entry.places()[0].join("ir.wav")).unwrap();
+            (bytes, format!("{place}{}", entry.key))
+        };
+        entries.iter().map(one).collect()
+    };
+    for (bytes, name) in
+        [of(trials(root, scene).unwrap(), ""), of(removed(root, scene).unwrap(), "removed ")]
+            .concat()
+    {
+        assert_eq!(state.insert(bytes, name), None, "a trial is there twice");
+    }
+    state
+}
+
+fn scratch() -> tempfile::TempDir {
+    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for item in fs::read_dir(from).unwrap().flatten() {
+        match item.path().is_dir() {
+            true => copy(&item.path(), &to.join(item.file_name())),
+            false => drop(fs::copy(item.path(), to.join(item.file_name())).unwrap()),
+        }
+    }
+}
+
+type Edit = fn(&mut Editor) -> Result<(), LibraryError>;
+
+/// The test cases: name, preparation of the library, and the edit that is cut short.
+const EDITS: [(&str, Edit, Edit); 9] = [
+    ("rename", |_| Ok(()), |e| e.rename("oak", "ash").map(drop)),
+    ("move", |_| Ok(()), |e| e.move_to(&["oak/anna-02".into(), "ash".into()], "elm").map(drop)),
+    ("move all", |_| Ok(()), |e| e.move_to(&["oak".into(), "ash".into()], "elm").map(drop)),
+    (
+        "undo a move",
+        |e| e.move_to(&["oak".into(), "ash".into()], "elm").map(drop),
+        |e| e.undo().map(drop),
+    ),
+    ("remove", |_| Ok(()), |e| e.remove(&["oak".into()]).map(drop)),
+    ("restore", |e| e.remove(&["oak".into()]).map(drop), |e| e.restore(&["oak".into()]).map(drop)),
+    ("undo a rename", |e| e.rename("oak", "ash").map(drop), |e| e.undo().map(drop)),
+    ("undo a removal", |e| e.remove(&["oak".into()]).map(drop), |e| e.undo().map(drop)),
+    (
+        "undo a restoring",
+        |e| {
+            e.remove(&["oak".into()])?;
+            e.restore(&["oak/anna-01".into()]).map(drop)
+        },
+        |e| e.undo().map(drop),
+    ),
+];
+
+/// A library after the edit that prepares a test case, and its number of steps.
+struct Before {
+    dir: tempfile::TempDir,
+    scene: Scene,
+    steps: usize,
+}
+
+impl Before {
+    fn new(prepare: Edit) -> Self {
+        let (dir, scene) = library();
+        prepare(&mut Editor::open(dir.path(), &scene).unwrap()).unwrap();
+        let steps = steps::read(dir.path()).unwrap().0.len();
+        Self { dir, scene, steps }
+    }
+
+    fn again(&self) -> tempfile::TempDir {
+        let dir = scratch();
+        copy(self.dir.path(), dir.path());
+        dir
+    }
+
+    /// Opens a library after an interrupted edit. Trials and steps must be as before the edit or as
+    /// `after` it, and undoing all steps must lead back to the beginning.
+    fn check(&self, root: &Path, after: &BTreeMap<Vec<u8>, String>, at: &str) {
+        let before = state(self.dir.path(), &self.scene);
+        drop(LibraryLock::for_reading(root));
+        let found = state(root, &self.scene);
+        assert!(found == before || found == *after, "{at}: {found:?}");
+        let (steps, _) = steps::read(root).unwrap();
+        assert!(steps.iter().all(|step| step.left().is_none()), "{at}");
+        assert_eq!(steps.len() == self.steps, found == before, "{at}: {}", steps.len());
+        for _ in 0..steps.len() {
+            Editor::open(root, &self.scene).unwrap().undo().unwrap();
+        }
+        assert_eq!(held(root, &self.scene), ["ash/1", "oak/1", "oak/2"], "{at}");
+        for surface in ["oak", "ash"] {
+            let left = fs::read_dir(root.join(surface)).unwrap().flatten();
+            assert!(left.into_iter().all(|item| item.path().is_dir()), "{at}");
+        }
+    }
+}
+
+#[test]
+fn an_edit_that_is_killed_at_any_change_is_finished_or_taken_back_by_the_next_opening() {
+    let mut kills = 0;
+    for (what, prepare, edit) in EDITS {
+        let before = Before::new(prepare);
+        let done = before.again();
+        edit(&mut Editor::open(done.path(), &before.scene).unwrap()).unwrap();
+        let after = state(done.path(), &before.scene);
+        for first in 0.. {
+            let dir = before.again();
+            let open = || Editor::open(dir.path(), &before.scene);
+            let (_, reached) = refusing(first..u32::MAX, || edit(&mut open()?));
+            if !reached {
+                break;
+            }
+            kills += 1;
+            let cut_short = scratch();
+            copy(dir.path(), cut_short.path());
+            before.check(dir.path(), &after, &format!("{what}, killed at {first}"));
+            // The next opening repairs the library. This kills the repair, too.
+            for second in 0.. {
+                let dir = scratch();
+                copy(cut_short.path(), dir.path());
+                let open = || drop(LibraryLock::for_reading(dir.path()));
+                if !refusing(second..u32::MAX, open).1 {
+                    break;
+                }
+                kills += 1;
+                let at = format!("{what}, killed at {first}, and again at {second}");
+                before.check(dir.path(), &after, &at);
+            }
+        }
+    }
+    assert!(kills >= 1000, "{kills} kills");
+    eprintln!("{kills} kills");
+}
+
+#[test]
+fn an_edit_of_which_the_disk_refuses_any_one_change_changes_nothing() {
+    for (what, prepare, edit) in EDITS {
+        let before = Before::new(prepare);
+        let is_before =
+            |root: &Path| state(root, &before.scene) == state(before.dir.path(), &before.scene);
+        let done = before.again();
+        edit(&mut Editor::open(done.path(), &before.scene).unwrap()).unwrap();
+        let after = state(done.path(), &before.scene);
+        for change in 0.. {
+            let dir = before.again();
+            let work = || edit(&mut Editor::open(dir.path(), &before.scene)?);
+            let (result, reached) = refusing(change..change + 1, work);
+            if !reached {
+                break;
+            }
+            let at = format!("{what}, refused at {change}: {result:?}");
+            assert_eq!(result.is_err(), is_before(dir.path()), "{at}");
+            before.check(dir.path(), &after, &at);
+        }
+    }
 }

@@ -44,7 +44,7 @@ fn find(
 }
 
 fn synthetic(source: &str, entry: usize) -> (f64, Vec<f32>) {
-    let trial = synth::embedded().library.entries[entry].load().unwrap();
+    let trial = synth::embedded().entries[entry].load().unwrap();
     let signals: BTreeMap<_, _> = trial.signals;
     match &signals[source] {
         Signal::Series(series) => (series.rate_hz(), series.samples().to_vec()),
@@ -74,7 +74,7 @@ fn joined(entry: usize) -> (f64, Vec<f32>, [f64; 3]) {
 #[test]
 fn tap_and_drag_are_found_in_the_sound_of_every_synthetic_surface() {
     let mut worst = 0.0_f64;
-    for entry in (0..synth::embedded().library.entries.len()).step_by(7) {
+    for entry in (0..synth::embedded().entries.len()).step_by(7) {
         let (rate_hz, samples, [tap_s, start_s, end_s]) = joined(entry);
         let (_, found) = find(SensorKind::Vibration, 1, rate_hz, &samples);
         let [DetectorEvent::Drag { tap: Some((tap, _)), start }, DetectorEvent::End { end }] =

@@ -84,9 +84,6 @@ pub(super) struct CameraBlock {
     pub source: Spanned<String>,
     pub flash: FlashName,
     pub flash_source: Spanned<String>,
-    pub flash_control: Option<u32>,
-    pub flash_on: Option<i64>,
-    pub flash_off: Option<i64>,
     pub flash_settle_ms: Spanned<u64>,
 }
 

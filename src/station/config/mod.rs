@@ -12,7 +12,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::device::camera::{FlashControl, Turn};
+use crate::device::camera::Turn;
 pub use crate::device::lines::LinesConfig;
 use crate::device::microphone::Pick;
 pub use crate::device::serial::StylusConfig;
@@ -68,8 +68,8 @@ pub struct CameraConfig {
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlashConfig {
     pub source: SourceId,
-    /// The camera control that switches the light; `None` if the stylus switches it.
-    pub control: Option<FlashControl>,
+    /// Whether the camera switches its own light; otherwise the stylus switches the light.
+    pub by_camera: bool,
     /// Time from switching the light until pictures show the change.
     pub settle: Duration,
 }
@@ -112,7 +112,7 @@ impl StationConfig {
             parts.insert(DevicePart::Camera);
             // If the camera cannot switch the light, the stylus does, so the stylus is kept, too.
             let flash = self.camera.as_ref().and_then(|camera| camera.flash.as_ref());
-            if flash.is_some_and(|flash| flash.control.is_none()) && self.stylus.is_some() {
+            if flash.is_some_and(|flash| !flash.by_camera) && self.stylus.is_some() {
                 parts.insert(DevicePart::Stylus);
             }
         }

@@ -17,7 +17,7 @@ use super::{
     CameraConfig, ConfigError, FlashConfig, LinesConfig, MicrophoneConfig, MqttAddress,
     OutputsConfig, StationConfig, StylusConfig, TlsFiles, lines,
 };
-use crate::device::camera::{FlashControl, Turn};
+use crate::device::camera::Turn;
 use crate::device::microphone::Pick;
 use crate::device::serial::Wanted;
 use crate::scan::detect::{DetectorConfig, SensorKind};
@@ -182,17 +182,11 @@ fn camera(block: CameraBlock, scene: &Scene) -> Result<Option<CameraConfig>, Mis
         return mistake(&block.turn, problem);
     };
     let every_ms = positive("every_ms", &block.every_ms)?;
-    let torch = FlashControl::TORCH;
-    let control = FlashControl {
-        id: block.flash_control.unwrap_or(torch.id),
-        on: block.flash_on.unwrap_or(torch.on),
-        off: block.flash_off.unwrap_or(torch.off),
-    };
     let flash = match block.flash {
         FlashName::None => None,
         FlashName::Stylus | FlashName::Camera => Some(FlashConfig {
             source: known(block.flash_source.get_ref(), &block.flash_source, scene)?,
-            control: (block.flash == FlashName::Camera).then_some(control),
+            by_camera: block.flash == FlashName::Camera,
             settle: Duration::from_millis(*block.flash_settle_ms.get_ref()),
         }),
     };

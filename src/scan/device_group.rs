@@ -1,30 +1,35 @@
 //! A group holds the streams of one device that show contact, which share a counter and a detector.
+//! A tap that two devices sensed gives the constant offset between the times of their groups.
 
 use std::collections::VecDeque;
 
-use super::detect::{Detector, DetectorConfig, DetectorEvent, HOP_S, SensorKind, StreamLevel};
+use super::detect::{
+    Detector, DetectorConfig, DetectorEvent, HOP_S, SensorKind, StreamLevel, onset_in,
+};
 use super::stream::{Stream, StreamBuffer};
 use crate::scene::SourceId;
 
 /// Number of levels that are kept, which cover 10 s.
 const KEPT_HOPS: usize = 2_000;
+/// The largest offset between two devices that a tap may give, in seconds.
+const LARGEST_OFFSET_S: f64 = 0.3;
 
-pub(super) struct Group {
+pub(super) struct DeviceGroup {
     /// For each stream of the group, its index among all streams, and the meter of its level.
     pub channels: Vec<(usize, StreamLevel)>,
-    pub rate_hz: f64,
+    rate_hz: f64,
     pub detector: Detector,
     /// `base` is the index of the first frame of hop 0; `next` is the index of the next frame to take.
     base: u64,
     next: u64,
     /// The highest level over all streams in each of the latest hops, from hop `first` on.
-    pub levels: VecDeque<f64>,
-    pub first: u64,
+    levels: VecDeque<f64>,
+    first: u64,
     /// Seconds by which this group's times are later than those of the leading group.
     pub offset_s: f64,
 }
 
-impl Group {
+impl DeviceGroup {
     /// A group of the `channels` that exist among the streams; `None` if none of them exists.
     pub fn new(
         channels: &[(SourceId, SensorKind)],
@@ -50,10 +55,8 @@ impl Group {
         })
     }
 
-    /// Sets the group's rate to the rate of its streams. Called before their first frame.
-    pub fn follow_rate(&mut self, streams: &[Stream]) {
-        self.rate_hz = streams[self.channels[0].0].rate_hz;
-        self.channels.iter_mut().for_each(|(_, level)| *level = level.at_rate(self.rate_hz));
+    pub fn leader<'a>(&self, streams: &'a [Stream]) -> &'a Stream {
+        &streams[self.channels[0].0]
     }
 
     /// Whether `last` ended a drag only because the data stopped.
@@ -65,24 +68,37 @@ impl Group {
         self.base + (hop as f64 * self.rate_hz * HOP_S).round() as u64
     }
 
-    pub fn hop(&self, frame: u64) -> u64 {
+    fn hop(&self, frame: u64) -> u64 {
         (frame.saturating_sub(self.base) as f64 / (self.rate_hz * HOP_S)).round() as u64
     }
 
-    /// Takes the new frames that all `alive` streams have delivered; returns the events found in them.
-    pub fn update(
-        &mut self,
-        streams: &[Stream],
-        alive: impl Fn(usize) -> bool,
-    ) -> Vec<DetectorEvent> {
-        let kept = |at: usize| match &streams[at].buffer {
+    /// Measures the group's offset by a tap that another device sensed at index `frame`, by the clock
+    /// of this group's first stream. `onset` is the level at which a tap begins.
+    pub fn align(&mut self, frame: u64, onset: f64) {
+        let hop = self.hop(frame);
+        let reach = (LARGEST_OFFSET_S / HOP_S) as u64;
+        let window = hop.saturating_sub(reach)..hop + reach;
+        if let Some(seen) = onset_in(self.levels.make_contiguous(), self.first, window, onset) {
+            self.offset_s = (seen as f64 - hop as f64) * HOP_S;
+        }
+    }
+
+    /// Takes new frames up to the end of the slowest stream that is not silent; returns events.
+    pub fn update(&mut self, streams: &[Stream], now_s: f64) -> Vec<DetectorEvent> {
+        let rate_hz = self.leader(streams).rate_hz;
+        if rate_hz != self.rate_hz {
+            // The device has measured its rate, before its first frame.
+            self.rate_hz = rate_hz;
+            self.channels.iter_mut().for_each(|(_, level)| *level = level.at_rate(rate_hz));
+        }
+        let kept = |stream: &Stream| match &stream.buffer {
             StreamBuffer::Series { history, .. } => history.base,
             StreamBuffer::Images { .. } => 0,
         };
-        let channels = || self.channels.iter().map(|(at, _)| *at).filter(|at| alive(*at));
+        let alive = |at: usize| Some(&streams[at]).filter(|stream| stream.alive(now_s));
+        let channels = || self.channels.iter().filter_map(|(at, _)| alive(*at));
         let from = channels().map(kept).max().unwrap_or(0);
-        let Some(end) = channels().map(|at| streams[at].end()).min().filter(|end| *end > self.next)
-        else {
+        let Some(end) = channels().map(Stream::end).min().filter(|end| *end > self.next) else {
             return Vec::new();
         };
         if from > self.next {
@@ -96,10 +112,9 @@ impl Group {
         let held = self.detector.in_contact();
         let mut fresh: Vec<f64> = Vec::new();
         for (at, level) in &mut self.channels {
-            let StreamBuffer::Series { history, .. } = &streams[*at].buffer else { continue };
-            if !alive(*at) {
+            let Some(StreamBuffer::Series { history, .. }) = alive(*at).map(|s| &s.buffer) else {
                 continue;
-            }
+            };
             let (_, samples) = history.frames(self.next..end);
             let mut hop = 0;
             level.feed(samples, held, |x| {
