@@ -5,12 +5,9 @@
 //! ```
 
 mod figure;
-mod point;
 
-pub use figure::figure;
-pub use point::Chart;
-
-use point::ChartPoint;
+use figure::ChartPoint;
+pub use figure::{Chart, figure};
 
 use crate::evaluate::{EvaluateError, Evaluation, LeftOutSources, Loudness, Measured, Protocol};
 use crate::library::Entry;
