@@ -2,16 +2,14 @@
 //! what is damaged, and what to record next.
 
 mod finding;
-mod inspect;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde::ser::{SerializeMap, Serializer};
 
-use self::finding::resting;
 pub use self::finding::{FaultKind, Finding};
-use self::inspect::{Inspected, inspect};
+use self::finding::{Inspected, inspect, resting};
 use super::evaluation::{Evaluation, ProgressFn};
 use super::fold::{Fold, by_user, enough, known_only};
 use super::outcome::{Confusion, Outcome, Prediction, Share};
