@@ -97,18 +97,6 @@ impl MethodArgs {
         })
     }
 
-    /// The method of a plan. Settings that the plan does not contain come from these arguments.
-    pub fn planned(&self, plan: &MethodSpec) -> MethodSpec {
-        match plan {
-            MethodSpec::Reference(ReferenceOptions { samples, repetitions, .. }) => {
-                let (samples, repetitions) = (*samples, *repetitions);
-                let open = self.reference_options();
-                MethodSpec::Reference(ReferenceOptions { samples, repetitions, ..open })
-            }
-            other => other.clone(),
-        }
-    }
-
     /// Whether the user chose no method.
     pub fn is_default(&self) -> bool {
         self.method.is_none() && self.name().is_ok_and(|name| name == MethodName::Embedding)
@@ -150,8 +138,7 @@ pub struct ComparingArgs {
     method: MethodArgs,
     /// Use the method, sources and scan time of this plan, a file written by `surfaced plan`
     #[arg(long, value_name = "FILE", conflicts_with_all = [
-        "sources", "method", "n", "repetitions", "positions", "neighbours",
-        "halving"
+        "sources", "method", "n", "repetitions", "positions", "neighbours", "halving", "exact", "seed"
     ])]
     plan: Option<PathBuf>,
 }
@@ -168,7 +155,7 @@ impl ComparingArgs {
         let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
         let (names, method) = (joined(&plan.sources, " + "), plan.method.name().as_str());
         say!("plan for {}: {names} by {method}{used}", plan.library);
-        let (method, query_seconds) = (self.method.planned(&plan.method), plan.scan_s);
+        let (method, query_seconds) = (plan.method.clone(), plan.scan_s);
         Ok(Comparing { plan: Some(plan), sources, method, cache, query_seconds })
     }
 }
