@@ -2,13 +2,13 @@
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::time::Instant;
 
 use super::choose::choose;
 use super::figure::{FigureArgs, is_earlier};
 use super::method::{at_least_one, options_of};
 use super::show::quoted;
 use super::{Done, Failure, bad_files, show};
-use crate::evaluate::Evaluation;
 use crate::evaluate::chart::{Chart, charted, drag_s, figure, measure};
 use crate::library::Library;
 use crate::scene::SourceId;
@@ -70,12 +70,20 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
         points: Vec::new(),
     };
     let all = charted(&choice.scene, chart.drag_s, args.brief);
-    let on = Evaluation::new(&choice.scene, &choice.entries, &choice.folds);
-    let mut warned = BTreeSet::new();
+    let on = (&*choice.entries, &*choice.folds);
+    let (start, mut warned) = (Instant::now(), BTreeSet::new());
     for (done, one) in all.iter().enumerate() {
+        let so_far_s = start.elapsed().as_secs_f64();
+        let left = match done {
+            0 => String::new(),
+            _ => {
+                let left_s = so_far_s * (all.len() - done) as f64 / done as f64;
+                format!("   ({so_far_s:.0} s so far, roughly {left_s:.0} s to go)")
+            }
+        };
         let options = one.method.as_ref().map(options_of).unwrap_or_default();
         let name = one.control.clone().unwrap_or(options);
-        say!("{}/{}  {name}", done + 1, all.len());
+        say!("{}/{}  {name}{left}", done + 1, all.len());
         let (measured, left_out) = measure(on, choice.protocol, one, &name)?;
         for line in show::left_out(&left_out) {
             if warned.insert(line.clone()) {

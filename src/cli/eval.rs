@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use super::answers::AnswerArgs;
 use super::bad_files;
 use super::choose::{split, within};
-use super::method::{MethodArgs, at_least_one};
+use super::method::MethodArgs;
 use super::show::{listed, quoted};
-use super::{Done, Failure, SourceArgs, paper, say, show};
+use super::{Done, Failure, SourceArgs, paper, parsed, say, show};
 use crate::dataset::feature_tables::{self, FeatureTables};
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
@@ -81,10 +81,7 @@ enum Then {
 }
 
 fn groups(text: &str) -> Result<usize, String> {
-    match at_least_one(text) {
-        Ok(groups) if groups >= 2 => Ok(groups),
-        _ => Err("expected a whole number, 2 or more".into()),
-    }
+    parsed(text, |groups| *groups >= 2, "a whole number, 2 or more")
 }
 
 pub fn run(args: &Args) -> Done {

@@ -8,7 +8,7 @@ use clap::builder::PossibleValue;
 
 use super::answers::AccuracyArgs;
 use super::show::joined;
-use super::{Failure, SourceArgs};
+use super::{Failure, SourceArgs, parsed};
 use crate::evaluate::plan::Plan;
 use crate::recognise::{
     EmbeddingOptions, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode, ReferenceOptions,
@@ -58,10 +58,8 @@ pub struct MethodArgs {
 }
 
 pub fn at_least_one(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(number) if (1..=MOST_COUNT).contains(&number) => Ok(number),
-        _ => Err(format!("expected a whole number, 1 or more, at most {MOST_COUNT}")),
-    }
+    let expected = format!("a whole number, 1 or more, at most {MOST_COUNT}");
+    parsed(text, |number| (1..=MOST_COUNT).contains(number), expected)
 }
 
 impl MethodArgs {

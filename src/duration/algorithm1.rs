@@ -50,7 +50,6 @@ impl std::fmt::Display for Rule {
 /// Settings of Algorithm 1. The defaults are the paper's, with the rule of the authors' program.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Algorithm1Settings {
-    /// How the upper bound CB+ is computed.
     pub rule: Rule,
     /// R: how many starts t₁ are drawn for each lag.
     pub draws: usize,
@@ -67,7 +66,6 @@ pub struct Algorithm1Settings {
     /// Whether to test lags beyond the first independent lag, and reject that lag if dependence
     /// returns, as in a periodic signal. The printed Algorithm 1 does not do this.
     pub look_beyond: bool,
-    /// Seed of all random draws.
     pub seed: u64,
 }
 
@@ -138,11 +136,9 @@ pub enum SearchOutcome {
 /// T* of one surface and source, and the curve of HSIC from which T* was read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
-    /// The result of the search.
     pub outcome: SearchOutcome,
     /// t₁,max, the latest start from which pairs of samples were drawn, in samples.
     pub latest_start: usize,
-    /// Sample rate in Hz.
     pub rate_hz: f64,
     /// The results at the lags tested, in ascending order of lag.
     pub curve: Vec<CurvePoint>,
@@ -155,11 +151,6 @@ impl Estimate {
             SearchOutcome::Found { lag } => Some(lag),
             SearchOutcome::NotInRange { .. } | SearchOutcome::Returns { .. } => None,
         }
-    }
-
-    /// T* in seconds; `None` if no T* lies within the range of lags.
-    pub fn t_star_s(&self) -> Option<f64> {
-        self.t_star().map(|lag| lag as f64 / self.rate_hz)
     }
 }
 

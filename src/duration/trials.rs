@@ -114,7 +114,6 @@ impl Trials {
         self.series[0].channels()
     }
 
-    /// Sample rate in Hz.
     pub(crate) fn rate_hz(&self) -> f64 {
         self.series[0].rate_hz()
     }

@@ -75,7 +75,6 @@ pub struct PooledDependence {
 /// The result of `pooled`. Lags and lengths are in samples of the source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PooledEstimate {
-    /// T*, or why there is none.
     pub answer: PooledAnswer,
     /// k: every k-th sample was used.
     pub step: usize,

@@ -9,10 +9,17 @@ mod figure;
 use figure::ChartPoint;
 pub use figure::{Chart, figure};
 
-use crate::evaluate::{EvaluateError, Evaluation, LeftOutSources, Loudness, Measured, Protocol};
+use rayon::prelude::*;
+
+use crate::evaluate::loudness::level_of;
+use crate::evaluate::{
+    EvaluateError, EvaluatedTrials, Evaluation, Fold, LeftOutSources, Measured, Protocol,
+};
 use crate::library::Entry;
-use crate::recognise::{Method, MethodName, MethodSpec, RecogniseError, ReferenceOptions, STAGES};
+use crate::recognise::features::{FeatureVector, SourceFeatures};
+use crate::recognise::{MethodName, MethodSpec, RecogniseError, ReferenceOptions, STAGES};
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
+use crate::trial::Signal;
 
 /// The scan times, in seconds, that are measured besides whole drags.
 const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];
@@ -47,7 +54,7 @@ fn on_subsets() -> MethodSpec {
 
 #[derive(Clone, Debug)]
 pub struct Charted {
-    /// The method; `None` compares loudness alone.
+    /// The method; `None` compares loudness alone, by nearest neighbours.
     pub method: Option<MethodSpec>,
     /// The name of a negative control, which uses data that should tell little; `None` for a method.
     pub control: Option<String>,
@@ -125,18 +132,20 @@ fn of_domain(scene: &Scene, is: impl Fn(&Domain) -> bool) -> Option<Scene> {
 /// Measures one setting, with the sources of its own scene. Returns a point for each scan time, and
 /// the sources that were left out. `name` is the setting's name in the chart.
 pub fn measure(
-    on: Evaluation<'_>,
+    (entries, folds): (&[Entry], &[Fold]),
     protocol: Protocol,
     charted: &Charted,
     name: &str,
 ) -> Result<(Vec<ChartPoint>, LeftOutSources), EvaluateError> {
     let scene = &charted.scene;
-    let method: Box<dyn Method> = match &charted.method {
-        Some(method) => method.build(scene),
-        None => Box::new(Loudness::new(scene.clone())),
-    };
-    let run = Evaluation { scene, ..on }.prepare(&*method)?;
-    let measured = run.measure_by(on.folds, &charted.seconds)?;
+    let by_loudness = charted.method.is_none();
+    let levels = if by_loudness { levels(entries, scene)? } else { Vec::new() };
+    let mut on = Evaluation::new(scene, entries, folds);
+    if by_loudness {
+        on.trials = EvaluatedTrials::Features(&levels);
+    }
+    let method = charted.method.clone().unwrap_or(MethodName::Knn.into()).build(scene);
+    let measured = on.prepare(&*method)?.measure_by(folds, &charted.seconds)?;
     let point = |(seconds, measured): (&Option<f64>, &Measured)| {
         ChartPoint::new(&measured.outcome, protocol, name, *seconds, charted.control.is_some())
     };
@@ -146,6 +155,21 @@ pub fn measure(
         left_out.entry(remark).or_default().extend(trials);
     }
     Ok((points, left_out))
+}
+
+/// The level of each series, as the only feature of its source.
+fn levels(entries: &[Entry], scene: &Scene) -> Result<Vec<FeatureVector>, RecogniseError> {
+    let level = |(id, signal): (&SourceId, &Signal)| {
+        let Signal::Series(series) = signal else { return None };
+        let values = vec![level_of(series.samples(), series.channels())];
+        Some((id.clone(), SourceFeatures { values, rate_hz: series.rate_hz() }))
+    };
+    let of_entry = |entry: &Entry| {
+        let trial = entry.clone().within(scene).load()?;
+        let sources = trial.signals.iter().filter_map(level).collect();
+        Ok(FeatureVector { key: trial.key.clone(), sources })
+    };
+    entries.par_iter().map(of_entry).collect()
 }
 
 /// Length of a whole drag in seconds: that of the longest drag source in the first trial that has one.
