@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::figure::write;
-use super::method::at_least_one;
-use super::{Done, Failure, answers, bad_files, say, share, show};
+use super::method::{at_least_one, honoured};
+use super::{Done, Failure, bad_files, say, share, show};
 use crate::duration::{
     AccuracyCurve, Algorithm1Settings, CORRELATION, DurationReport, Estimator, PooledSettings,
     Question, ReportError, Rule, figure, report,
@@ -199,7 +199,7 @@ pub fn run(args: &Args) -> Done {
         show::wrote(&[path]);
     }
     let refused = match args.accuracy {
-        Some(_) => answers::honoured(&answer),
+        Some(_) => honoured(&answer),
         None => Ok(()),
     };
     if args.json {

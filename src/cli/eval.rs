@@ -3,17 +3,16 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::answers::AnswerArgs;
 use super::bad_files;
 use super::choose::{split, within};
-use super::method::MethodArgs;
+use super::method::{AnswerArgs, MethodArgs};
 use super::show::{listed, quoted};
 use super::{Done, Failure, SourceArgs, paper, parsed, say, show};
 use crate::dataset::feature_tables::{self, FeatureTables};
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
-    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Outcome, Prediction,
-    Protocol, SettledOutcome, UnknownOutcome, better_plain, enrol,
+    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Outcome, Prediction, Protocol,
+    SettledOutcome, UnknownOutcome, better_plain, enrol,
 };
 use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{MethodName, RecogniseError};
@@ -173,7 +172,13 @@ fn evaluated(
     keys: &[TrialKey],
 ) -> Result<EvalReport, Failure> {
     let (protocol, before) = split(keys, args.protocol)?;
-    let folds = enrolled(args, protocol, &before, keys)?;
+    if args.enrolled > 0 && !protocol.folds_are_users() {
+        return Err(Failure::Usage(format!(
+            "--enrolled goes with expert-vs-users and all-vs-one-user, not with {}",
+            protocol.name()
+        )));
+    }
+    let folds = enrol(&before, keys, args.enrolled)?;
     let method = args.method.spec()?.build(on.scene);
     let query_seconds = args.query_seconds;
     let on = Evaluation { folds: &folds, query_seconds, progress: &say::progress, ..on };
@@ -213,22 +218,6 @@ fn evaluated(
         })
     };
     measured().map_err(mended)
-}
-
-/// The folds, with the first trials of each user added to the library.
-fn enrolled(
-    args: &Args,
-    protocol: Protocol,
-    folds: &[Fold],
-    keys: &[TrialKey],
-) -> Result<Vec<Fold>, Failure> {
-    if args.enrolled > 0 && !protocol.folds_are_users() {
-        return Err(Failure::Usage(format!(
-            "--enrolled goes with expert-vs-users and all-vs-one-user, not with {}",
-            protocol.name()
-        )));
-    }
-    Ok(enrol(folds, keys, args.enrolled)?)
 }
 
 /// Adds the option that avoids the failure to its message.

@@ -7,12 +7,11 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 
-use super::answers::{AccuracyArgs, AnswerArgs};
 use super::choose::within;
 use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
-use super::method::{Comparing, ComparingArgs};
+use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs};
 use super::serve::{Page, ServeArgs};
 use super::show::{counted, listed, quoted};
 use super::terminal::Terminal;

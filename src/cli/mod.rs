@@ -5,7 +5,6 @@
 #[macro_use]
 mod say;
 
-mod answers;
 mod bad_files;
 mod chart;
 mod check;

@@ -9,6 +9,7 @@ use super::{Done, Failure, say, show, shown};
 use crate::evaluate::paper::{self, PaperPart, PaperReport, ReportRow, Shard};
 use crate::library::Library;
 use crate::library::files::{self, Listed};
+use crate::record::replace_file;
 
 /// Join the shards that `surfaced eval --paper --shard` wrote, and show the result
 #[derive(clap::Args)]
@@ -85,9 +86,7 @@ fn write(path: &Path, text: &str) -> Done {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(|error| Failure::at(folder, error))?;
     }
-    let unfinished = path.with_extension(format!("{}.unfinished", std::process::id()));
-    std::fs::write(&unfinished, text).map_err(|error| Failure::at(&unfinished, error))?;
-    std::fs::rename(&unfinished, path).map_err(|error| Failure::at(path, error))
+    Ok(replace_file(path, text.as_bytes())?)
 }
 
 fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {

@@ -55,9 +55,7 @@ pub struct Algorithm1Settings {
     pub draws: usize,
     /// t₁,max: the latest start, in samples. It is reduced if a trial is too short.
     pub latest_start: usize,
-    /// Significance level α.
     pub alpha: f64,
-    /// How the threshold κ is found.
     pub threshold: Threshold,
     /// Largest lag t to test, in samples.
     pub largest_lag: usize,
@@ -98,7 +96,6 @@ pub struct CurvePoint {
     pub hsic_high: f64,
     /// (1 − α) quantile of HSIC_b: CB+ by [`Rule::Quantile`].
     pub hsic_quantile: f64,
-    /// Mean of the threshold κ over the draws.
     pub kappa: f64,
 }
 
@@ -111,13 +108,11 @@ impl CurvePoint {
         }
     }
 
-    /// Whether samples at this lag count as independent.
     pub(crate) fn independent(&self, rule: Rule) -> bool {
         self.bound(rule) < self.kappa
     }
 }
 
-/// The result of a search for T*.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SearchOutcome {
     /// T* in samples: the smallest lag at which samples are independent.

@@ -58,7 +58,6 @@ pub fn figure(
 pub struct AccuracyCurve {
     /// Accuracy at each scan time, in ascending order of scan time.
     pub points: Vec<AccuracyAt>,
-    /// The wanted accuracy, from 0 to 1.
     pub target: f64,
     pub enough_s: Option<Second>,
 }

@@ -49,7 +49,7 @@ impl Trials {
     /// If there are fewer than five trials, or if they differ in rate or channels, are too short,
     /// constant or saturated, or all hold the same value most of the time.
     pub fn new(series: Vec<Series>) -> Result<Self, DurationError> {
-        let mut trials = Self::checked(series, FEWEST_PAIRS, FEWEST_FRAMES, true)?;
+        let mut trials = Self::checked(series, true)?;
         if trials.count() < 30 {
             trials.remarks.push(format!(
                 "{} trials are few: weak dependence may be missed, so T* may be too short; record \
@@ -65,15 +65,12 @@ impl Trials {
     /// # Errors
     /// Like [`Self::new`], but one trial suffices, and it may have fewer samples.
     pub(crate) fn pooled(series: Vec<Series>) -> Result<Self, DurationError> {
-        Self::checked(series, 1, FEWEST_POOLED, false)
+        Self::checked(series, false)
     }
 
-    fn checked(
-        series: Vec<Series>,
-        fewest: usize,
-        fewest_frames: usize,
-        has_kappa: bool,
-    ) -> Result<Self, DurationError> {
+    fn checked(series: Vec<Series>, has_kappa: bool) -> Result<Self, DurationError> {
+        let (fewest, fewest_frames) =
+            if has_kappa { (FEWEST_PAIRS, FEWEST_FRAMES) } else { (1, FEWEST_POOLED) };
         let fail = |problem| Err(DurationError::Trials(problem));
         let count = series.len();
         if count < fewest {

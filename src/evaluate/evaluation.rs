@@ -105,7 +105,6 @@ pub struct Run<'a, 'm> {
 
 /// A query, ready to be compared.
 pub struct Query {
-    /// The query as the model compares it.
     pub prepared: Prepared,
     /// The sources that were left out, and why.
     pub left_out: Vec<String>,
@@ -286,6 +285,12 @@ pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entr
     let Some(seconds) = seconds else { return entry.clone() };
     let scene = scene.clone();
     entry.clone().changed(move |trial| cut(trial, &scene, seconds))
+}
+
+/// The entries that have sources of the scene, limited to these sources.
+pub fn within(entries: &[Entry], scene: &Scene) -> Vec<Entry> {
+    let within = entries.iter().map(|entry| entry.clone().within(scene));
+    within.filter(|entry| !entry.sources.is_empty()).collect()
 }
 
 fn cut(trial: Trial, scene: &Scene, seconds: f64) -> Trial {

@@ -32,7 +32,7 @@ pub(crate) use enrolled::enrol;
 pub use evaluation::{
     EvaluatedTrials, Evaluation, LeftOutSources, Measured, ProgressFn, Query, Run,
 };
-pub(crate) use evaluation::{first_seconds, in_libraries};
+pub(crate) use evaluation::{first_seconds, in_libraries, within};
 pub use fold::{Fold, Protocol, folds};
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, Share};
 pub(crate) use outcome::{interval_over_users, is_over_users, percentile};

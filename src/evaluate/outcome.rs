@@ -1,6 +1,6 @@
 //! The result of an evaluation: accuracies with intervals, precision, confusion matrix and latencies.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use ndarray::Array1;
 use serde::ser::{Serialize, SerializeMap, SerializeStruct, Serializer};
@@ -189,13 +189,10 @@ impl Outcome {
 
 impl Confusion {
     fn new(predictions: &[Prediction], labels: Vec<String>) -> Self {
-        let index: BTreeMap<&str, usize> =
-            labels.iter().enumerate().map(|(i, label)| (label.as_str(), i)).collect();
+        let index = |surface: &String| labels.binary_search(surface);
         let mut counts = vec![vec![0; labels.len()]; labels.len()];
         for p in predictions {
-            if let (Some(&truth), Some(&answer)) =
-                (index.get(p.key.surface.as_str()), index.get(p.surface.as_str()))
-            {
+            if let (Ok(truth), Ok(answer)) = (index(&p.key.surface), index(&p.surface)) {
                 counts[truth][answer] += 1;
             }
         }

@@ -41,9 +41,7 @@ const CORRECTIONS: usize = 3;
 /// T* in samples, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PooledAnswer {
-    /// T* and its upper bound.
     Found {
-        /// the estimate of T*
         t_star: f64,
         /// one-sided 95 % upper bound of T*; use it as the distance between samples
         upper: f64,
@@ -52,7 +50,6 @@ pub enum PooledAnswer {
     Never,
     /// Dependence falls below the threshold too late for the trials to show that it stays below.
     NotWithinRange,
-    /// The trials hold too little data to tell.
     TooLittleData {
         /// about how many more trials like these would suffice
         more_trials: usize,

@@ -35,7 +35,7 @@ pub fn settings() -> [(MethodSpec, bool, bool); 8] {
         (reference(100, 10, false), false, false),
         (reference(400, 10, false), true, false),
         (reference(400, 10, true), false, false),
-        (on_subsets(), true, true),
+        (ON_SUBSETS.into(), true, true),
         (MethodName::Svm.into(), false, true),
         (MethodName::RandomForest.into(), false, true),
     ]
@@ -48,9 +48,7 @@ fn reference(samples: usize, repetitions: usize, halving: bool) -> MethodSpec {
 }
 
 /// The method that compares subsets of the sources, and the low frequencies of the negative control.
-fn on_subsets() -> MethodSpec {
-    MethodName::Embedding.into()
-}
+const ON_SUBSETS: MethodName = MethodName::Embedding;
 
 #[derive(Clone, Debug)]
 pub struct Charted {
@@ -78,7 +76,7 @@ pub fn charted(scene: &Scene, drag_s: Option<f64>, brief: bool) -> Vec<Charted> 
     };
     let wanted = settings().into_iter().filter(|(_, _, is_brief)| *is_brief || !brief);
     let subsets = if brief { Vec::new() } else { subsets(scene) };
-    let of_subsets = subsets.iter().map(|subset| whole(on_subsets(), subset));
+    let of_subsets = subsets.iter().map(|subset| whole(ON_SUBSETS.into(), subset));
     wanted.map(of_setting).chain(of_subsets).chain(controls(scene)).collect()
 }
 
@@ -94,13 +92,13 @@ fn controls(scene: &Scene) -> Vec<Charted> {
             spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
             spec.align_mean = false;
         });
-        Charted { control: Some(of_band), ..whole(on_subsets(), &below) }
+        Charted { control: Some(of_band), ..whole(ON_SUBSETS.into(), &below) }
     });
     let spectra = of_domain(scene, |domain| matches!(domain, Domain::Spectrum { .. }));
     let loudness = spectra.map(|sounds| Charted {
         method: None,
         control: Some(format!("loudness of {} alone", named(&sounds))),
-        ..whole(on_subsets(), &sounds)
+        ..whole(ON_SUBSETS.into(), &sounds)
     });
     band.into_iter().chain(loudness).collect()
 }

@@ -70,11 +70,6 @@ struct Fault {
 }
 
 impl Audited<'_> {
-    /// The trial's name, as in messages and in `surfaced library` commands.
-    pub(super) fn name_of(&self, entry: &Entry) -> String {
-        entry.name_in(self.root)
-    }
-
     fn command(&self, edit: &str, trials: &[String]) -> Option<String> {
         let library = quoted(&self.root.display().to_string());
         let names = trials.iter().map(|name| quoted(name)).collect::<Vec<_>>().join(" ");
@@ -104,6 +99,7 @@ impl Audited<'_> {
 pub(super) struct Inspected {
     /// The trial; its signals are kept in memory if there is room.
     pub entry: Entry,
+    /// The flaws of each source, without channels that are constant in at least half of the trials.
     pub flaws: Vec<(SourceId, Flaw)>,
     /// Sources with a picture of a single colour.
     pub plain: Vec<SourceId>,
@@ -135,6 +131,7 @@ pub(super) fn inspect(
         entries.into_par_iter().enumerate().map(one).collect();
     let (mut inspected, unreadable): (Vec<_>, Vec<_>) = read.into_iter().unzip();
     inspected.retain(|trial: &Inspected| !trial.entry.sources.is_empty());
+    forget_resting(&mut inspected);
     (inspected, unreadable.into_iter().flatten().collect())
 }
 
@@ -227,10 +224,9 @@ pub(super) fn of_signals(
     let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
     let of_source = |id| (id, (usual(id, None, |m| m.seconds), usual(id, None, |m| m.level)));
     let of_sources: BTreeMap<&SourceId, _> = sources.into_iter().map(of_source).collect();
-    let resting = resting(inspected);
     for one in inspected {
         let surface = &*one.entry.key.surface;
-        let trial = audited.name_of(&one.entry);
+        let trial = one.entry.name_in(audited.root);
         let mut add = |kind, source: &SourceId, what, detail: String| {
             let (source, trial) = (Some(source.clone()), trial.clone());
             faults.push(Fault { kind, source, what, trial, detail });
@@ -238,10 +234,10 @@ pub(super) fn of_signals(
         for (id, of) in &one.series {
             let below = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level < u - by);
             let above = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level > u + by);
-            let rests = of.hash.is_none() && !resting.contains(&(id, 1));
+            let is_flawed = one.flaws.iter().any(|(flawed, _)| flawed == id);
             let (usual_s, usual_level) = of_sources[id];
             let of_surface = usual(id, Some(surface), |m| m.level);
-            if rests || below(usual_level, SILENT) {
+            if (of.hash.is_none() && is_flawed) || below(usual_level, SILENT) {
                 add(FaultKind::Silent, id, "is silent", String::new());
             } else if let Some(usual_s) = usual_s.filter(|usual_s| of.seconds < SHORT * usual_s) {
                 let detail = format!("{:.1} s, usually {usual_s:.1} s", of.seconds);
@@ -255,7 +251,6 @@ pub(super) fn of_signals(
         for (id, flaw) in &one.flaws {
             let channel = format!("channel {}", flaw.channel());
             match flaw {
-                Flaw::Constant { channel, .. } if resting.contains(&(id, *channel)) => {}
                 Flaw::Saturated { share, .. } => {
                     let detail = format!("{:.0} % of {channel} at its limit", 100.0 * share);
                     add(FaultKind::Clipped, id, "is clipped", detail);
@@ -357,8 +352,8 @@ fn copies(inspected: &[Inspected], audited: &Audited<'_>) -> Vec<Fault> {
                     kind: FaultKind::Copy,
                     source: None,
                     what: "is a copy of another",
-                    trial: audited.name_of(&one.entry),
-                    detail: format!("that of {}", audited.name_of(other)),
+                    trial: one.entry.name_in(audited.root),
+                    detail: format!("that of {}", other.name_in(audited.root)),
                 }),
             }
         }
@@ -366,16 +361,21 @@ fn copies(inspected: &[Inspected], audited: &Audited<'_>) -> Vec<Fault> {
     faults
 }
 
-/// Channels that are constant in at least half of the trials, so that a constant value is no fault.
-pub(super) fn resting(inspected: &[Inspected]) -> BTreeSet<(&SourceId, usize)> {
-    let mut counts: BTreeMap<(&SourceId, usize), usize> = BTreeMap::new();
+/// Forgets constant values of channels that are constant in at least half of the trials.
+fn forget_resting(inspected: &mut [Inspected]) {
+    let mut counts: BTreeMap<(SourceId, usize), usize> = BTreeMap::new();
     for (id, flaw) in inspected.iter().flat_map(|inspected| &inspected.flaws) {
         if let Flaw::Constant { channel, .. } = flaw {
-            *counts.entry((id, *channel)).or_default() += 1;
+            *counts.entry((id.clone(), *channel)).or_default() += 1;
         }
     }
     counts.retain(|_, count| *count * 2 >= inspected.len());
-    counts.into_keys().collect()
+    let rests = |id: &SourceId, flaw: &Flaw| {
+        matches!(flaw, Flaw::Constant { .. }) && counts.contains_key(&(id.clone(), flaw.channel()))
+    };
+    for one in inspected {
+        one.flaws.retain(|(id, flaw)| !rests(id, flaw));
+    }
 }
 
 /// The median; `None` if there are fewer than [`FEWEST`] values.

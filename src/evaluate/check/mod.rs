@@ -9,7 +9,7 @@ use std::path::Path;
 use serde::ser::{SerializeMap, Serializer};
 
 pub use self::finding::{FaultKind, Finding};
-use self::finding::{Inspected, inspect, resting};
+use self::finding::{Inspected, inspect};
 use super::evaluation::{Evaluation, ProgressFn};
 use super::fold::{Fold, by_user, enough, known_only};
 use super::outcome::{Confusion, Outcome, Prediction, Share};
@@ -17,7 +17,7 @@ use super::plain::better_plain;
 use crate::library::{Entry, Opened};
 use crate::recognise::{Method, MethodName};
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Flaw, TrialKey};
+use crate::trial::TrialKey;
 
 /// Largest number of folds. A fold leaves out several trials of a surface that has more than this.
 const MOST_FOLDS: usize = 10;
@@ -52,7 +52,6 @@ pub struct SurfaceCheck {
     pub surface: String,
     pub trials: usize,
     pub users: usize,
-    /// How many of the surface's left-out trials were named correctly.
     #[serde(flatten, serialize_with = "share_of_surface")]
     pub share: Share,
     /// The wrong names of the surface's trials, and how often each occurred, the most frequent first.
@@ -73,7 +72,6 @@ pub enum TrialVerdict {
 pub struct TrialCheck {
     #[serde(flatten)]
     pub key: TrialKey,
-    /// Whether the trial was named correctly when it was left out.
     pub verdict: TrialVerdict,
     /// The surface that the trial was named when it was left out, if any.
     pub named: Option<String>,
@@ -139,7 +137,7 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
         .collect();
     let sound: Vec<Entry> = entries
         .iter()
-        .filter(|entry| !damaged.contains(&audited.name_of(entry)))
+        .filter(|entry| !damaged.contains(&entry.name_in(audited.root)))
         .cloned()
         .collect();
     let of_sound = match sound.len() == entries.len() {
@@ -150,7 +148,7 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let suspects = suspects(judged);
     let wrong: Vec<(String, String)> = (sound.iter())
         .filter_map(|entry| {
-            Some((audited.name_of(entry), (*suspects.get(&entry.key)?).to_string()))
+            Some((entry.name_in(audited.root), (*suspects.get(&entry.key)?).to_string()))
         })
         .collect();
     findings.extend(finding::mislabelled(&wrong, audited));
@@ -283,15 +281,10 @@ fn trials(
 ) -> Vec<TrialCheck> {
     let by_key: BTreeMap<&TrialKey, &Prediction> =
         predictions.iter().map(|prediction| (&prediction.key, prediction)).collect();
-    let usual = resting(inspected);
     let one = |(key, inspected): (&TrialKey, &Inspected)| {
         let prediction = by_key.get(key).copied();
         let is_right = prediction.map(Prediction::is_correct);
-        let flaws = inspected.flaws.iter().filter(|(id, flaw)| match flaw {
-            Flaw::Constant { channel, .. } => !usual.contains(&(id, *channel)),
-            Flaw::Stuck { .. } | Flaw::Saturated { .. } => true,
-        });
-        let flaws = flaws.map(|(id, flaw)| format!("{id}: {flaw}"));
+        let flaws = inspected.flaws.iter().map(|(id, flaw)| format!("{id}: {flaw}"));
         let plain = inspected.plain.iter().map(|id| format!("{id}: the picture is of one colour"));
         TrialCheck {
             key: key.clone(),
