@@ -85,7 +85,7 @@ where
         .x_desc(of_x)
         .y_desc(of_y)
         .x_labels(8)
-        .y_labels(6)
+        .y_labels(8)
         .x_label_formatter(&plain)
         .y_label_formatter(&name_y)
         .label_style(("sans-serif", 15))

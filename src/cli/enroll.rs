@@ -3,7 +3,7 @@
 use super::live::{Kept, StationArgs, StationWork, library_of, verdict, work};
 use super::method::at_least_one;
 use super::show::quoted;
-use super::{Done, Failure, show, shown};
+use super::{Done, Failure, show};
 use crate::record::{check_writable, write_library_toml};
 use crate::station::config::StationConfig;
 use crate::station::{Keep, assemble};
@@ -101,7 +101,7 @@ fn store(
     let of = StationWork { load: None, store, keep, hint, check: None };
     let totals = work(config, args, assemble(config), of)?;
     let trials = show::counted(kept.kept as usize, "trial");
-    say!("{trials} recorded in {}", shown(&library));
+    say!("{trials} recorded in {}", library.display());
     let folder = quoted(&library);
     let station = args.typed();
     show::next(&match kept.kept {

@@ -1,7 +1,7 @@
 //! `surfaced eval`: measures accuracy under a protocol, such as leave-one-trial-out.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::bad_files;
 use super::choose::{split, within};
@@ -113,29 +113,22 @@ pub fn run(args: &Args) -> Done {
     report.warnings.extend(bad_files::skipped());
     show::result(args.json, &report, |report| {
         report.print();
-        advise(data, report);
+        let lib = quoted(data);
+        show::next(&match report.outcome.method == MethodName::Embedding.as_str() {
+            true => format!(
+                "surfaced plan {lib} finds the cheapest setting; surfaced replay NEW --library {lib} \
+                 names new scans"
+            ),
+            false => format!("surfaced chart {lib} --out chart.svg compares all methods"),
+        });
     });
     Ok(())
 }
 
-fn advise(data: &Path, report: &EvalReport) {
-    let lib = quoted(data);
-    if report.outcome.method == MethodName::Embedding.as_str() {
-        show::next(&format!(
-            "surfaced plan {lib} finds the cheapest setting; surfaced replay NEW --library {lib} \
-             names new scans"
-        ));
-    } else {
-        show::next(&format!("surfaced chart {lib} --out chart.svg compares all methods"));
-    }
-}
-
 fn on_tables(args: &Args, tables: &FeatureTables) -> Result<EvalReport, Failure> {
-    if args.paper {
-        return Err(Failure::Usage("--paper needs recordings; these are feature tables".into()));
-    }
-    if args.query_seconds.is_some() {
-        return Err(Failure::Usage("--query-seconds needs recordings; these are features".into()));
+    if args.paper || args.query_seconds.is_some() {
+        let problem = "--paper and --query-seconds need recordings; these are feature tables";
+        return Err(Failure::Usage(problem.into()));
     }
     let trials = vectors(tables, &args.sources.sources)?;
     let keys: Vec<TrialKey> = trials.iter().map(|trial| trial.key.clone()).collect();

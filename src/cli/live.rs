@@ -15,7 +15,7 @@ use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs};
 use super::serve::{Page, ServeArgs};
 use super::show::{counted, listed, quoted};
 use super::terminal::Terminal;
-use super::{Done, Failure, bad_files, shown};
+use super::{Done, Failure, bad_files};
 use crate::dataset;
 use crate::device::lines::{LinesAddress, SURVEY_S, survey_of};
 use crate::device::serial::Selector;
@@ -368,7 +368,7 @@ pub fn run(args: &Args) -> Done {
         return Err(Failure::Failed(format!(
             "{}: no such folder; record a library first, with `surfaced enroll LABEL --library {0}` \
              for each surface, or name another one",
-            shown(&library)
+            library.display()
         )));
     }
     let check = Some(check(&library, &how));

@@ -201,7 +201,6 @@ impl Comparing {
     }
 }
 
-/// Options for early answers and for unknown surfaces.
 #[derive(Clone, Debug, clap::Args)]
 pub struct AnswerArgs {
     /// Accuracy that may be lost by giving answers before their scans end

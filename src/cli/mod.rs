@@ -43,7 +43,6 @@ use std::str::FromStr;
 use clap::{CommandFactory, Parser, Subcommand};
 use tracing::Level;
 
-use self::show::shown;
 use crate::library::Library;
 use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
@@ -114,7 +113,6 @@ commands! {
 /// The exit code of [`Failure::Damaged`].
 const DAMAGED: u8 = 3;
 
-/// Runs the command given on the command line of this process.
 pub fn run() -> ExitCode {
     say::start_log();
     let Cli { command, verbose, strict } = Cli::parse();

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::method::MethodArgs;
-use super::{Done, Failure, say, show, shown};
+use super::{Done, Failure, say, show};
 use crate::evaluate::paper::{self, PaperPart, PaperReport, ReportRow, Shard};
 use crate::library::Library;
 use crate::library::files::{self, Listed};
@@ -48,12 +48,12 @@ pub fn run(
                            or remove it";
             return Err(Failure::at(&path, problem));
         }
-        say!("{}: done before", shown(&path));
+        say!("{}: done before", path.display());
         return Ok(());
     }
     let part = paper::work(library, &options, shard, &say::progress)?;
     write(&path, &show::json_text(&part))?;
-    say!("wrote {}", shown(&path));
+    say!("wrote {}", path.display());
     Ok(())
 }
 
@@ -100,7 +100,7 @@ fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {
             files.push(("confusion.svg", paper::confusion(confusion)?));
         }
         files.iter().try_for_each(|(name, text)| write(&out.join(name), text))?;
-        say!("wrote {} to {}", show::listed(files.iter().map(|(name, _)| name)), shown(out));
+        say!("wrote {} to {}", show::listed(files.iter().map(|(name, _)| name)), out.display());
     }
     show::result(json, &report, print);
     Ok(())

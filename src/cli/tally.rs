@@ -11,7 +11,6 @@ use crate::station::{Answer, AnswerState, Listener, Remark, RemarkKind, StationE
 /// The answers of a replay so far, and its warnings.
 #[derive(Default)]
 pub struct Tally {
-    /// Whether to print each answer.
     each: bool,
     total: usize,
     answers: Vec<Arc<Answer>>,

@@ -177,14 +177,9 @@ impl Trials {
 
     /// Share of frames at which all trials hold the same sample.
     fn agreement(&self) -> f64 {
-        let step = self.frames.div_ceil(MOMENTS);
-        let (mut same, mut looked) = (0usize, 0usize);
-        for frame in (0..self.frames).step_by(step) {
-            let first = self.sample(0, frame);
-            same += usize::from((1..self.count()).all(|q| self.sample(q, frame) == first));
-            looked += 1;
-        }
-        same as f64 / looked as f64
+        let frames = (0..self.frames).step_by(self.frames.div_ceil(MOMENTS));
+        let agree = |&i: &usize| (1..self.count()).all(|q| self.sample(q, i) == self.sample(0, i));
+        frames.clone().filter(agree).count() as f64 / frames.len() as f64
     }
 }
 

@@ -257,15 +257,10 @@ impl Run<'_, '_> {
             ranking => Some(ranking?),
         };
         let query_ms = query.started.elapsed().as_secs_f64() * 1e3;
-        let prediction = Prediction {
-            key: self.on.trials.key(index).clone(),
-            fold,
-            surface: ranking.as_ref().map_or_else(String::new, |r| r.surface().into()),
-            margin: ranking.as_ref().map_or(0.0, |r| r.margin),
-            query_ms,
-            sources: ranking.map_or_else(Vec::new, |r| r.sources),
-        };
-        Ok((prediction, remarks))
+        let key = self.on.trials.key(index).clone();
+        let named = ranking.map(|r| (r.surface().to_string(), r.margin, r.sources));
+        let (surface, margin, sources) = named.unwrap_or_default();
+        Ok((Prediction { key, fold, surface, margin, query_ms, sources }, remarks))
     }
 
     fn sum_up(&self, folds: &[Fold], predictions: &[Prediction]) -> Outcome {

@@ -23,8 +23,6 @@ pub mod plan;
 #[doc(hidden)]
 pub mod stress;
 
-#[doc(hidden)]
-pub use crate::recognise::wilson_interval;
 pub use answers::{SettledOutcome, UnknownOutcome};
 pub(crate) use check::{Audited, CheckReport, Finding, TrialCheck, TrialVerdict, check};
 pub use enrolled::EnrolmentOutcome;
