@@ -15,7 +15,7 @@ const TILE: usize = 512;
 const BLOCKS: usize = 20;
 
 /// For each lag t, means of f(s)·f(s + t)ᵀ over the starts s of each block, for F features f. Entry
-/// (b, i, j) is that of block b, with feature i the earlier. There are at least 20 blocks.
+/// (b, i, j) is that of block b, with feature i the earlier. There are 20 blocks and one lag at least.
 pub type Covariances = Vec<Array3<f64>>;
 
 /// Sum over the lags up to `longest` of weight · (mean covariance over blocks), shape F × F.
