@@ -5,9 +5,9 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use rand::seq::SliceRandom;
-use surfaced::evaluate::{Evaluation, Run, wilson_interval};
+use surfaced::evaluate::{Evaluation, Run};
 use surfaced::library::Entry;
-use surfaced::recognise::{AccuracyAt, Goal, MethodName, MethodSpec};
+use surfaced::recognise::{AccuracyAt, Goal, MethodName, MethodSpec, wilson_interval};
 use surfaced::scene::Scene;
 use surfaced::seed;
 

@@ -9,7 +9,6 @@ use super::figure::{FigureArgs, is_earlier};
 use super::method::{at_least_one, options_of};
 use super::show::quoted;
 use super::{Done, Failure, bad_files, show};
-use crate::evaluate::Evaluation;
 use crate::evaluate::chart::{Chart, charted, drag_s, figure, measure};
 use crate::library::Library;
 use crate::scene::SourceId;
@@ -71,7 +70,7 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
         points: Vec::new(),
     };
     let all = charted(&choice.scene, chart.drag_s, args.brief);
-    let on = Evaluation::new(&choice.scene, &choice.entries, &choice.folds);
+    let on = (&*choice.entries, &*choice.folds);
     let (start, mut warned) = (Instant::now(), BTreeSet::new());
     for (done, one) in all.iter().enumerate() {
         let so_far_s = start.elapsed().as_secs_f64();

@@ -20,10 +20,7 @@ pub(super) struct Choice {
 
 /// The trials that hold any source of `scene`, limited to these sources.
 pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Failure> {
-    let entries: Vec<Entry> = (library.entries.iter())
-        .map(|entry| entry.clone().within(scene))
-        .filter(|entry| !entry.sources.is_empty())
-        .collect();
+    let entries = evaluate::within(&library.entries, scene);
     if entries.is_empty() {
         let wanted: BTreeSet<&SourceId> = scene.sources().map(|spec| &spec.id).collect();
         let held: BTreeSet<&SourceId> =

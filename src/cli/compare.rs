@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use ndarray::Array2;
 
 use super::method::at_least_one;
-use super::{Done, Failure, SourceArgs, share, show};
+use super::{Done, Failure, SourceArgs, parsed, share, show};
 use crate::dataset::csv::CsvTable;
 use crate::kernel::{Threshold, test_independence};
 use crate::library::{Library, LibraryError, recording};
@@ -53,10 +53,7 @@ pub struct Args {
 }
 
 fn sigma(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if x.is_finite() && x > 0.0 => Ok(x),
-        _ => Err("expected a positive number".into()),
-    }
+    parsed(text, |x: &f64| x.is_finite() && *x > 0.0, "a positive number")
 }
 
 pub fn run(args: &Args) -> Done {

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::figure::write;
-use super::method::at_least_one;
-use super::{Done, Failure, answers, bad_files, say, share, show};
+use super::method::{at_least_one, honoured};
+use super::{Done, Failure, bad_files, say, share, show};
 use crate::duration::{
     AccuracyCurve, Algorithm1Settings, CORRELATION, DurationReport, Estimator, PooledSettings,
     Question, ReportError, Rule, figure, report,
@@ -70,7 +70,7 @@ pub struct Args {
     json: bool,
     // This is the last field, since the help lists all later options under its heading.
     #[command(flatten)]
-    algorithm1: Algorithm1Args,
+    algorithm1: Option<Algorithm1Args>,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -82,13 +82,15 @@ enum RuleName {
 
 impl Args {
     fn question(&self) -> Result<Question, Failure> {
+        let published = self.algorithm1.clone().unwrap_or_default();
         let estimator = match self.rule {
             RuleName::Pooled => {
-                if let Some(flag) = self.algorithm1.given() {
-                    return Err(Failure::Usage(format!(
-                        "{flag} belongs to the published rules: name --rule mean-ci or quantile, \
-                         or leave it out"
-                    )));
+                if self.algorithm1.is_some() {
+                    return Err(Failure::Usage(
+                        "an option of the published rules was given: name --rule mean-ci or \
+                         quantile, or leave it out; see --help"
+                            .into(),
+                    ));
                 }
                 let dependence = self.dependence.unwrap_or(CORRELATION);
                 Estimator::Pooled(PooledSettings { dependence })
@@ -99,8 +101,8 @@ impl Args {
                         .into(),
                 ));
             }
-            RuleName::Quantile => Estimator::Algorithm1(self.algorithm1.settings(Rule::Quantile)),
-            RuleName::MeanCi => Estimator::Algorithm1(self.algorithm1.settings(Rule::MeanCi)),
+            RuleName::Quantile => Estimator::Algorithm1(published.settings(Rule::Quantile)),
+            RuleName::MeanCi => Estimator::Algorithm1(published.settings(Rule::MeanCi)),
         };
         Ok(Question {
             sources: self.source.clone(),
@@ -121,7 +123,7 @@ struct DurationDocument<'a> {
 }
 
 /// Settings of Algorithm 1, shared by its two rules.
-#[derive(clap::Args)]
+#[derive(Clone, Default, clap::Args)]
 #[command(next_help_heading = "Published rules (quantile, mean-ci)")]
 struct Algorithm1Args {
     /// Number of starts drawn for each lag, R (default 500)
@@ -154,23 +156,6 @@ struct Algorithm1Args {
 }
 
 impl Algorithm1Args {
-    /// The first of these options that the user gave, by name.
-    fn given(&self) -> Option<&'static str> {
-        [
-            (self.draws.is_some(), "--draws"),
-            (self.latest_start.is_some(), "--latest-start"),
-            (self.largest_lag.is_some(), "--largest-lag"),
-            (self.alpha.is_some(), "--alpha"),
-            (self.permutations.is_some(), "--permutations"),
-            (self.gamma, "--gamma"),
-            (self.exhaustive, "--exhaustive"),
-            (self.first, "--first"),
-            (self.seed.is_some(), "--seed"),
-        ]
-        .into_iter()
-        .find_map(|(is_given, flag)| is_given.then_some(flag))
-    }
-
     fn settings(&self, rule: Rule) -> Algorithm1Settings {
         let default = Algorithm1Settings::default();
         Algorithm1Settings {
@@ -214,7 +199,7 @@ pub fn run(args: &Args) -> Done {
         show::wrote(&[path]);
     }
     let refused = match args.accuracy {
-        Some(_) => answers::honoured(&answer),
+        Some(_) => honoured(&answer),
         None => Ok(()),
     };
     if args.json {

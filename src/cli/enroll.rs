@@ -1,13 +1,10 @@
 //! `surfaced enroll` and `surfaced record`: add live scans to a library as trials.
 
-use std::path::Path;
-
 use super::live::{Kept, StationArgs, StationWork, library_of, verdict, work};
 use super::method::at_least_one;
 use super::show::quoted;
-use super::{Done, Failure, show, shown};
+use super::{Done, Failure, show};
 use crate::record::{check_writable, write_library_toml};
-use crate::scene::Scene;
 use crate::station::config::StationConfig;
 use crate::station::{Keep, assemble};
 use crate::trial::{EXPERT, UNLABELLED};
@@ -94,13 +91,17 @@ fn store(
     hint: String,
 ) -> Result<Kept, Failure> {
     let library = library_of(config)?;
-    describe(&library, &config.scene)?;
+    if !library.exists() {
+        let name = library.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
+        write_library_toml(&library, &config.scene, &name, false)?;
+    }
+    check_writable(&library)?;
     let mut kept = Kept::default();
     let (store, keep) = (library.clone(), Some((order, &mut kept)));
     let of = StationWork { load: None, store, keep, hint, check: None };
     let totals = work(config, args, assemble(config), of)?;
     let trials = show::counted(kept.kept as usize, "trial");
-    say!("{trials} recorded in {}", shown(&library));
+    say!("{trials} recorded in {}", library.display());
     let folder = quoted(&library);
     let station = args.typed();
     show::next(&match kept.kept {
@@ -115,14 +116,4 @@ fn store(
         verdict(&totals)?;
     }
     Ok(kept)
-}
-
-/// Creates the library if it does not exist, with a description of its sources, and checks that
-/// trials can be written into it.
-fn describe(library: &Path, scene: &Scene) -> Result<(), Failure> {
-    if !library.exists() {
-        let name = library.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
-        write_library_toml(library, scene, &name, false)?;
-    }
-    Ok(check_writable(library)?)
 }

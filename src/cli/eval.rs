@@ -1,19 +1,18 @@
 //! `surfaced eval`: measures accuracy under a protocol, such as leave-one-trial-out.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use super::answers::AnswerArgs;
 use super::bad_files;
 use super::choose::{split, within};
-use super::method::{MethodArgs, at_least_one};
+use super::method::{AnswerArgs, MethodArgs};
 use super::show::{listed, quoted};
-use super::{Done, Failure, SourceArgs, paper, say, show};
+use super::{Done, Failure, SourceArgs, paper, parsed, say, show};
 use crate::dataset::feature_tables::{self, FeatureTables};
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
-    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Outcome, Prediction,
-    Protocol, SettledOutcome, UnknownOutcome, better_plain, enrol,
+    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Outcome, Prediction, Protocol,
+    SettledOutcome, UnknownOutcome, better_plain, enrol,
 };
 use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{MethodName, RecogniseError};
@@ -81,10 +80,7 @@ enum Then {
 }
 
 fn groups(text: &str) -> Result<usize, String> {
-    match at_least_one(text) {
-        Ok(groups) if groups >= 2 => Ok(groups),
-        _ => Err("expected a whole number, 2 or more".into()),
-    }
+    parsed(text, |groups| *groups >= 2, "a whole number, 2 or more")
 }
 
 pub fn run(args: &Args) -> Done {
@@ -117,29 +113,22 @@ pub fn run(args: &Args) -> Done {
     report.warnings.extend(bad_files::skipped());
     show::result(args.json, &report, |report| {
         report.print();
-        advise(data, report);
+        let lib = quoted(data);
+        show::next(&match report.outcome.method == MethodName::Embedding.as_str() {
+            true => format!(
+                "surfaced plan {lib} finds the cheapest setting; surfaced replay NEW --library {lib} \
+                 names new scans"
+            ),
+            false => format!("surfaced chart {lib} --out chart.svg compares all methods"),
+        });
     });
     Ok(())
 }
 
-fn advise(data: &Path, report: &EvalReport) {
-    let lib = quoted(data);
-    if report.outcome.method == MethodName::Embedding.as_str() {
-        show::next(&format!(
-            "surfaced plan {lib} finds the cheapest setting; surfaced replay NEW --library {lib} \
-             names new scans"
-        ));
-    } else {
-        show::next(&format!("surfaced chart {lib} --out chart.svg compares all methods"));
-    }
-}
-
 fn on_tables(args: &Args, tables: &FeatureTables) -> Result<EvalReport, Failure> {
-    if args.paper {
-        return Err(Failure::Usage("--paper needs recordings; these are feature tables".into()));
-    }
-    if args.query_seconds.is_some() {
-        return Err(Failure::Usage("--query-seconds needs recordings; these are features".into()));
+    if args.paper || args.query_seconds.is_some() {
+        let problem = "--paper and --query-seconds need recordings; these are feature tables";
+        return Err(Failure::Usage(problem.into()));
     }
     let trials = vectors(tables, &args.sources.sources)?;
     let keys: Vec<TrialKey> = trials.iter().map(|trial| trial.key.clone()).collect();
@@ -176,7 +165,13 @@ fn evaluated(
     keys: &[TrialKey],
 ) -> Result<EvalReport, Failure> {
     let (protocol, before) = split(keys, args.protocol)?;
-    let folds = enrolled(args, protocol, &before, keys)?;
+    if args.enrolled > 0 && !protocol.folds_are_users() {
+        return Err(Failure::Usage(format!(
+            "--enrolled goes with expert-vs-users and all-vs-one-user, not with {}",
+            protocol.name()
+        )));
+    }
+    let folds = enrol(&before, keys, args.enrolled)?;
     let method = args.method.spec()?.build(on.scene);
     let query_seconds = args.query_seconds;
     let on = Evaluation { folds: &folds, query_seconds, progress: &say::progress, ..on };
@@ -216,22 +211,6 @@ fn evaluated(
         })
     };
     measured().map_err(mended)
-}
-
-/// The folds, with the first trials of each user added to the library.
-fn enrolled(
-    args: &Args,
-    protocol: Protocol,
-    folds: &[Fold],
-    keys: &[TrialKey],
-) -> Result<Vec<Fold>, Failure> {
-    if args.enrolled > 0 && !protocol.folds_are_users() {
-        return Err(Failure::Usage(format!(
-            "--enrolled goes with expert-vs-users and all-vs-one-user, not with {}",
-            protocol.name()
-        )));
-    }
-    Ok(enrol(folds, keys, args.enrolled)?)
 }
 
 /// Adds the option that avoids the failure to its message.

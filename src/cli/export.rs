@@ -51,12 +51,12 @@ pub fn import(args: &ImportArgs) -> Done {
 
 #[cfg(feature = "mcap")]
 pub fn export(args: &ExportArgs) -> Done {
-    use super::{show, shown};
+    use super::show;
     use crate::record::mcap;
     super::hold(&args.recording);
     let library = mcap::open(&args.recording, &crate::scene::Scene::lmt108())?;
     let trials = mcap::export(&args.recording, &library, &args.out)?;
-    say!("wrote {} to {}", show::counted(trials, "trial"), shown(&args.out));
+    say!("wrote {} to {}", show::counted(trials, "trial"), args.out.display());
     let out = show::quoted(&args.out);
     show::next(&format!("open it in Foxglove, or surfaced import {out} FOLDER"));
     Ok(())
@@ -64,11 +64,11 @@ pub fn export(args: &ExportArgs) -> Done {
 
 #[cfg(feature = "mcap")]
 fn import_mcap(mcap: &Path, library: &Path) -> Done {
-    use super::{show, shown};
+    use super::show;
     let trials = crate::record::mcap::import(mcap, library)?;
     match trials {
-        0 => say!("wrote {}", shown(library)),
-        trials => say!("wrote {} to {}", show::counted(trials, "trial"), shown(library)),
+        0 => say!("wrote {}", library.display()),
+        trials => say!("wrote {} to {}", show::counted(trials, "trial"), library.display()),
     }
     show::next(&format!("surfaced eval {}", show::quoted(library)));
     Ok(())

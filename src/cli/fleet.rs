@@ -76,11 +76,8 @@ pub fn run(args: &Args) -> Done {
 }
 
 fn default_cache() -> Result<PathBuf, Failure> {
-    let of = |name: &str, below: &str| {
-        let folder = std::env::var_os(name).filter(|folder| !folder.is_empty())?;
-        Some(PathBuf::from(folder).join(below))
-    };
-    let found =
-        of("XDG_CACHE_HOME", "surfaced/fleet").or_else(|| of("HOME", ".cache/surfaced/fleet"));
+    let given = std::env::var_os("XDG_CACHE_HOME").filter(|folder| !folder.is_empty());
+    let cache = given.map(PathBuf::from).or_else(|| Some(std::env::home_dir()?.join(".cache")));
+    let found = cache.map(|cache| cache.join("surfaced/fleet"));
     found.ok_or_else(|| Failure::Usage("there is no home folder; give --cache FOLDER".into()))
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::show::{self, counted, quoted};
-use super::{Done, Failure, bad_files, shown};
+use super::{Done, Failure, bad_files, parsed};
 use crate::dataset::csv::{Clock, CsvForm, CsvTable, NamePattern};
 use crate::library::{LibraryError, files};
 use crate::record::{TrialOptions, check_writable, write_library_toml, write_trial};
@@ -78,10 +78,8 @@ fn source(text: &str) -> Result<(SourceId, Vec<String>), String> {
 }
 
 fn rate(text: &str) -> Result<f64, String> {
-    match text.parse::<u32>() {
-        Ok(hz) if hz > 0 => Ok(f64::from(hz)),
-        _ => Err("expected a whole number of rows a second; for another, give --time".into()),
-    }
+    let expected = "a whole number of rows a second; for another, give --time";
+    parsed(text, |hz| *hz > 0, expected).map(|hz: u32| f64::from(hz))
 }
 
 fn pattern(text: &str) -> Result<NamePattern, String> {
@@ -130,11 +128,11 @@ pub fn run(args: &CsvArgs) -> Done {
     print(&form, &trials, uneven_hz);
     bad_files::skip(&args.out, bad)?;
     if args.dry_run {
-        say!("nothing is written; leave --dry-run out to write {}", shown(&args.out));
+        say!("nothing is written; leave --dry-run out to write {}", args.out.display());
         return Ok(());
     }
     write(&args.out, &trials)?;
-    say!("wrote {} to {}", counted(trials.len(), "trial"), shown(&args.out));
+    say!("wrote {} to {}", counted(trials.len(), "trial"), args.out.display());
     show::next(&format!("surfaced check {}", quoted(&args.out)));
     Ok(())
 }

@@ -120,7 +120,9 @@ pub fn run(args: &Args) -> Done {
             return Ok(());
         }
     };
-    done(library, &step);
+    moved(&step);
+    let trials = show::counted(step.moves.len(), "trial");
+    say!("{}: {trials}; `surfaced library undo {}` takes it back", step.what, library.display());
     Ok(())
 }
 
@@ -157,12 +159,6 @@ fn moved(step: &Step) {
     for one in &step.moves {
         say!("{} → {}", one.from, one.to);
     }
-}
-
-fn done(library: &Path, step: &Step) {
-    moved(step);
-    let trials = show::counted(step.moves.len(), "trial");
-    say!("{}: {trials}; `surfaced library undo {}` takes it back", step.what, library.display());
 }
 
 #[derive(Serialize)]

@@ -7,16 +7,15 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 
-use super::answers::{AccuracyArgs, AnswerArgs};
 use super::choose::within;
 use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
-use super::method::{Comparing, ComparingArgs};
+use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs};
 use super::serve::{Page, ServeArgs};
 use super::show::{counted, listed, quoted};
 use super::terminal::Terminal;
-use super::{Done, Failure, bad_files, shown};
+use super::{Done, Failure, bad_files};
 use crate::dataset;
 use crate::device::lines::{LinesAddress, SURVEY_S, survey_of};
 use crate::device::serial::Selector;
@@ -369,7 +368,7 @@ pub fn run(args: &Args) -> Done {
         return Err(Failure::Failed(format!(
             "{}: no such folder; record a library first, with `surfaced enroll LABEL --library {0}` \
              for each surface, or name another one",
-            shown(&library)
+            library.display()
         )));
     }
     let check = Some(check(&library, &how));

@@ -5,7 +5,6 @@
 #[macro_use]
 mod say;
 
-mod answers;
 mod bad_files;
 mod chart;
 mod check;
@@ -39,11 +38,11 @@ mod terminal;
 use std::fmt::Display;
 use std::path::Path;
 use std::process::ExitCode;
+use std::str::FromStr;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use tracing::Level;
 
-use self::show::shown;
 use crate::library::Library;
 use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
@@ -114,7 +113,6 @@ commands! {
 /// The exit code of [`Failure::Damaged`].
 const DAMAGED: u8 = 3;
 
-/// Runs the command given on the command line of this process.
 pub fn run() -> ExitCode {
     say::start_log();
     let Cli { command, verbose, strict } = Cli::parse();
@@ -241,18 +239,22 @@ fn open_held(path: &Path) -> Result<Library, Failure> {
 /// The longest drag that an option may give, in seconds (an hour).
 const LONGEST_S: f64 = 3600.0;
 
+/// Parses a value that `is_valid`; an error says what was `expected`.
+fn parsed<T: FromStr>(
+    text: &str,
+    is_valid: impl Fn(&T) -> bool,
+    expected: impl Display,
+) -> Result<T, String> {
+    text.parse().ok().filter(is_valid).ok_or_else(|| format!("expected {expected}"))
+}
+
 fn seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if x > 0.0 && x <= LONGEST_S => Ok(x),
-        _ => Err(format!("expected a positive number of seconds, at most {LONGEST_S}")),
-    }
+    let expected = format!("a positive number of seconds, at most {LONGEST_S}");
+    parsed(text, |x| *x > 0.0 && *x <= LONGEST_S, expected)
 }
 
 fn share(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if x > 0.0 && x < 1.0 => Ok(x),
-        _ => Err("expected a fraction above 0 and below 1, such as 0.01".into()),
-    }
+    parsed(text, |x| *x > 0.0 && *x < 1.0, "a fraction above 0 and below 1, such as 0.01")
 }
 
 #[cfg(test)]

@@ -5,10 +5,11 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::method::MethodArgs;
-use super::{Done, Failure, say, show, shown};
+use super::{Done, Failure, say, show};
 use crate::evaluate::paper::{self, PaperPart, PaperReport, ReportRow, Shard};
 use crate::library::Library;
 use crate::library::files::{self, Listed};
+use crate::record::replace_file;
 
 /// Join the shards that `surfaced eval --paper --shard` wrote, and show the result
 #[derive(clap::Args)]
@@ -47,12 +48,12 @@ pub fn run(
                            or remove it";
             return Err(Failure::at(&path, problem));
         }
-        say!("{}: done before", shown(&path));
+        say!("{}: done before", path.display());
         return Ok(());
     }
     let part = paper::work(library, &options, shard, &say::progress)?;
     write(&path, &show::json_text(&part))?;
-    say!("wrote {}", shown(&path));
+    say!("wrote {}", path.display());
     Ok(())
 }
 
@@ -85,9 +86,7 @@ fn write(path: &Path, text: &str) -> Done {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(|error| Failure::at(folder, error))?;
     }
-    let unfinished = path.with_extension(format!("{}.unfinished", std::process::id()));
-    std::fs::write(&unfinished, text).map_err(|error| Failure::at(&unfinished, error))?;
-    std::fs::rename(&unfinished, path).map_err(|error| Failure::at(path, error))
+    Ok(replace_file(path, text.as_bytes())?)
 }
 
 fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {
@@ -101,7 +100,7 @@ fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {
             files.push(("confusion.svg", paper::confusion(confusion)?));
         }
         files.iter().try_for_each(|(name, text)| write(&out.join(name), text))?;
-        say!("wrote {} to {}", show::listed(files.iter().map(|(name, _)| name)), shown(out));
+        say!("wrote {} to {}", show::listed(files.iter().map(|(name, _)| name)), out.display());
     }
     show::result(json, &report, print);
     Ok(())

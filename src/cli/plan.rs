@@ -64,25 +64,21 @@ pub fn run(args: &Args) -> Done {
         result!("\n{text}");
     }
     let lib = quoted(&args.lib);
-    let written = match &args.out {
+    match &args.out {
         Some(out) => {
             show::wrote(&[out]);
             show::next(&format!("surfaced run --library {lib} --plan {}", quoted(out)));
-            format!("the best one is in {}", out.display())
         }
-        None => {
-            show::next(&format!("surfaced plan {lib} --out plan.toml keeps this plan"));
-            "the best one is above".into()
-        }
-    };
-    let e = &planned.plan.expected;
-    if e.reached {
+        None => show::next(&format!("surfaced plan {lib} --out plan.toml keeps this plan")),
+    }
+    let Expected { reached, target, accuracy, .. } = planned.plan.expected;
+    if reached {
         return Ok(());
     }
+    let [target, accuracy] = [target, accuracy].map(show::percent);
     Err(Failure::Failed(format!(
-        "no plan reaches {}; {written}, at {}: enrol more trials, add a sensor, or lower --target",
-        show::percent(e.target),
-        show::percent(e.accuracy)
+        "no plan reaches {target}; the best one is at {accuracy}: enrol more trials, add a sensor, or \
+         lower --target"
     )))
 }
 

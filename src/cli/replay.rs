@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::answers::{AccuracyArgs, AnswerArgs};
 use super::choose::{Choice, choose, within};
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
-use super::method::{Comparing, ComparingArgs};
+use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs};
 use super::serve::{Page, ServeArgs};
 use super::show::{self, quoted};
 use super::tally::Tally;

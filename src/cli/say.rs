@@ -49,7 +49,6 @@ macro_rules! result {
     ($($text:tt)*) => { $crate::cli::say::result_line(&format!($($text)*)) };
 }
 
-/// Whether to print more details.
 static VERBOSE: AtomicBool = AtomicBool::new(false);
 
 pub fn be_verbose(verbose: bool) {

@@ -73,7 +73,7 @@ pub fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
 }
 
 pub fn wrote<P: AsRef<Path>>(files: &[P]) {
-    say!("wrote {}", listed(files.iter().map(|file| shown(file.as_ref()))));
+    say!("wrote {}", listed(files.iter().map(|file| file.as_ref().display())));
 }
 
 /// Joins texts with commas.
@@ -91,7 +91,7 @@ pub fn next(what: &str) {
 
 /// A path, quoted for a shell if necessary.
 pub fn quoted(path: &Path) -> String {
-    printable::quoted(&shown(path))
+    printable::quoted(&path.display().to_string())
 }
 
 pub fn percent(fraction: f64) -> String {
@@ -129,11 +129,6 @@ pub fn certainty(answer: &Answer) -> String {
         Some(probability) => percent(probability),
         None => format!("margin {:.2}", answer.margin),
     }
-}
-
-/// A path that the user gave, for messages.
-pub(super) fn shown(path: &Path) -> String {
-    path.display().to_string()
 }
 
 #[cfg(test)]

@@ -68,7 +68,7 @@ pub fn run(args: &Args) -> Done {
         say::progress("writing trials", done.fetch_add(1, Ordering::Relaxed) + 1, of);
         Ok::<_, crate::library::LibraryError>(())
     })?;
-    let (out, Args { surfaces, seed, .. }) = (super::shown(&args.out), args);
+    let (out, Args { surfaces, seed, .. }) = (args.out.display().to_string(), args);
     let report =
         json!({"out": out, "synthetic": true, "surfaces": surfaces, "trials": of, "seed": seed});
     show::result(args.json, &report, |_| {

@@ -11,12 +11,9 @@ use crate::station::{Answer, AnswerState, Listener, Remark, RemarkKind, StationE
 /// The answers of a replay so far, and its warnings.
 #[derive(Default)]
 pub struct Tally {
-    /// Whether to print each answer.
     each: bool,
     total: usize,
     answers: Vec<Arc<Answer>>,
-    /// The surface named when the answer was settled, by the number of its scan.
-    settled: BTreeMap<u32, String>,
     /// Number of remarks by kind and source. Only the first remark of a kind and source is printed.
     remarks: BTreeMap<(RemarkKind, Option<SourceId>), usize>,
     damages: usize,
@@ -27,11 +24,6 @@ pub struct Tally {
 impl Listener for Tally {
     fn on_event(&mut self, event: &StationEvent) {
         match event {
-            StationEvent::Guess(guess) if guess.settled => {
-                if let Some(first) = guess.named.first() {
-                    self.settled.entry(guess.scan).or_insert_with(|| first.surface.clone());
-                }
-            }
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Warning(text) => self.damage(text),
             StationEvent::Unnamed(unnamed) => {
@@ -63,7 +55,7 @@ impl Tally {
     }
 
     fn show(&self, answer: &Answer) {
-        let right = answer.truth.as_ref().map(|truth| is_right(answer, truth, None));
+        let right = answer.truth.as_ref().map(|truth| is_right(answer, truth));
         let verdict = match (right, &answer.truth) {
             (Some(true), Some(truth)) if answer.surface.is_none() => {
                 format!("correct: the library lacks {truth}")
@@ -119,7 +111,7 @@ impl Tally {
         let mark = if synthetic { " (synthetic scene)" } else { "" };
         let known =
             || self.answers.iter().filter_map(|answer| Some((answer, answer.truth.as_ref()?)));
-        let right = Share::count(known().map(|(answer, truth)| is_right(answer, truth, None)));
+        let right = Share::count(known().map(|(answer, truth)| is_right(answer, truth)));
         result!();
         if right.of > 0 {
             result!(
@@ -135,7 +127,6 @@ impl Tally {
                 "latency  {median:.1} ms from the end of a scan to its answer (median; most is done \
                  during the drag)"
             );
-            self.sum_up_settled();
         }
         let (mut confused, mut rejected, mut lacking) = (BTreeMap::new(), 0, Share::default());
         for (answer, truth) in known() {
@@ -176,28 +167,6 @@ impl Tally {
         }
     }
 
-    /// How many scans were settled before their end, how much of them was used, and the accuracy then.
-    fn sum_up_settled(&self) {
-        let (n, settled) = (self.answers.len(), |answer: &Answer| self.settled.get(&answer.scan));
-        let early = self.answers.iter().filter(|answer| settled(answer).is_some()).count();
-        if early == 0 {
-            return;
-        }
-        let mean_s = |of: fn(&Answer) -> f64| {
-            self.answers.iter().map(|answer| of(answer)).sum::<f64>() / n as f64
-        };
-        let (used_s, whole_s) = (mean_s(|a| a.settled_s.unwrap_or(a.scan_s)), mean_s(|a| a.scan_s));
-        let right = |a: &Arc<Answer>| Some(is_right(a, a.truth.as_ref()?, settled(a)));
-        let by_then = match Share::count(self.answers.iter().filter_map(right)) {
-            Share { of: 0, .. } => String::new(),
-            share => format!("; {} correct by then", show::percent(share.value())),
-        };
-        result!(
-            "settled  {early} of {n} scans before their end; on average {used_s:.2} s of \
-             {whole_s:.2} s of scan used{by_then}"
-        );
-    }
-
     /// The result of the command, given that `lost` samples were lost.
     pub fn verdict(&self, lost: u64) -> Done {
         let (named, total, damages) = (self.answers.len(), self.total, self.damages);
@@ -215,10 +184,10 @@ impl Tally {
     }
 }
 
-/// Whether an answer is right; `settled` is the surface named when it settled, and takes
-/// precedence. An answer without a surface (unknown) is right if the library lacks the true one.
-fn is_right(answer: &Answer, truth: &String, settled: Option<&String>) -> bool {
-    match settled.or(answer.surface.as_ref()) {
+/// Whether an answer is right. An answer without a surface (unknown) is right if the library lacks the
+/// true surface.
+fn is_right(answer: &Answer, truth: &String) -> bool {
+    match &answer.surface {
         Some(surface) => surface == truth,
         None => answer.ranked.iter().all(|ranked| ranked.surface != *truth),
     }

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use console::Term;
 
-use super::{say, show, shown};
+use super::{say, show};
 use crate::device::DeviceState;
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
@@ -94,7 +94,7 @@ impl Terminal {
         let Enrolled { scan, surface, outcome, trial, folder, remarks, wanted, .. } = enrolled;
         match (outcome, trial, folder) {
             (_, Some(trial), Some(folder)) => {
-                tracing::info!("kept: trial {trial} of {surface} in {}", shown(folder));
+                tracing::info!("kept: trial {trial} of {surface} in {}", folder.display());
             }
             (EnrolledOutcome::Refused, ..) => tracing::warn!("scan {scan} refused; repeat it"),
             // Other outcomes come with a warning, so nothing is printed here.

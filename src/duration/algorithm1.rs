@@ -50,15 +50,12 @@ impl std::fmt::Display for Rule {
 /// Settings of Algorithm 1. The defaults are the paper's, with the rule of the authors' program.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Algorithm1Settings {
-    /// How the upper bound CB+ is computed.
     pub rule: Rule,
     /// R: how many starts t₁ are drawn for each lag.
     pub draws: usize,
     /// t₁,max: the latest start, in samples. It is reduced if a trial is too short.
     pub latest_start: usize,
-    /// Significance level α.
     pub alpha: f64,
-    /// How the threshold κ is found.
     pub threshold: Threshold,
     /// Largest lag t to test, in samples.
     pub largest_lag: usize,
@@ -67,7 +64,6 @@ pub struct Algorithm1Settings {
     /// Whether to test lags beyond the first independent lag, and reject that lag if dependence
     /// returns, as in a periodic signal. The printed Algorithm 1 does not do this.
     pub look_beyond: bool,
-    /// Seed of all random draws.
     pub seed: u64,
 }
 
@@ -100,7 +96,6 @@ pub struct CurvePoint {
     pub hsic_high: f64,
     /// (1 − α) quantile of HSIC_b: CB+ by [`Rule::Quantile`].
     pub hsic_quantile: f64,
-    /// Mean of the threshold κ over the draws.
     pub kappa: f64,
 }
 
@@ -113,13 +108,11 @@ impl CurvePoint {
         }
     }
 
-    /// Whether samples at this lag count as independent.
     pub(crate) fn independent(&self, rule: Rule) -> bool {
         self.bound(rule) < self.kappa
     }
 }
 
-/// The result of a search for T*.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SearchOutcome {
     /// T* in samples: the smallest lag at which samples are independent.
@@ -138,11 +131,9 @@ pub enum SearchOutcome {
 /// T* of one surface and source, and the curve of HSIC from which T* was read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
-    /// The result of the search.
     pub outcome: SearchOutcome,
     /// t₁,max, the latest start from which pairs of samples were drawn, in samples.
     pub latest_start: usize,
-    /// Sample rate in Hz.
     pub rate_hz: f64,
     /// The results at the lags tested, in ascending order of lag.
     pub curve: Vec<CurvePoint>,
@@ -155,11 +146,6 @@ impl Estimate {
             SearchOutcome::Found { lag } => Some(lag),
             SearchOutcome::NotInRange { .. } | SearchOutcome::Returns { .. } => None,
         }
-    }
-
-    /// T* in seconds; `None` if no T* lies within the range of lags.
-    pub fn t_star_s(&self) -> Option<f64> {
-        self.t_star().map(|lag| lag as f64 / self.rate_hz)
     }
 }
 

@@ -1,15 +1,11 @@
 //! Draws dependence against the lag, with a mark at T*, and accuracy against scan time.
 
-use std::ops::Range;
-
-use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
-use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 use super::algorithm1::CurvePoint;
 use super::pooled::PooledDependence;
 use super::report::{ByRule, PooledRow, Second, SourceDuration};
-use crate::draw::{Area, COLOURS, Drawn, FigureError, svg};
+use crate::draw::{Area, COLOURS, Drawn, FigureError, GREY, axes, plain, svg, three_digits};
 use crate::recognise::AccuracyAt;
 use crate::scene::SourceId;
 
@@ -58,45 +54,10 @@ pub fn figure(
     })
 }
 
-type Axes<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
-
-/// Draws the title, the grid, and the axes of a panel, with the descriptions of `x` and `y`.
-fn axes<'a, 'b, X: AsRangedCoord<Value = f64>>(
-    area: &'a Area<'b>,
-    title: String,
-    (x, of_x): (X, &str),
-    (y, of_y): (Range<f64>, &str),
-) -> Result<Axes<'a, 'b, X::CoordDescType>, FigureError>
-where
-    X::CoordDescType: ValueFormatter<f64>,
-{
-    let mut chart = ChartBuilder::on(area)
-        .caption(title, (FONT, 20))
-        .margin(14)
-        .x_label_area_size(46)
-        .y_label_area_size(72)
-        .build_cartesian_2d(x, y)?;
-    let short = |value: &f64| ((value * 1e9).round() / 1e9).to_string();
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(BLACK.mix(0.08))
-        .x_desc(of_x)
-        .y_desc(of_y)
-        .x_labels(8)
-        .y_labels(6)
-        .x_label_formatter(&short)
-        .y_label_formatter(&short)
-        .label_style((FONT, 15))
-        .draw()?;
-    Ok(chart)
-}
-
 #[derive(Clone, Debug, PartialEq)]
 pub struct AccuracyCurve {
     /// Accuracy at each scan time, in ascending order of scan time.
     pub points: Vec<AccuracyAt>,
-    /// The wanted accuracy, from 0 to 1.
     pub target: f64,
     pub enough_s: Option<Second>,
 }
@@ -109,7 +70,7 @@ fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
     let bottom = (10.0 * low).floor() / 10.0;
     let x = (0.0..end, "scan time [s]");
     let y = (100.0 * bottom..100.5, "left-out scans named right [%]");
-    let mut chart = axes(area, "scans named right".into(), x, y)?;
+    let mut chart = axes(area, "scans named right", x, y, plain)?;
     let line =
         |f: fn(&AccuracyAt) -> f64| curve.points.iter().map(move |p| (p.scan_s, 100.0 * f(p)));
     let band = line(|p| p.accuracy_high).chain(line(|p| p.accuracy_low).rev());
@@ -128,8 +89,8 @@ fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
     Ok(())
 }
 
-const HSIC: RGBColor = RGBColor(0, 90, 160);
-const KAPPA: RGBColor = RGBColor(200, 70, 0);
+const HSIC: RGBColor = COLOURS[0];
+const KAPPA: RGBColor = COLOURS[1];
 
 fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint]) -> Drawn {
     let rate_hz = row.rate_hz.unwrap_or(1.0);
@@ -142,7 +103,7 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
     let top = 1.25 * top.fold(f64::MIN_POSITIVE, f64::max);
     let title = format!("{} · {} (Q = {})", row.surface, row.source, row.trials);
     let x = (0.0..ms(end) * 1.02, "time between samples [ms]");
-    let mut chart = axes(area, title, x, (0.0..top, "HSIC"))?;
+    let mut chart = axes(area, &title, x, (0.0..top, "HSIC"), plain)?;
     let line = |f: fn(&CurvePoint) -> f64| inside.iter().map(move |p| (ms(p.lag), f(p)));
     let band = line(|p| p.hsic_high).chain(line(|p| p.hsic_low).rev());
     let key = |style: ShapeStyle| {
@@ -178,8 +139,6 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
     Ok(())
 }
 
-const GREY: RGBColor = RGBColor(150, 150, 150);
-
 /// The rows of a source that have a curve: in ascending order of T*, then those without T*, and at
 /// the end the row with the longest T*.
 fn rows_of<'a>(
@@ -213,7 +172,8 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
     let (first, last) = lags().fold((f64::INFINITY, 0.0f64), |(l, h), x| (l.min(x), h.max(x)));
     let title = format!("{}: how long a moment lasts", longest.source);
     let x = ((first..last).log_scale(), "time between two moments [ms]");
-    let mut chart = axes(area, title, x, (0.0..1.0, "dependence (as a correlation)"))?;
+    let y = (0.0..1.0, "dependence (as a correlation)");
+    let mut chart = axes(area, &title, x, y, plain)?;
     let line = |row: &PooledRow, f: fn(&PooledDependence) -> f64| {
         row.dependence.iter().map(|d| (ms(d.lag_s), f(d))).collect::<Vec<_>>()
     };
@@ -241,7 +201,11 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
     put(format!("{} (Q = {})", longest.surface, longest.trials), 0.97, COLOURS[0])?;
     let t_star = match (longest.t_star_s, row.t_star_upper_s) {
         (Some(t_star), Some(upper)) => {
-            format!("T* = {} ms, surely by {} ms", short(ms(t_star)), short(ms(upper)))
+            format!(
+                "T* = {} ms, surely by {} ms",
+                three_digits(ms(t_star)),
+                three_digits(ms(upper))
+            )
         }
         _ => "no T*".into(),
     };
@@ -256,10 +220,4 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
         chart.draw_series(seconds.map(ms).map(line))?;
     }
     Ok(())
-}
-
-/// Formats milliseconds with three significant digits.
-fn short(ms: f64) -> String {
-    let decimals = (2 - ms.log10().floor() as i32).clamp(0, 4) as usize;
-    format!("{ms:.decimals$}")
 }

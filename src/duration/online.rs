@@ -7,7 +7,6 @@
 use super::pooled::{CORRELATION, PooledEstimate, at_needed_rate};
 use crate::trial::Series;
 
-/// Fewest frames for an estimate.
 const FEWEST_FRAMES: usize = 500;
 /// Number of values used of each channel, for one or two channels. With more channels there are many
 /// pairs of channels, so fewer values are used.
@@ -15,7 +14,6 @@ const VALUES: usize = 8000;
 /// Seconds of scan from one estimate to the next.
 const EVERY_S: f64 = 1.0;
 
-/// Why samples are refused.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum OnlineError {
     #[error("{len} values cannot be divided into frames of {channels} channels")]
@@ -31,7 +29,6 @@ pub struct OnlineDuration {
     channels: usize,
     /// Interleaved frames; the oldest comes first.
     history: Vec<f32>,
-    /// Number of frames since the last estimate.
     since: usize,
 }
 

@@ -49,7 +49,7 @@ impl Trials {
     /// If there are fewer than five trials, or if they differ in rate or channels, are too short,
     /// constant or saturated, or all hold the same value most of the time.
     pub fn new(series: Vec<Series>) -> Result<Self, DurationError> {
-        let mut trials = Self::checked(series, FEWEST_PAIRS, FEWEST_FRAMES, true)?;
+        let mut trials = Self::checked(series, true)?;
         if trials.count() < 30 {
             trials.remarks.push(format!(
                 "{} trials are few: weak dependence may be missed, so T* may be too short; record \
@@ -65,15 +65,12 @@ impl Trials {
     /// # Errors
     /// Like [`Self::new`], but one trial suffices, and it may have fewer samples.
     pub(crate) fn pooled(series: Vec<Series>) -> Result<Self, DurationError> {
-        Self::checked(series, 1, FEWEST_POOLED, false)
+        Self::checked(series, false)
     }
 
-    fn checked(
-        series: Vec<Series>,
-        fewest: usize,
-        fewest_frames: usize,
-        has_kappa: bool,
-    ) -> Result<Self, DurationError> {
+    fn checked(series: Vec<Series>, has_kappa: bool) -> Result<Self, DurationError> {
+        let (fewest, fewest_frames) =
+            if has_kappa { (FEWEST_PAIRS, FEWEST_FRAMES) } else { (1, FEWEST_POOLED) };
         let fail = |problem| Err(DurationError::Trials(problem));
         let count = series.len();
         if count < fewest {
@@ -114,7 +111,6 @@ impl Trials {
         self.series[0].channels()
     }
 
-    /// Sample rate in Hz.
     pub(crate) fn rate_hz(&self) -> f64 {
         self.series[0].rate_hz()
     }
@@ -181,14 +177,9 @@ impl Trials {
 
     /// Share of frames at which all trials hold the same sample.
     fn agreement(&self) -> f64 {
-        let step = self.frames.div_ceil(MOMENTS);
-        let (mut same, mut looked) = (0usize, 0usize);
-        for frame in (0..self.frames).step_by(step) {
-            let first = self.sample(0, frame);
-            same += usize::from((1..self.count()).all(|q| self.sample(q, frame) == first));
-            looked += 1;
-        }
-        same as f64 / looked as f64
+        let frames = (0..self.frames).step_by(self.frames.div_ceil(MOMENTS));
+        let agree = |&i: &usize| (1..self.count()).all(|q| self.sample(q, i) == self.sample(0, i));
+        frames.clone().filter(agree).count() as f64 / frames.len() as f64
     }
 }
 

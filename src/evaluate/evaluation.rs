@@ -105,7 +105,6 @@ pub struct Run<'a, 'm> {
 
 /// A query, ready to be compared.
 pub struct Query {
-    /// The query as the model compares it.
     pub prepared: Prepared,
     /// The sources that were left out, and why.
     pub left_out: Vec<String>,
@@ -258,15 +257,10 @@ impl Run<'_, '_> {
             ranking => Some(ranking?),
         };
         let query_ms = query.started.elapsed().as_secs_f64() * 1e3;
-        let prediction = Prediction {
-            key: self.on.trials.key(index).clone(),
-            fold,
-            surface: ranking.as_ref().map_or_else(String::new, |r| r.surface().into()),
-            margin: ranking.as_ref().map_or(0.0, |r| r.margin),
-            query_ms,
-            sources: ranking.map_or_else(Vec::new, |r| r.sources),
-        };
-        Ok((prediction, remarks))
+        let key = self.on.trials.key(index).clone();
+        let named = ranking.map(|r| (r.surface().to_string(), r.margin, r.sources));
+        let (surface, margin, sources) = named.unwrap_or_default();
+        Ok((Prediction { key, fold, surface, margin, query_ms, sources }, remarks))
     }
 
     fn sum_up(&self, folds: &[Fold], predictions: &[Prediction]) -> Outcome {
@@ -286,6 +280,12 @@ pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entr
     let Some(seconds) = seconds else { return entry.clone() };
     let scene = scene.clone();
     entry.clone().changed(move |trial| cut(trial, &scene, seconds))
+}
+
+/// The entries that have sources of the scene, limited to these sources.
+pub fn within(entries: &[Entry], scene: &Scene) -> Vec<Entry> {
+    let within = entries.iter().map(|entry| entry.clone().within(scene));
+    within.filter(|entry| !entry.sources.is_empty()).collect()
 }
 
 fn cut(trial: Trial, scene: &Scene, seconds: f64) -> Trial {

@@ -2,10 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use rand::seq::SliceRandom;
-
 use super::EvaluateError;
-use crate::seed;
 use crate::trial::{EXPERT, TrialKey};
 
 /// How trials are split into queries and library.
@@ -18,17 +15,11 @@ pub enum Protocol {
     LeaveOneTrialOut,
     /// Each fold names the trials of one user; the library is everybody else's trials (10 vs 1)
     AllVsOneUser,
-    /// Each of 50 folds names a random half of a person's trials of each surface by the other half
-    RandomHalves,
 }
-
-/// Number of folds of [`Protocol::RandomHalves`].
-const HALVES: usize = 50;
 
 impl Protocol {
     /// All protocols, in order of preference.
-    pub const ALL: [Self; 4] =
-        [Self::ExpertVsUsers, Self::LeaveOneTrialOut, Self::AllVsOneUser, Self::RandomHalves];
+    pub const ALL: [Self; 3] = [Self::ExpertVsUsers, Self::LeaveOneTrialOut, Self::AllVsOneUser];
 
     /// The first of [`Self::ALL`] that fits the trials.
     pub(crate) fn fitting(keys: &[TrialKey]) -> Option<Self> {
@@ -44,7 +35,6 @@ impl Protocol {
             Self::ExpertVsUsers => "expert-vs-users",
             Self::LeaveOneTrialOut => "leave-one-trial-out",
             Self::AllVsOneUser => "all-vs-one-user",
-            Self::RandomHalves => "random-halves",
         }
     }
 
@@ -54,7 +44,6 @@ impl Protocol {
             Self::ExpertVsUsers => by_user(keys, users(), |key, _| key.user == EXPERT),
             Self::AllVsOneUser => by_user(keys, users(), |key, user| key.user != user),
             Self::LeaveOneTrialOut => by_trial(keys),
-            Self::RandomHalves => by_halves(keys),
         };
         groups.into_iter().filter_map(|fold| known_only(fold, keys)).collect()
     }
@@ -64,7 +53,7 @@ impl Protocol {
             Self::ExpertVsUsers => {
                 "trials of at least two surfaces by `expert`, and trials of them by other users"
             }
-            Self::LeaveOneTrialOut | Self::RandomHalves => {
+            Self::LeaveOneTrialOut => {
                 "at least two surfaces with at least two trials each by one person"
             }
             Self::AllVsOneUser => {
@@ -160,33 +149,6 @@ fn by_trial(keys: &[TrialKey]) -> Vec<Fold> {
     groups.into_iter().map(fold).collect()
 }
 
-fn by_halves(keys: &[TrialKey]) -> Vec<Fold> {
-    let mut people: BTreeMap<(&str, u64), BTreeMap<&str, Vec<usize>>> = BTreeMap::new();
-    for (i, key) in keys.iter().enumerate() {
-        let of_person = people.entry(natural(&key.user)).or_default();
-        of_person.entry(&key.surface).or_default().push(i);
-    }
-    let several = |of_person: &BTreeMap<&str, Vec<usize>>| {
-        of_person.values().filter(|trials| trials.len() > 1).count() > 1
-    };
-    let people: Vec<_> = people.into_values().filter(several).collect();
-    let fold = |(number, of_person): (usize, &BTreeMap<&str, Vec<usize>>)| {
-        let (mut library, mut queries) = (Vec::new(), Vec::new());
-        for (surface, trials) in of_person.iter().filter(|(_, trials)| trials.len() > 1) {
-            let key: [&[u8]; 3] = [b"halves", &number.to_le_bytes(), surface.as_bytes()];
-            let mut trials = trials.clone();
-            trials.shuffle(&mut seed::rng(0, &key));
-            let (compared, named) = trials.split_at(trials.len().div_ceil(2));
-            library.extend_from_slice(compared);
-            queries.extend_from_slice(named);
-        }
-        library.sort_unstable();
-        queries.sort_unstable();
-        Fold { name: format!("halves {}", number + 1), library, queries }
-    };
-    people.iter().cycle().take(HALVES).enumerate().map(fold).collect()
-}
-
 /// Drops queries of surfaces that the fold's library lacks; `None` if no query is left.
 pub(super) fn known_only(mut fold: Fold, keys: &[TrialKey]) -> Option<Fold> {
     let known: BTreeSet<&str> = fold.library.iter().map(|&i| keys[i].surface.as_str()).collect();
@@ -228,20 +190,6 @@ mod tests {
     fn all_vs_one_user_leaves_out_just_that_user() {
         let folds = folds(Protocol::AllVsOneUser, &keys()).unwrap();
         assert_eq!(folds[0].library, [0, 1, 2, 4, 5, 6, 7, 9]);
-    }
-
-    #[test]
-    fn random_halves_are_of_one_person_and_share_no_trial() {
-        let keys = keys();
-        let folds = folds(Protocol::RandomHalves, &keys).unwrap();
-        assert_eq!(folds.len(), HALVES);
-        for fold in &folds {
-            assert_eq!((fold.library.len(), fold.queries.len()), (4, 2), "of three trials two");
-            let mut all = [&fold.library[..], &fold.queries].concat();
-            all.sort_unstable();
-            assert_eq!(all, [0, 1, 2, 5, 6, 7], "users with a single trial have no halves");
-        }
-        assert!(folds.iter().any(|fold| fold.library != folds[0].library));
     }
 
     #[test]

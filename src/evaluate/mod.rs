@@ -7,6 +7,7 @@
 
 #![allow(missing_docs)] // Names that say everything need no comment.
 
+mod answers;
 pub(crate) mod chart;
 mod check;
 mod enrolled;
@@ -19,27 +20,21 @@ pub mod paper;
 mod plain;
 #[doc(hidden)]
 pub mod plan;
-mod settled;
 #[doc(hidden)]
 pub mod stress;
-mod unknown;
 
-#[doc(hidden)]
-pub use crate::recognise::wilson_interval;
+pub use answers::{SettledOutcome, UnknownOutcome};
 pub(crate) use check::{Audited, CheckReport, Finding, TrialCheck, TrialVerdict, check};
 pub use enrolled::EnrolmentOutcome;
 pub(crate) use enrolled::enrol;
 pub use evaluation::{
     EvaluatedTrials, Evaluation, LeftOutSources, Measured, ProgressFn, Query, Run,
 };
-pub(crate) use evaluation::{first_seconds, in_libraries};
+pub(crate) use evaluation::{first_seconds, in_libraries, within};
 pub use fold::{Fold, Protocol, folds};
-pub(crate) use loudness::Loudness;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, Share};
 pub(crate) use outcome::{interval_over_users, is_over_users, percentile};
 pub(crate) use plain::better_plain;
-pub use settled::SettledOutcome;
-pub use unknown::UnknownOutcome;
 
 use crate::recognise::{RecogniseError, RejectionError};
 use crate::scene::SceneError;

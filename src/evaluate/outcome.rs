@@ -1,7 +1,8 @@
 //! The result of an evaluation: accuracies with intervals, precision, confusion matrix and latencies.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
+use ndarray::Array1;
 use serde::ser::{Serialize, SerializeMap, SerializeStruct, Serializer};
 
 use crate::recognise::{wilson_interval, wilson_of_groups};
@@ -74,7 +75,6 @@ impl Serialize for Share {
 pub struct Prediction {
     /// The query; its surface is the truth.
     pub key: TrialKey,
-    /// Index of the query's fold.
     pub fold: usize,
     /// The answer; empty if the query could not be named.
     pub surface: String,
@@ -95,7 +95,6 @@ impl Prediction {
 pub struct FoldAccuracy {
     /// Name of the user or trial that was left out.
     pub name: String,
-    /// How many of the fold's queries were named correctly.
     pub share: Share,
 }
 
@@ -120,7 +119,6 @@ pub struct Confusion {
 /// Result of an evaluation. Accuracies are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Outcome {
-    /// How many of all queries were named correctly.
     #[serde(flatten)]
     pub share: Share,
     /// Mean over folds of the share of queries named correctly.
@@ -138,7 +136,6 @@ pub struct Outcome {
     pub library_trials: usize,
     /// Median time from raw samples to the answer, in milliseconds.
     pub query_ms_p50: f64,
-    /// 99th percentile of the time from raw samples to the answer, in milliseconds.
     pub query_ms_p99: f64,
     pub method: String,
     pub sources: Vec<SourceId>,
@@ -162,7 +159,7 @@ impl Outcome {
             (share.of > 0).then(|| FoldAccuracy { name: name.clone(), share })
         };
         let folds: Vec<_> = fold_names.iter().enumerate().filter_map(of_fold).collect();
-        let (accuracy_mean, accuracy_std) = mean_and_std(folds.iter().map(|f| f.share.value()))?;
+        let accuracies: Array1<f64> = folds.iter().map(|fold| fold.share.value()).collect();
         let confusion = Confusion::new(predictions, labels);
         let times = || predictions.iter().map(|p| p.query_ms).collect();
         let mut sources: Vec<_> = predictions.iter().flat_map(|p| p.sources.clone()).collect();
@@ -173,8 +170,8 @@ impl Outcome {
             confusion.labels.iter().filter(|label| !queried.contains(label.as_str()));
         Some(Self {
             share: Share::count(predictions.iter().map(Prediction::is_correct)),
-            accuracy_mean,
-            accuracy_std,
+            accuracy_mean: accuracies.mean()?,
+            accuracy_std: if folds.len() > 1 { accuracies.std(1.0) } else { 0.0 },
             precision_mean: confusion.precision_mean(),
             classes: confusion.labels.len(),
             never_queried: never_queried.cloned().collect(),
@@ -192,13 +189,10 @@ impl Outcome {
 
 impl Confusion {
     fn new(predictions: &[Prediction], labels: Vec<String>) -> Self {
-        let index: BTreeMap<&str, usize> =
-            labels.iter().enumerate().map(|(i, label)| (label.as_str(), i)).collect();
+        let index = |surface: &String| labels.binary_search(surface);
         let mut counts = vec![vec![0; labels.len()]; labels.len()];
         for p in predictions {
-            if let (Some(&truth), Some(&answer)) =
-                (index.get(p.key.surface.as_str()), index.get(p.surface.as_str()))
-            {
+            if let (Ok(truth), Ok(answer)) = (index(&p.key.surface), index(&p.surface)) {
                 counts[truth][answer] += 1;
             }
         }
@@ -228,16 +222,6 @@ impl Confusion {
         };
         (0..self.labels.len()).map(of_class).sum::<f64>() / self.labels.len() as f64
     }
-}
-
-fn mean_and_std(values: impl Iterator<Item = f64> + Clone) -> Option<(f64, f64)> {
-    let n = values.clone().count();
-    if n == 0 {
-        return None;
-    }
-    let mean = values.clone().sum::<f64>() / n as f64;
-    let squares: f64 = values.map(|x| (x - mean).powi(2)).sum();
-    Some((mean, if n > 1 { (squares / (n - 1) as f64).sqrt() } else { 0.0 }))
 }
 
 /// The percentile of some values by nearest rank; `share` is from 0 to 1. 0 if there are no values.

@@ -59,7 +59,7 @@ pub fn write_library_toml(
 }
 
 /// Writes a file beside `path`, waits until the disk holds it, and gives it this name.
-fn replace_file(path: &Path, bytes: &[u8]) -> Result<(), LibraryError> {
+pub(crate) fn replace_file(path: &Path, bytes: &[u8]) -> Result<(), LibraryError> {
     let folder = path.parent().unwrap_or(path);
     let replace = || {
         let mut file = unfinished(".replacing.").make_in(folder, |path| File::create_new(path))?;

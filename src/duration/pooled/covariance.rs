@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use multiversion::multiversion;
+use ndarray::{Array2, Array3, ArrayViewMut2, Axis};
 
 use super::features::Features;
 use super::lags::Lag;
@@ -13,40 +14,28 @@ const TILE: usize = 512;
 /// Fewest blocks (parts of trials), counted over all trials.
 const BLOCKS: usize = 20;
 
-/// Means of f(s)·f(s + t)ᵀ, for features f, over the starts s of each block, for each lag t.
-#[derive(Clone, Debug)]
-pub struct Covariances {
-    /// Number of features.
-    pub features: usize,
-    /// Number of blocks of all trials, at least 20.
-    pub blocks: usize,
-    /// For each lag, entry (i, j) of block b at (b·F + i)·F + j, for F features, i the earlier.
-    pub lags: Vec<Vec<f64>>,
-}
+/// For each lag t, means of f(s)·f(s + t)ᵀ over the starts s of each block, for F features f. Entry
+/// (b, i, j) is that of block b, with feature i the earlier. There are 20 blocks and one lag at least.
+pub type Covariances = Vec<Array3<f64>>;
 
-impl Covariances {
-    /// Sum over the lags up to `longest` of weight · (mean covariance over blocks), shape F × F.
-    pub fn weighted_sum(
-        &self,
-        lags: &[Lag],
-        longest: f64,
-        weight: impl Fn(&Lag) -> f64,
-    ) -> Vec<f64> {
-        let entries = self.features * self.features;
-        let mut sum = vec![0.0; entries];
-        let within = lags.iter().take_while(|lag| lag.frames as f64 <= longest);
-        for (lag, values) in within.zip(&self.lags) {
-            let scale = weight(lag) / self.blocks as f64;
-            for block in values.chunks_exact(entries) {
-                sum.iter_mut().zip(block).for_each(|(sum, c)| *sum += scale * c);
-            }
-        }
-        sum
+/// Sum over the lags up to `longest` of weight · (mean covariance over blocks), shape F × F.
+pub fn weighted_sum(
+    covariances: &Covariances,
+    lags: &[Lag],
+    longest: f64,
+    weight: impl Fn(&Lag) -> f64,
+) -> Array2<f64> {
+    let (blocks, features, _) = covariances[0].dim();
+    let mut sum = Array2::zeros((features, features));
+    let within = lags.iter().take_while(|lag| lag.frames as f64 <= longest);
+    for (lag, of_lag) in within.zip(covariances) {
+        sum.scaled_add(weight(lag) / blocks as f64, &of_lag.sum_axis(Axis(0)));
     }
+    sum
 }
 
 /// Covariance of features at lag 0, over all Q trials, and at each lag, in ⌈20/Q⌉ blocks a trial.
-pub fn covariances(features: &Features, lags: &[Lag]) -> (Vec<f64>, Covariances) {
+pub fn covariances(features: &Features, lags: &[Lag]) -> (Array2<f64>, Covariances) {
     let count = features.columns.len();
     let parts = BLOCKS.div_ceil(features.trials);
     let blocks = features.trials * parts;
@@ -58,20 +47,19 @@ pub fn covariances(features: &Features, lags: &[Lag]) -> (Vec<f64>, Covariances)
             grid.coarsen();
         }
         let first = means.len();
-        means.resize(first + lags.len(), vec![0.0; blocks * count * count]);
+        means.resize(first + lags.len(), Array3::zeros((blocks, count, count)));
         for block in 0..blocks {
             let (trial, part) = (block / parts, block % parts);
-            let entries = block * count * count..(block + 1) * count * count;
             let of_lags = lags.iter().zip(&mut means[first..]).map(|(lag, means)| {
                 let lag = lag.frames / grid.stride;
                 let starts = grid.frames - lag;
                 let starts = part * starts / parts..(part + 1) * starts / parts;
-                Block { lag, starts, mean: &mut means[entries.clone()] }
+                Block { lag, starts, mean: means.index_axis_mut(Axis(0), block) }
             });
             grid.fill(trial, &mut of_lags.collect::<Vec<_>>());
         }
     }
-    (at_once, Covariances { features: count, blocks, lags: means })
+    (at_once, means)
 }
 
 /// The starts of one block at one lag, and a place for their mean covariance.
@@ -80,7 +68,7 @@ struct Block<'a> {
     /// Indices of the block's starts in the trial's [`Grid`].
     starts: Range<usize>,
     /// Receives the mean of f(s)·f(s + lag)ᵀ; must hold zeros before.
-    mean: &'a mut [f64],
+    mean: ArrayViewMut2<'a, f64>,
 }
 
 /// Every `stride`-th frame of each trial, padded with [`LANES`] zeros that [`dots`] may read.
@@ -114,10 +102,10 @@ impl Grid {
     }
 
     /// Covariance at lag 0, over all trials.
-    fn at_once(&self, trials: usize) -> Vec<f64> {
-        let mut mean = vec![0.0; self.columns.len() * self.columns.len()];
+    fn at_once(&self, trials: usize) -> Array2<f64> {
+        let mut mean = Array2::zeros((self.columns.len(), self.columns.len()));
         let starts = 0..trials * self.frames;
-        self.fill(0, &mut [Block { lag: 0, starts, mean: &mut mean }]);
+        self.fill(0, &mut [Block { lag: 0, starts, mean: mean.view_mut() }]);
         mean
     }
 
@@ -136,7 +124,7 @@ impl Grid {
         }
         for Block { starts, mean, .. } in blocks {
             let scale = 1.0 / starts.len().max(1) as f64;
-            mean.iter_mut().for_each(|sum| *sum *= scale);
+            *mean *= scale;
         }
     }
 }
@@ -148,7 +136,7 @@ fn add_products(
     (earlier, later): (usize, usize),
     frames: usize,
     lanes: &mut [F32Lanes],
-    out: &mut [f64],
+    out: &mut ArrayViewMut2<'_, f64>,
 ) {
     if frames == 0 {
         return;
@@ -211,37 +199,24 @@ fn rows<const B: usize>(
 /// where G is the mean covariance at lag t of the features, which are centred in each trial, and w is
 /// the number of lags that t represents. The denominator is smaller than L because G = Γ − V.
 pub fn mean_variance(
-    at_once: &[f64],
+    at_once: &Array2<f64>,
     covariances: &Covariances,
     lags: &[Lag],
     frames: usize,
     longest: f64,
-) -> Vec<f64> {
-    let count = covariances.features;
+) -> Array2<f64> {
     let length = frames as f64;
     let weight = |lag: &Lag| lag.weight * (1.0 - lag.frames as f64 / length);
     let taken: f64 = lags.iter().take_while(|lag| lag.frames as f64 <= longest).map(weight).sum();
-    let one_way = covariances.weighted_sum(lags, longest, weight);
-    let scale = 1.0 / (length - 1.0 - 2.0 * taken);
-    (0..count * count)
-        .map(|at| (at_once[at] + one_way[at] + one_way[at % count * count + at / count]) * scale)
-        .collect()
+    let one_way = weighted_sum(covariances, lags, longest, weight);
+    (at_once + &one_way + one_way.t()) / (length - 1.0 - 2.0 * taken)
 }
 
 /// Correlations without centring: (C + V)/√((1 + Vᵢᵢ)(1 + Vⱼⱼ)) for V = `mean_variance`.
-pub fn corrected(covariances: &Covariances, mean_variance: &[f64]) -> Covariances {
-    let count = covariances.features;
-    let scale: Vec<f64> =
-        (0..count).map(|i| (1.0 + mean_variance[i * count + i]).sqrt().recip()).collect();
-    let scale: Vec<f64> =
-        (0..count * count).map(|at| scale[at / count] * scale[at % count]).collect();
-    let mut corrected = covariances.clone();
-    for block in corrected.lags.iter_mut().flat_map(|lag| lag.chunks_exact_mut(count * count)) {
-        for ((value, shift), scale) in block.iter_mut().zip(mean_variance).zip(&scale) {
-            *value = (*value + shift) * scale;
-        }
-    }
-    corrected
+pub fn corrected(covariances: &Covariances, mean_variance: &Array2<f64>) -> Covariances {
+    let scale = mean_variance.diag().mapv(|v| (1.0 + v).sqrt().recip());
+    let scale = &scale.view().insert_axis(Axis(1)) * &scale;
+    covariances.iter().map(|of_lag| (of_lag + mean_variance) * &scale).collect()
 }
 
 #[cfg(test)]
@@ -272,13 +247,13 @@ mod tests {
             let features = features(&Samples { trials, frames, channels });
             let lags = lags(trials, frames).all;
             let (at_once, got) = covariances(&features, &lags);
-            assert!(got.blocks >= BLOCKS && got.blocks.is_multiple_of(trials));
-            let f = got.features;
-            for (lag, values) in lags.iter().zip(&got.lags).step_by(7) {
-                for block in [0, got.blocks - 1] {
+            let (blocks, f, _) = got[0].dim();
+            assert!(blocks >= BLOCKS && blocks.is_multiple_of(trials));
+            for (lag, values) in lags.iter().zip(&got).step_by(7) {
+                for block in [0, blocks - 1] {
                     for (i, j) in [(0, 0), (f - 1, 0), (1, f - 1)] {
                         let want = plain(&features, *lag, block, i, j);
-                        let got = values[(block * f + i) * f + j];
+                        let got = values[[block, i, j]];
                         assert!((got - want).abs() < 1e-5, "{lag:?} {block} {i} {j}: {got} {want}");
                     }
                 }
@@ -287,7 +262,7 @@ mod tests {
             for (i, j) in [(0, 0), (f - 1, 0), (1, f - 1)] {
                 let (x, y) = (&features.columns[i], &features.columns[j]);
                 let want = x.iter().zip(y).map(product).sum::<f64>() / x.len() as f64;
-                assert!((at_once[i * f + j] - want).abs() < 1e-5, "{i} {j}");
+                assert!((at_once[[i, j]] - want).abs() < 1e-5, "{i} {j}");
             }
         }
     }
@@ -299,9 +274,8 @@ mod tests {
         let rho = |t: f64| (-t / tau).exp();
         let v = (1..frames).map(|t| 2.0 * (1.0 - t as f64 / length) * rho(t as f64)).sum::<f64>();
         let v = (1.0 + v) / length;
-        let value = |lag: &Lag| vec![(rho(lag.frames as f64) - v) / (1.0 - v)];
-        let lags = lags.iter().map(value).collect();
-        (Covariances { features: 1, blocks: 1, lags }, v)
+        let value = |lag: &Lag| (rho(lag.frames as f64) - v) / (1.0 - v);
+        (lags.iter().map(|lag| Array3::from_elem((1, 1, 1), value(lag))).collect(), v)
     }
 
     #[test]
@@ -310,11 +284,11 @@ mod tests {
         let lags = super::super::lags::lags(1, frames).all;
         let (centred, v) = centred_ar1(tau, frames, &lags);
         assert!(v > 0.05);
-        let got = mean_variance(&[1.0], &centred, &lags, frames, 5000.0);
+        let got = mean_variance(&Array2::eye(1), &centred, &lags, frames, 5000.0);
         let restored = corrected(&centred, &got);
-        for (lag, value) in lags.iter().zip(&restored.lags) {
+        for (lag, value) in lags.iter().zip(&restored) {
             let want = (-(lag.frames as f64) / tau).exp();
-            assert!((value[0] - want).abs() < 0.01, "{}: {} {want}", lag.frames, value[0]);
+            assert!((value[[0, 0, 0]] - want).abs() < 0.01, "{}: {value} {want}", lag.frames);
         }
     }
 

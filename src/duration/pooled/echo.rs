@@ -68,12 +68,8 @@ fn all_covariances(features: &Features, longest: usize) -> Vec<Vec<f32>> {
     for sum in &mut sums {
         // The first and last frequency bins are real; the inverse transform fails if rounding
         // leaves an imaginary part.
-        if let Some(first) = sum.first_mut() {
-            first.im = 0.0;
-        }
-        if let Some(last) = sum.last_mut() {
-            last.im = 0.0;
-        }
+        sum[0].im = 0.0;
+        sum[points / 2].im = 0.0;
         inverse.process(sum, &mut output).expect("buffers of the plan's lengths");
         let scale = |t: usize| 1.0 / (points as f32 * (features.trials * (frames - t)) as f32);
         found.push((0..=longest).map(|t| output[t] * scale(t)).collect());

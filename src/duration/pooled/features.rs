@@ -4,6 +4,7 @@
 
 use std::ops::Range;
 
+use ndarray::Array1;
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::trial::Series;
@@ -94,16 +95,14 @@ impl Features {
 
     /// Subtracts each trial's mean, and returns the variance of these means.
     fn centre(&self, column: &mut [f32]) -> f64 {
-        let means: Vec<f64> = (column.chunks_exact_mut(self.frames))
+        let means: Array1<f64> = (column.chunks_exact_mut(self.frames))
             .map(|trial| {
                 let mean = trial.iter().map(|&x| f64::from(x)).sum::<f64>() / trial.len() as f64;
                 trial.iter_mut().for_each(|x| *x -= mean as f32);
                 mean
             })
             .collect();
-        let mean = means.iter().sum::<f64>() / means.len() as f64;
-        let squares: f64 = means.iter().map(|m| (m - mean).powi(2)).sum();
-        if means.len() < 2 { 0.0 } else { squares / (means.len() - 1) as f64 }
+        if means.len() < 2 { 0.0 } else { means.var(1.0) }
     }
 }
 

@@ -23,6 +23,7 @@ use covariance::{Covariances, covariances};
 use crossing::{Crossing, Curve};
 use features::{Features, Samples, features};
 use lags::{Lags, lags};
+use ndarray::Array2;
 
 use crate::trial::Series;
 
@@ -40,9 +41,7 @@ const CORRECTIONS: usize = 3;
 /// T* in samples, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PooledAnswer {
-    /// T* and its upper bound.
     Found {
-        /// the estimate of T*
         t_star: f64,
         /// one-sided 95 % upper bound of T*; use it as the distance between samples
         upper: f64,
@@ -51,7 +50,6 @@ pub enum PooledAnswer {
     Never,
     /// Dependence falls below the threshold too late for the trials to show that it stays below.
     NotWithinRange,
-    /// The trials hold too little data to tell.
     TooLittleData {
         /// about how many more trials like these would suffice
         more_trials: usize,
@@ -74,7 +72,6 @@ pub struct PooledDependence {
 /// The result of `pooled`. Lags and lengths are in samples of the source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PooledEstimate {
-    /// T*, or why there is none.
     pub answer: PooledAnswer,
     /// k: every k-th sample was used.
     pub step: usize,
@@ -160,7 +157,7 @@ fn pooled(
     let (at_once, raw) = covariances(&features, &lags.all);
 
     let mut found = PairCurves::new(&raw, &features, &lags, threshold);
-    let (mut corrected, mut variance) = (None, vec![0.0; at_once.len()]);
+    let (mut corrected, mut variance) = (None, Array2::zeros(at_once.raw_dim()));
     let mut summed = None;
     for _ in 0..CORRECTIONS {
         let reach = found.reach(longest);
@@ -272,13 +269,12 @@ impl PairCurves {
 
 /// Share of the variance that lies between trial means and is not explained by slow changes within
 /// trials, for the channel with the largest share.
-fn lasting(features: &Features, mean_variance: &[f64]) -> Option<f64> {
+fn lasting(features: &Features, mean_variance: &Array2<f64>) -> Option<f64> {
     if features.trials < 2 {
         return None;
     }
-    let count = features.columns.len();
     let share = |i: usize| {
-        let v = mean_variance[i * count + i];
+        let v = mean_variance[[i, i]];
         features.between[i] - v / (1.0 + v)
     };
     (features.channels.iter())

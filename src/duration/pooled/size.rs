@@ -3,7 +3,9 @@
 
 use std::ops::Range;
 
-use super::covariance::Covariances;
+use ndarray::{Array1, Array2, Array3, Axis, s};
+
+use super::covariance::{Covariances, weighted_sum};
 use super::features::Features;
 use super::lags::{Bin, Lag};
 
@@ -47,54 +49,32 @@ pub fn size(
     earlier: &Range<usize>,
     later: &Range<usize>,
 ) -> Size {
-    let (count, blocks) = (covariances.features, covariances.blocks);
-    let n = blocks as f64;
-    let share = 1.0 / bin.lags.len() as f64;
-    let entries = earlier.len() * later.len();
+    let blocks = covariances[0].len_of(Axis(0));
+    let (n, share) = (blocks as f64, 1.0 / bin.lags.len() as f64);
     let mut value = 0.0;
     // For each block: U without this block, and the means of its covariances over the bin's lags.
-    let mut without = vec![0.0; blocks];
-    let mut of_block = vec![0.0; blocks * entries];
-    // The covariances at one lag, block after block, and their sums over the blocks.
-    let mut of_lag = Vec::with_capacity(blocks * entries);
-    let mut total = vec![0.0; entries];
-    for lag in &covariances.lags[bin.lags.clone()] {
-        of_lag.clear();
-        for block in lag.chunks_exact(count * count) {
-            for row in block.chunks_exact(count).take(earlier.end).skip(earlier.start) {
-                of_lag.extend_from_slice(&row[later.clone()]);
-            }
-        }
-        total.fill(0.0);
-        for block in of_lag.chunks_exact(entries) {
-            total.iter_mut().zip(block).for_each(|(total, c)| *total += c);
-        }
-        of_block.iter_mut().zip(&of_lag).for_each(|(mean, c)| *mean += share * c);
-        let squares: f64 = of_lag.chunks_exact(entries).map(square).sum();
-        let whole = square(&total);
-        value += share * (whole - squares) / (n * (n - 1.0));
-        for (without, block) in without.iter_mut().zip(of_lag.chunks_exact(entries)) {
-            let product: f64 = total.iter().zip(block).map(|(total, c)| total * c).sum();
-            // Numerator of U without block b: ‖Σ − C_b‖² − (Σ‖C‖² − ‖C_b‖²)
-            let rest = whole - 2.0 * product - squares + 2.0 * square(block);
-            *without += share * rest / ((n - 1.0) * (n - 2.0));
-        }
+    let mut without = Array1::zeros(blocks);
+    let mut of_block = Array3::zeros((blocks, earlier.len(), later.len()));
+    for lag in &covariances[bin.lags.clone()] {
+        let of_lag = lag.slice(s![.., earlier.clone(), later.clone()]);
+        of_block.scaled_add(share, &of_lag);
+        let total = of_lag.sum_axis(Axis(0));
+        let products = by_block(&of_lag * &total);
+        let squares = by_block(&of_lag * &of_lag);
+        let difference = total.pow2().sum() - squares.sum();
+        value += share * difference / (n * (n - 1.0));
+        // Numerator of U without block b: ‖Σ − C_b‖² − (Σ‖C‖² − ‖C_b‖²)
+        let rest = 2.0 * (squares - products) + difference;
+        without.scaled_add(share / ((n - 1.0) * (n - 2.0)), &rest);
     }
-    let of_entry = |e: usize| of_block.iter().skip(e).step_by(entries).copied();
-    let entry_error = (0..entries).map(|e| deviation(of_entry(e)) / n.sqrt()).fold(0.0, f64::max);
-    let error = deviation(without.iter().copied()) * (n - 1.0) / n.sqrt();
+    let entry_error = of_block.std_axis(Axis(0), 1.0).fold(0.0, |a, b| f64::max(a, *b)) / n.sqrt();
+    let error = without.std(1.0) * (n - 1.0) / n.sqrt();
     Size { value, error, entry_error }
 }
 
-fn square(entries: &[f64]) -> f64 {
-    entries.iter().map(|c| c * c).sum()
-}
-
-/// Sample standard deviation.
-fn deviation(values: impl ExactSizeIterator<Item = f64> + Clone) -> f64 {
-    let n = values.len() as f64;
-    let mean = values.clone().sum::<f64>() / n;
-    (values.map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
+/// The sum of the entries of each block.
+fn by_block(blocks: Array3<f64>) -> Array1<f64> {
+    blocks.sum_axis(Axis(2)).sum_axis(Axis(1))
 }
 
 /// Largest variance inflation over all channels, at least 1: (variance of a mean of many samples)/(the
@@ -108,47 +88,37 @@ pub fn inflation(
     lags: &[Lag],
     longest: f64,
 ) -> f64 {
-    let count = covariances.features;
-    let sum = covariances.weighted_sum(lags, longest, |lag| lag.weight);
-    (features.channels.iter())
-        .map(|channel| {
-            let size = channel.len();
-            let matrix: Vec<f64> = (0..size * size)
-                .map(|at| {
-                    let (i, j) = (channel.start + at / size, channel.start + at % size);
-                    f64::from(u8::from(i == j)) + sum[i * count + j] + sum[j * count + i]
-                })
-                .collect();
-            largest_eigenvalue(&matrix, size)
-        })
-        .fold(1.0, f64::max)
+    let sum = weighted_sum(covariances, lags, longest, |lag| lag.weight);
+    let both_ways = &sum + &sum.t();
+    let of_channel = |channel: &Range<usize>| {
+        let of_channel = both_ways.slice(s![channel.clone(), channel.clone()]);
+        largest_eigenvalue(&(Array2::eye(channel.len()) + of_channel))
+    };
+    features.channels.iter().map(of_channel).fold(1.0, f64::max)
 }
 
 /// Largest eigenvalue of a small symmetric matrix, by power iteration. The matrix norm is added to all
 /// eigenvalues, so that the largest is also the largest in magnitude.
-fn largest_eigenvalue(matrix: &[f64], size: usize) -> f64 {
-    let shift = matrix.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let mut vector: Vec<f64> = (0..size).map(|i| 1.0 + 0.1 * i as f64).collect();
+fn largest_eigenvalue(matrix: &Array2<f64>) -> f64 {
+    let shift = matrix.pow2().sum().sqrt();
+    let mut vector = Array1::from_shape_fn(matrix.nrows(), |i| 1.0 + 0.1 * i as f64);
     let mut value = 0.0;
     for _ in 0..500 {
-        let next: Vec<f64> = (0..size)
-            .map(|i| {
-                let row = &matrix[i * size..(i + 1) * size];
-                shift * vector[i] + row.iter().zip(&vector).map(|(a, b)| a * b).sum::<f64>()
-            })
-            .collect();
-        let norm = next.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let next = shift * &vector + matrix.dot(&vector);
+        let norm = next.dot(&next).sqrt();
         if norm == 0.0 {
             return 0.0;
         }
         value = norm - shift;
-        vector = next.into_iter().map(|x| x / norm).collect();
+        vector = next / norm;
     }
     value
 }
 
 #[cfg(test)]
 mod tests {
+    use ndarray::array;
+
     use super::*;
     use crate::duration::simulate::normal;
 
@@ -156,7 +126,7 @@ mod tests {
     fn blocks(truth: [f64; 4], noise: f64, count: usize, seed: u64) -> Covariances {
         let mut rng = crate::seed::rng(seed, &[b"size"]);
         let lag = (0..count).flat_map(|_| truth.map(|c| c + noise * normal(&mut rng))).collect();
-        Covariances { features: 2, blocks: count, lags: vec![lag] }
+        vec![Array3::from_shape_vec((count, 2, 2), lag).unwrap()]
     }
 
     fn size_of(covariances: &Covariances) -> Size {
@@ -169,10 +139,10 @@ mod tests {
         let c = blocks([0.3, 0.1, 0.0, 0.2], 0.2, 20, 1);
         let got = size_of(&c);
         let (mut sum, mut pairs) = (0.0, 0.0);
-        let block = |b: usize| &c.lags[0][4 * b..4 * b + 4];
+        let block = |b: usize| c[0].index_axis(Axis(0), b);
         for a in 0..20 {
             for b in (0..20).filter(|&b| b != a) {
-                sum += block(a).iter().zip(block(b)).map(|(x, y)| x * y).sum::<f64>();
+                sum += (&block(a) * &block(b)).sum();
                 pairs += 1.0;
             }
         }
@@ -203,8 +173,8 @@ mod tests {
 
     #[test]
     fn the_largest_eigenvalue_is_found_also_beside_a_larger_negative_one() {
-        assert!((largest_eigenvalue(&[2.0, 1.0, 1.0, 2.0], 2) - 3.0).abs() < 1e-9);
-        assert!((largest_eigenvalue(&[1.0, 0.0, 0.0, -9.0], 2) - 1.0).abs() < 1e-9);
-        assert_eq!(largest_eigenvalue(&[4.0], 1), 4.0);
+        assert!((largest_eigenvalue(&array![[2.0, 1.0], [1.0, 2.0]]) - 3.0).abs() < 1e-9);
+        assert!((largest_eigenvalue(&array![[1.0, 0.0], [0.0, -9.0]]) - 1.0).abs() < 1e-9);
+        assert_eq!(largest_eigenvalue(&array![[4.0]]), 4.0);
     }
 }

@@ -1,14 +1,161 @@
-//! Draws the chart: accuracy against latency and against scan time.
+//! The chart: its measured points, the Pareto front among them, and its picture, which shows accuracy
+//! against latency and against scan time.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
-use plotters::coord::types::RangedCoordf64;
+use plotters::coord::ranged1d::Ranged;
 use plotters::prelude::*;
 
-use super::point::{Chart, ChartPoint, front};
-use crate::draw::{Area, COLOURS, Drawn, FigureError, put, svg};
+use crate::draw::{Area, COLOURS, Drawn, FigureError, GREY, Panel, axes, put, svg, three_digits};
+use crate::evaluate::{FoldAccuracy, Outcome, Protocol, interval_over_users, is_over_users};
+use crate::scene::SourceId;
+
+/// The measured accuracy and latency of one setting of one method.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct ChartPoint {
+    pub method: String,
+    /// The command-line options that reproduce this point, or the name of a control.
+    pub setting: String,
+    pub sources: Vec<String>,
+    /// The part of each query's drag that was used, in seconds; `None` for the whole drag.
+    pub query_seconds: Option<f64>,
+    pub accuracy: f64,
+    /// Lower end of the 95 % interval, taken over users if there are at least 5, else over queries.
+    pub accuracy_low: f64,
+    pub accuracy_high: f64,
+    /// Accuracy of each user, if queries and library are split by user.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub users: Vec<FoldAccuracy>,
+    /// Median time from raw samples to the answer, in milliseconds.
+    pub query_ms_p50: f64,
+    pub query_ms_p99: f64,
+    pub queries: usize,
+    /// Whether the point is of another program. Always false here; `tools/peers` adds such points to
+    /// the JSON.
+    pub peer: bool,
+    /// Whether the point is a negative control, which shows how much room and session alone reveal.
+    pub control: bool,
+}
+
+impl ChartPoint {
+    pub fn new(
+        outcome: &Outcome,
+        protocol: Protocol,
+        setting: &str,
+        query_seconds: Option<f64>,
+        control: bool,
+    ) -> Self {
+        let (users, (accuracy_low, accuracy_high)) = if protocol.folds_are_users() {
+            (outcome.folds.clone(), interval_over_users(&outcome.folds))
+        } else {
+            (Vec::new(), outcome.share.interval())
+        };
+        Self {
+            method: if control { "control".into() } else { outcome.method.clone() },
+            setting: setting.into(),
+            sources: outcome.sources.iter().map(SourceId::to_string).collect(),
+            query_seconds,
+            accuracy: outcome.share.value(),
+            accuracy_low,
+            accuracy_high,
+            users,
+            query_ms_p50: outcome.query_ms_p50,
+            query_ms_p99: outcome.query_ms_p99,
+            queries: outcome.queries,
+            control,
+            peer: false,
+        }
+    }
+
+    /// Name of the method, followed by its options, if the setting has any.
+    pub fn name(&self) -> String {
+        let options = self.setting.trim_start_matches("--method ");
+        let options = options.strip_prefix(self.method.as_str()).unwrap_or(options).trim();
+        let options = options.replace("--repetitions ", "R = ").replace("--n ", "n = ");
+        let options = options.replace("--", "");
+        if options.is_empty() {
+            self.method.clone()
+        } else {
+            format!("{} ({options})", self.method)
+        }
+    }
+}
+
+/// The points that no other point beats in both `cost` (smaller is better) and accuracy, by
+/// ascending cost.
+pub(super) fn front<'a>(
+    points: &[&'a ChartPoint],
+    cost: impl Fn(&ChartPoint) -> f64,
+) -> Vec<&'a ChartPoint> {
+    let mut front = points.to_vec();
+    front.sort_by(|a, b| cost(a).total_cmp(&cost(b)).then(b.accuracy.total_cmp(&a.accuracy)));
+    let mut best = f64::NEG_INFINITY;
+    front.retain(|point| {
+        let better = point.accuracy > best;
+        best = best.max(point.accuracy);
+        better
+    });
+    front
+}
+
+/// A whole chart, as the JSON file beside the SVG holds it.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Chart {
+    pub data: String,
+    pub synthetic: bool,
+    pub protocol: String,
+    /// All sources; a point may have used fewer.
+    pub sources: Vec<String>,
+    /// Number of surfaces that could be the answer.
+    pub surfaces: usize,
+    /// Number of trials in the library of a fold.
+    pub library_trials: usize,
+    pub threads: usize,
+    /// Length of a whole drag in seconds, if there is one.
+    pub drag_s: Option<f64>,
+    pub points: Vec<ChartPoint>,
+}
+
+impl Chart {
+    pub fn methods(&self) -> impl Iterator<Item = &ChartPoint> {
+        self.points.iter().filter(|point| !point.control)
+    }
+
+    pub fn controls(&self) -> impl Iterator<Item = &ChartPoint> {
+        self.points.iter().filter(|point| point.control)
+    }
+
+    /// The points of all settings that were measured at several scan times.
+    pub fn timed(&self) -> Vec<&ChartPoint> {
+        let same = |a: &ChartPoint, b: &ChartPoint| {
+            (&a.method, &a.setting, &a.sources) == (&b.method, &b.setting, &b.sources)
+        };
+        let has_others = |a: &&ChartPoint| {
+            self.methods().any(|b| same(a, b) && a.query_seconds != b.query_seconds)
+        };
+        self.methods().filter(has_others).collect()
+    }
+
+    /// The kind of interval that the bars show, for the legend.
+    pub(super) fn bars(&self) -> &'static str {
+        if self.points.iter().any(|point| is_over_users(&point.users)) {
+            "95 % interval over users"
+        } else {
+            "95 % interval over queries"
+        }
+    }
+
+    /// Whether a point used only some of the sources.
+    pub fn is_subset(&self, point: &ChartPoint) -> bool {
+        point.sources.len() < self.sources.len()
+    }
+
+    /// Scan time of a point in seconds, which is the length of the part of the drag that was used.
+    pub fn scan_s(&self, point: &ChartPoint) -> f64 {
+        point.query_seconds.or(self.drag_s).unwrap_or(0.0)
+    }
+}
 
 const WIDTH: u32 = 1400;
 const HEAD: u32 = 78;
@@ -74,11 +221,6 @@ fn line(chart: &Chart, point: &ChartPoint) -> String {
     format!("{name}{sources}{seconds}: {accuracy:.1} % ({low:.1} to {high:.1}), {ms} ms")
 }
 
-fn three_digits(x: f64) -> String {
-    let decimals = (2 - x.max(1e-3).log10().floor() as i32).clamp(0, 3) as usize;
-    format!("{x:.decimals$}")
-}
-
 fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
     let title = format!("How well and how fast surfaces are named: {}", chart.data);
     put(root, title, (MARGIN, 12), 20)?;
@@ -102,8 +244,6 @@ fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
     );
     put(root, key, (MARGIN, 58), 13)
 }
-
-const GREY: RGBColor = RGBColor(120, 120, 120);
 
 type Colours<'a> = BTreeMap<&'a str, RGBColor>;
 
@@ -150,40 +290,11 @@ fn legend(
     Ok(())
 }
 
-type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
-
 /// The range of an accuracy axis: from below all intervals (also of controls) to above 100 %.
 fn axis(chart: &Chart, points: &[&ChartPoint]) -> Range<f64> {
     let all = points.iter().copied().chain(chart.controls());
     let low = all.map(|p| p.accuracy_low).fold(1.0, f64::min);
     (low * 10.0 - 0.01).floor().max(0.0) / 10.0..1.08
-}
-
-/// Draws the grid and the axes of a panel.
-fn axes<'a, 'b, X: AsRangedCoord<Value = f64>>(
-    area: &'a Area<'b>,
-    x: X,
-    y: Range<f64>,
-    of_x: &str,
-) -> Result<Panel<'a, 'b, X::CoordDescType>, FigureError>
-where
-    X::CoordDescType: ValueFormatter<f64>,
-{
-    let mut panel = ChartBuilder::on(area)
-        .margin(14)
-        .x_label_area_size(46)
-        .y_label_area_size(64)
-        .build_cartesian_2d(x, y)?;
-    (panel.configure_mesh())
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(BLACK.mix(0.08))
-        .x_desc(of_x)
-        .y_desc("accuracy")
-        .x_label_formatter(&|x| ((x * 1e6).round() / 1e6).to_string())
-        .y_label_formatter(&|y| percent(*y))
-        .label_style(("sans-serif", 14))
-        .draw()?;
-    Ok(panel)
 }
 
 /// Draws accuracy against median latency, on a logarithmic axis.
@@ -197,7 +308,8 @@ fn latency_panel(
     let from = whole.iter().map(|p| ms(p)).fold(f64::INFINITY, f64::min) / 1.6;
     let to = whole.iter().map(|p| ms(p)).fold(0.0, f64::max) * 1.6;
     let of_x = "median latency of a query [ms], from raw samples to the answer, whole drag";
-    let mut panel = axes(area, (from..to).log_scale(), axis(chart, whole), of_x)?;
+    let (x, y) = (((from..to).log_scale(), of_x), (axis(chart, whole), "accuracy"));
+    let mut panel = axes(area, "", x, y, percent)?;
     marks(&mut panel, chart, (from, to), whole, colours, ms)
 }
 
@@ -205,7 +317,8 @@ fn time_panel(area: &Area<'_>, chart: &Chart, colours: &Colours<'_>) -> Drawn {
     let shown = chart.timed();
     let end = chart.points.iter().map(|p| chart.scan_s(p)).fold(0.1, f64::max) * 1.06;
     let of_x = "scan time used [s]; settings measured at several scan times";
-    let mut panel = axes(area, 0.0..end, axis(chart, &shown), of_x)?;
+    let (x, y) = ((0.0..end, of_x), (axis(chart, &shown), "accuracy"));
+    let mut panel = axes(area, "", x, y, percent)?;
     let mut lines: BTreeMap<(&str, &str), Vec<(f64, f64)>> = BTreeMap::new();
     for point in &shown {
         let line = lines.entry((&point.method, &point.setting)).or_default();
@@ -219,8 +332,8 @@ fn time_panel(area: &Area<'_>, chart: &Chart, colours: &Colours<'_>) -> Drawn {
     marks(&mut panel, chart, (0.0, end), &shown, colours, |p| chart.scan_s(p))
 }
 
-fn percent(y: f64) -> String {
-    if y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
+fn percent(y: &f64) -> String {
+    if *y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
 }
 
 /// Draws the controls as dashed lines, the Pareto front, and each point with its interval and a tick
@@ -267,8 +380,59 @@ fn marks<X: Ranged<ValueType = f64>>(
 
 #[cfg(test)]
 mod tests {
-    use super::super::point::tests::{chart, point};
     use super::*;
+
+    fn point(method: &str, ms: f64, accuracy: f64) -> ChartPoint {
+        ChartPoint {
+            method: method.into(),
+            sources: vec!["ac".into(), "mi2".into()],
+            accuracy,
+            accuracy_low: accuracy - 0.05,
+            accuracy_high: (accuracy + 0.02).min(1.0),
+            query_ms_p50: ms,
+            queries: 200,
+            ..ChartPoint::default()
+        }
+    }
+
+    fn chart(points: Vec<ChartPoint>) -> Chart {
+        Chart {
+            data: "a <scene>".into(),
+            synthetic: true,
+            sources: vec!["ac".into(), "mi2".into()],
+            drag_s: Some(4.8),
+            points,
+            ..Chart::default()
+        }
+    }
+
+    #[test]
+    fn the_front_holds_what_nothing_beats() {
+        let points = [
+            point("slow and good", 10.0, 0.9),
+            point("fast and good", 1.0, 0.9),
+            point("fastest", 0.5, 0.4),
+            point("slowest and best", 20.0, 0.95),
+            point("slow and bad", 30.0, 0.1),
+        ];
+        let shown: Vec<&ChartPoint> = points.iter().collect();
+        let names = front(&shown, |p| p.query_ms_p50).into_iter().map(|p| p.method.as_str());
+        let names: Vec<&str> = names.collect();
+        assert_eq!(names, ["fastest", "fast and good", "slowest and best"]);
+    }
+
+    #[test]
+    fn a_name_is_short_and_differs_between_settings() {
+        let name = |method: &str, setting: &str| {
+            ChartPoint { setting: setting.into(), ..point(method, 1.0, 1.0) }.name()
+        };
+        assert_eq!(name("svm", "--method svm"), "svm");
+        assert_eq!(
+            name("reference", "--method reference --n 100 --repetitions 10 --halving"),
+            "reference (n = 100 R = 10 halving)"
+        );
+        assert_eq!(name("lda", "log bands"), "lda (log bands)");
+    }
 
     #[test]
     fn a_chart_names_its_methods_controls_and_kind_of_data() {
@@ -290,13 +454,5 @@ mod tests {
             assert!(svg.contains(text), "{text}");
         }
         assert!(figure(&Chart { points: vec![], ..chart }).is_err());
-    }
-
-    #[test]
-    fn numbers_have_three_digits() {
-        assert_eq!(
-            [0.1234, 1.234, 12.34, 1234.0].map(three_digits),
-            ["0.123", "1.23", "12.3", "1234"]
-        );
     }
 }

@@ -5,17 +5,21 @@
 //! ```
 
 mod figure;
-mod point;
 
-pub use figure::figure;
-pub use point::Chart;
+use figure::ChartPoint;
+pub use figure::{Chart, figure};
 
-use point::ChartPoint;
+use rayon::prelude::*;
 
-use crate::evaluate::{EvaluateError, Evaluation, LeftOutSources, Loudness, Measured, Protocol};
+use crate::evaluate::loudness::level_of;
+use crate::evaluate::{
+    EvaluateError, EvaluatedTrials, Evaluation, Fold, LeftOutSources, Measured, Protocol,
+};
 use crate::library::Entry;
-use crate::recognise::{Method, MethodName, MethodSpec, RecogniseError, ReferenceOptions, STAGES};
+use crate::recognise::features::{FeatureVector, SourceFeatures};
+use crate::recognise::{MethodName, MethodSpec, RecogniseError, ReferenceOptions, STAGES};
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
+use crate::trial::Signal;
 
 /// The scan times, in seconds, that are measured besides whole drags.
 const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];
@@ -31,7 +35,7 @@ pub fn settings() -> [(MethodSpec, bool, bool); 8] {
         (reference(100, 10, false), false, false),
         (reference(400, 10, false), true, false),
         (reference(400, 10, true), false, false),
-        (on_subsets(), true, true),
+        (ON_SUBSETS.into(), true, true),
         (MethodName::Svm.into(), false, true),
         (MethodName::RandomForest.into(), false, true),
     ]
@@ -44,13 +48,11 @@ fn reference(samples: usize, repetitions: usize, halving: bool) -> MethodSpec {
 }
 
 /// The method that compares subsets of the sources, and the low frequencies of the negative control.
-fn on_subsets() -> MethodSpec {
-    MethodName::Embedding.into()
-}
+const ON_SUBSETS: MethodName = MethodName::Embedding;
 
 #[derive(Clone, Debug)]
 pub struct Charted {
-    /// The method; `None` compares loudness alone.
+    /// The method; `None` compares loudness alone, by nearest neighbours.
     pub method: Option<MethodSpec>,
     /// The name of a negative control, which uses data that should tell little; `None` for a method.
     pub control: Option<String>,
@@ -74,7 +76,7 @@ pub fn charted(scene: &Scene, drag_s: Option<f64>, brief: bool) -> Vec<Charted> 
     };
     let wanted = settings().into_iter().filter(|(_, _, is_brief)| *is_brief || !brief);
     let subsets = if brief { Vec::new() } else { subsets(scene) };
-    let of_subsets = subsets.iter().map(|subset| whole(on_subsets(), subset));
+    let of_subsets = subsets.iter().map(|subset| whole(ON_SUBSETS.into(), subset));
     wanted.map(of_setting).chain(of_subsets).chain(controls(scene)).collect()
 }
 
@@ -90,13 +92,13 @@ fn controls(scene: &Scene) -> Vec<Charted> {
             spec.domain = Domain::Spectrum { band_hz: (0.0, CONTROL_HZ) };
             spec.align_mean = false;
         });
-        Charted { control: Some(of_band), ..whole(on_subsets(), &below) }
+        Charted { control: Some(of_band), ..whole(ON_SUBSETS.into(), &below) }
     });
     let spectra = of_domain(scene, |domain| matches!(domain, Domain::Spectrum { .. }));
     let loudness = spectra.map(|sounds| Charted {
         method: None,
         control: Some(format!("loudness of {} alone", named(&sounds))),
-        ..whole(on_subsets(), &sounds)
+        ..whole(ON_SUBSETS.into(), &sounds)
     });
     band.into_iter().chain(loudness).collect()
 }
@@ -128,18 +130,20 @@ fn of_domain(scene: &Scene, is: impl Fn(&Domain) -> bool) -> Option<Scene> {
 /// Measures one setting, with the sources of its own scene. Returns a point for each scan time, and
 /// the sources that were left out. `name` is the setting's name in the chart.
 pub fn measure(
-    on: Evaluation<'_>,
+    (entries, folds): (&[Entry], &[Fold]),
     protocol: Protocol,
     charted: &Charted,
     name: &str,
 ) -> Result<(Vec<ChartPoint>, LeftOutSources), EvaluateError> {
     let scene = &charted.scene;
-    let method: Box<dyn Method> = match &charted.method {
-        Some(method) => method.build(scene),
-        None => Box::new(Loudness::new(scene.clone())),
-    };
-    let run = Evaluation { scene, ..on }.prepare(&*method)?;
-    let measured = run.measure_by(on.folds, &charted.seconds)?;
+    let by_loudness = charted.method.is_none();
+    let levels = if by_loudness { levels(entries, scene)? } else { Vec::new() };
+    let mut on = Evaluation::new(scene, entries, folds);
+    if by_loudness {
+        on.trials = EvaluatedTrials::Features(&levels);
+    }
+    let method = charted.method.clone().unwrap_or(MethodName::Knn.into()).build(scene);
+    let measured = on.prepare(&*method)?.measure_by(folds, &charted.seconds)?;
     let point = |(seconds, measured): (&Option<f64>, &Measured)| {
         ChartPoint::new(&measured.outcome, protocol, name, *seconds, charted.control.is_some())
     };
@@ -149,6 +153,21 @@ pub fn measure(
         left_out.entry(remark).or_default().extend(trials);
     }
     Ok((points, left_out))
+}
+
+/// The level of each series, as the only feature of its source.
+fn levels(entries: &[Entry], scene: &Scene) -> Result<Vec<FeatureVector>, RecogniseError> {
+    let level = |(id, signal): (&SourceId, &Signal)| {
+        let Signal::Series(series) = signal else { return None };
+        let values = vec![level_of(series.samples(), series.channels())];
+        Some((id.clone(), SourceFeatures { values, rate_hz: series.rate_hz() }))
+    };
+    let of_entry = |entry: &Entry| {
+        let trial = entry.clone().within(scene).load()?;
+        let sources = trial.signals.iter().filter_map(level).collect();
+        Ok(FeatureVector { key: trial.key.clone(), sources })
+    };
+    entries.par_iter().map(of_entry).collect()
 }
 
 /// Length of a whole drag in seconds: that of the longest drag source in the first trial that has one.

@@ -1,14 +1,19 @@
-//! Finds the faults of a library: one finding for each source and kind of fault, with the command that
-//! fixes it.
+//! Reads every recording of a library once, and finds the library's faults: one finding for each source
+//! and kind of fault, with the command that fixes it.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
 
 use super::Audited;
-use super::inspect::{Inspected, Measured};
+use crate::evaluate::ProgressFn;
+use crate::evaluate::loudness::level_of;
 use crate::library::{Entry, LibraryError, Unreadable};
 use crate::printable::quoted;
-use crate::scene::SourceId;
-use crate::trial::Flaw;
+use crate::scene::{Scene, SourceId};
+use crate::trial::{Flaw, Signal, Trial, flaws, is_plain};
 
 /// A trial is too loud or quiet if ln of its loudness is this far from its surface's median: 20 dB.
 const LOUD: f64 = std::f64::consts::LN_10;
@@ -19,6 +24,9 @@ const SHORT: f64 = 1.0 / 3.0;
 const FEWEST: usize = 3;
 /// Most trials that a finding names.
 const SHOWN: usize = 3;
+
+/// Most bytes of samples that are kept in memory, to save reading them again.
+const MOST_KEPT: usize = 1 << 30;
 
 /// Kinds of faults, the worst first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
@@ -62,11 +70,6 @@ struct Fault {
 }
 
 impl Audited<'_> {
-    /// The trial's name, as in messages and in `surfaced library` commands.
-    pub(super) fn name_of(&self, entry: &Entry) -> String {
-        entry.name_in(self.root)
-    }
-
     fn command(&self, edit: &str, trials: &[String]) -> Option<String> {
         let library = quoted(&self.root.display().to_string());
         let names = trials.iter().map(|name| quoted(name)).collect::<Vec<_>>().join(" ");
@@ -89,6 +92,92 @@ impl Audited<'_> {
         let why = said.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&said);
         let file = parts.get(2).map(|file| format!("{file}: ")).unwrap_or_default();
         (trial, format!("{file}{why}"))
+    }
+}
+
+/// One trial with its readable sources, and what was found in them.
+pub(super) struct Inspected {
+    /// The trial; its signals are kept in memory if there is room.
+    pub entry: Entry,
+    /// The flaws of each source, without channels that are constant in at least half of the trials.
+    pub flaws: Vec<(SourceId, Flaw)>,
+    /// Sources with a picture of a single colour.
+    pub plain: Vec<SourceId>,
+    /// The measurements of each series, except of switches such as the metal detector.
+    pub series: BTreeMap<SourceId, Measured>,
+}
+
+pub(super) struct Measured {
+    pub seconds: f64,
+    /// ln of the root mean square, after the mean of each channel was subtracted.
+    pub level: f64,
+    /// Hash of the samples, to find copies; `None` for a constant series.
+    pub hash: Option<u64>,
+}
+
+/// Reads all trials. Returns the trials with a readable source, and the sources that cannot be read.
+pub(super) fn inspect(
+    entries: Vec<Entry>,
+    scene: &Scene,
+    progress: ProgressFn<'_>,
+) -> (Vec<Inspected>, Vec<Unreadable>) {
+    let (kept, done, all) = (AtomicUsize::new(0), AtomicUsize::new(0), entries.len());
+    let one = |(at, entry): (usize, Entry)| {
+        let inspected = of_entry(at, entry, scene, &kept);
+        progress("reading all recordings", done.fetch_add(1, Ordering::Relaxed) + 1, all);
+        inspected
+    };
+    let read: Vec<(Inspected, Vec<Unreadable>)> =
+        entries.into_par_iter().enumerate().map(one).collect();
+    let (mut inspected, unreadable): (Vec<_>, Vec<_>) = read.into_iter().unzip();
+    inspected.retain(|trial: &Inspected| !trial.entry.sources.is_empty());
+    forget_resting(&mut inspected);
+    (inspected, unreadable.into_iter().flatten().collect())
+}
+
+fn of_entry(
+    at: usize,
+    mut entry: Entry,
+    scene: &Scene,
+    kept: &AtomicUsize,
+) -> (Inspected, Vec<Unreadable>) {
+    let (mut signals, mut unreadable) = (BTreeMap::new(), Vec::new());
+    for source in &entry.sources {
+        match entry.with_only(source).load() {
+            Ok(trial) => signals.extend(trial.signals),
+            Err(error) => unreadable.push(Unreadable { entry: at, source: source.clone(), error }),
+        }
+    }
+    entry.sources.retain(|source| signals.contains_key(source));
+    let (mut flawed, mut plain, mut series) = (Vec::new(), Vec::new(), BTreeMap::new());
+    for (id, signal) in &signals {
+        let is_switch = scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some());
+        match signal {
+            Signal::Image(image) if is_plain(image) => plain.push(id.clone()),
+            Signal::Series(one) if !is_switch => {
+                flawed.extend(flaws(one).into_iter().map(|flaw| (id.clone(), flaw)));
+                let measured = Measured {
+                    seconds: one.duration_s(),
+                    level: level_of(one.samples(), one.channels()),
+                    hash: (!one.is_constant()).then(|| signal.content_hash()),
+                };
+                series.insert(id.clone(), measured);
+            }
+            Signal::Image(_) | Signal::Series(_) => {}
+        }
+    }
+    let bytes: usize = signals.values().map(bytes).sum();
+    if kept.fetch_add(bytes, Ordering::Relaxed) + bytes <= MOST_KEPT {
+        let key = entry.key.clone();
+        entry = entry.held(Arc::new(Trial { key, signals }));
+    }
+    (Inspected { entry, flaws: flawed, plain, series }, unreadable)
+}
+
+fn bytes(signal: &Signal) -> usize {
+    match signal {
+        Signal::Series(series) => size_of_val(series.samples()),
+        Signal::Image(image) => image.rgb().len(),
     }
 }
 
@@ -135,10 +224,9 @@ pub(super) fn of_signals(
     let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
     let of_source = |id| (id, (usual(id, None, |m| m.seconds), usual(id, None, |m| m.level)));
     let of_sources: BTreeMap<&SourceId, _> = sources.into_iter().map(of_source).collect();
-    let resting = resting(inspected);
     for one in inspected {
         let surface = &*one.entry.key.surface;
-        let trial = audited.name_of(&one.entry);
+        let trial = one.entry.name_in(audited.root);
         let mut add = |kind, source: &SourceId, what, detail: String| {
             let (source, trial) = (Some(source.clone()), trial.clone());
             faults.push(Fault { kind, source, what, trial, detail });
@@ -146,10 +234,10 @@ pub(super) fn of_signals(
         for (id, of) in &one.series {
             let below = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level < u - by);
             let above = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level > u + by);
-            let rests = of.hash.is_none() && !resting.contains(&(id, 1));
+            let is_flawed = one.flaws.iter().any(|(flawed, _)| flawed == id);
             let (usual_s, usual_level) = of_sources[id];
             let of_surface = usual(id, Some(surface), |m| m.level);
-            if rests || below(usual_level, SILENT) {
+            if (of.hash.is_none() && is_flawed) || below(usual_level, SILENT) {
                 add(FaultKind::Silent, id, "is silent", String::new());
             } else if let Some(usual_s) = usual_s.filter(|usual_s| of.seconds < SHORT * usual_s) {
                 let detail = format!("{:.1} s, usually {usual_s:.1} s", of.seconds);
@@ -163,7 +251,6 @@ pub(super) fn of_signals(
         for (id, flaw) in &one.flaws {
             let channel = format!("channel {}", flaw.channel());
             match flaw {
-                Flaw::Constant { channel, .. } if resting.contains(&(id, *channel)) => {}
                 Flaw::Saturated { share, .. } => {
                     let detail = format!("{:.0} % of {channel} at its limit", 100.0 * share);
                     add(FaultKind::Clipped, id, "is clipped", detail);
@@ -265,8 +352,8 @@ fn copies(inspected: &[Inspected], audited: &Audited<'_>) -> Vec<Fault> {
                     kind: FaultKind::Copy,
                     source: None,
                     what: "is a copy of another",
-                    trial: audited.name_of(&one.entry),
-                    detail: format!("that of {}", audited.name_of(other)),
+                    trial: one.entry.name_in(audited.root),
+                    detail: format!("that of {}", other.name_in(audited.root)),
                 }),
             }
         }
@@ -274,16 +361,21 @@ fn copies(inspected: &[Inspected], audited: &Audited<'_>) -> Vec<Fault> {
     faults
 }
 
-/// Channels that are constant in at least half of the trials, so that a constant value is no fault.
-pub(super) fn resting(inspected: &[Inspected]) -> BTreeSet<(&SourceId, usize)> {
-    let mut counts: BTreeMap<(&SourceId, usize), usize> = BTreeMap::new();
+/// Forgets constant values of channels that are constant in at least half of the trials.
+fn forget_resting(inspected: &mut [Inspected]) {
+    let mut counts: BTreeMap<(SourceId, usize), usize> = BTreeMap::new();
     for (id, flaw) in inspected.iter().flat_map(|inspected| &inspected.flaws) {
         if let Flaw::Constant { channel, .. } = flaw {
-            *counts.entry((id, *channel)).or_default() += 1;
+            *counts.entry((id.clone(), *channel)).or_default() += 1;
         }
     }
     counts.retain(|_, count| *count * 2 >= inspected.len());
-    counts.into_keys().collect()
+    let rests = |id: &SourceId, flaw: &Flaw| {
+        matches!(flaw, Flaw::Constant { .. }) && counts.contains_key(&(id.clone(), flaw.channel()))
+    };
+    for one in inspected {
+        one.flaws.retain(|(id, flaw)| !rests(id, flaw));
+    }
 }
 
 /// The median; `None` if there are fewer than [`FEWEST`] values.

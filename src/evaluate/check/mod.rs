@@ -2,24 +2,22 @@
 //! what is damaged, and what to record next.
 
 mod finding;
-mod inspect;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde::ser::{SerializeMap, Serializer};
 
-use self::finding::resting;
 pub use self::finding::{FaultKind, Finding};
-use self::inspect::{Inspected, inspect};
-use super::evaluation::{Evaluation, ProgressFn};
+use self::finding::{Inspected, inspect};
+use super::evaluation::{Evaluation, Measured, ProgressFn};
 use super::fold::{Fold, by_user, enough, known_only};
-use super::outcome::{Confusion, Outcome, Prediction, Share};
+use super::outcome::{Confusion, Prediction, Share};
 use super::plain::better_plain;
 use crate::library::{Entry, Opened};
 use crate::recognise::{Method, MethodName};
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Flaw, TrialKey};
+use crate::trial::TrialKey;
 
 /// Largest number of folds. A fold leaves out several trials of a surface that has more than this.
 const MOST_FOLDS: usize = 10;
@@ -54,7 +52,6 @@ pub struct SurfaceCheck {
     pub surface: String,
     pub trials: usize,
     pub users: usize,
-    /// How many of the surface's left-out trials were named correctly.
     #[serde(flatten, serialize_with = "share_of_surface")]
     pub share: Share,
     /// The wrong names of the surface's trials, and how often each occurred, the most frequent first.
@@ -75,7 +72,6 @@ pub enum TrialVerdict {
 pub struct TrialCheck {
     #[serde(flatten)]
     pub key: TrialKey,
-    /// Whether the trial was named correctly when it was left out.
     pub verdict: TrialVerdict,
     /// The surface that the trial was named when it was left out, if any.
     pub named: Option<String>,
@@ -123,17 +119,14 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let mut advice = opened.library.remarks;
     advice.extend(of_sources);
-    let measured = measure(&entries, audited, progress);
-    let (predictions, outcome) = match measured {
-        Ok((predictions, outcome, better)) => {
+    let (mut predictions, mut outcome) = (Vec::new(), None);
+    match measure(&entries, audited, progress) {
+        Ok((measured, better)) => {
             advice.extend(better);
-            (predictions, Some(outcome))
+            (predictions, outcome) = (measured.predictions, Some(measured.outcome));
         }
-        Err(why) => {
-            advice.push(why);
-            (Vec::new(), None)
-        }
-    };
+        Err(why) => advice.push(why),
+    }
     // A damaged trial in the library causes wrong names, so labels are judged without such trials.
     let damaged: BTreeSet<String> = (findings.iter())
         .filter(|finding| finding.kind < FaultKind::Mislabelled)
@@ -141,18 +134,16 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
         .collect();
     let sound: Vec<Entry> = entries
         .iter()
-        .filter(|entry| !damaged.contains(&audited.name_of(entry)))
+        .filter(|entry| !damaged.contains(&entry.name_in(audited.root)))
         .cloned()
         .collect();
-    let of_sound = match sound.len() == entries.len() {
-        true => None,
-        false => measure(&sound, audited, progress).ok().map(|measured| measured.0),
-    };
+    let measured = || Some(measure(&sound, audited, progress).ok()?.0.predictions);
+    let of_sound = if sound.len() < entries.len() { measured() } else { None };
     let judged = of_sound.as_ref().unwrap_or(&predictions);
     let suspects = suspects(judged);
     let wrong: Vec<(String, String)> = (sound.iter())
         .filter_map(|entry| {
-            Some((audited.name_of(entry), (*suspects.get(&entry.key)?).to_string()))
+            Some((entry.name_in(audited.root), (*suspects.get(&entry.key)?).to_string()))
         })
         .collect();
     findings.extend(finding::mislabelled(&wrong, audited));
@@ -164,7 +155,7 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
             let mended: Vec<Entry> =
                 sound.iter().map(|entry| relabelled(entry, &suspects)).collect();
             let mended = measure(&mended, &Audited { cache: None, ..*audited }, progress);
-            mended.ok().map(|(_, outcome, _)| outcome.share.value())
+            mended.ok().map(|(measured, _)| measured.outcome.share.value())
         }
     };
     let each = trials(&keys, &predictions, &inspected, &suspects);
@@ -241,24 +232,21 @@ fn measure(
     entries: &[Entry],
     audited: &Audited<'_>,
     progress: ProgressFn<'_>,
-) -> Result<(Vec<Prediction>, Outcome, Option<String>), String> {
+) -> Result<(Measured, Option<String>), String> {
     let Audited { scene, method, cache, .. } = *audited;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let folds = left_out(&keys);
     let surfaces: BTreeSet<&str> = keys.iter().map(|key| key.surface.as_str()).collect();
     if surfaces.len() < 2 || folds.is_empty() {
-        return Err(
-            "no trial can be left out and named: that takes two surfaces, and two trials of \
-                    one of them"
-                .into(),
-        );
+        let needed = "two surfaces, and two trials of one of them";
+        return Err(format!("no trial can be left out and named: that takes {needed}"));
     }
     let evaluation = Evaluation { cache, progress, ..Evaluation::new(scene, entries, &folds) };
     let run = evaluation.prepare(method).map_err(|error| error.to_string())?;
     let measured = run.measure().map_err(|error| error.to_string())?;
     let is_default = method.name() == MethodName::Embedding.as_str();
     let better = is_default.then(|| better_plain(evaluation, &measured.predictions)).flatten();
-    Ok((measured.predictions, measured.outcome, better))
+    Ok((measured, better))
 }
 
 /// The trials that look mislabelled, each with the surface that it was named. This surface is not
@@ -285,15 +273,10 @@ fn trials(
 ) -> Vec<TrialCheck> {
     let by_key: BTreeMap<&TrialKey, &Prediction> =
         predictions.iter().map(|prediction| (&prediction.key, prediction)).collect();
-    let usual = resting(inspected);
     let one = |(key, inspected): (&TrialKey, &Inspected)| {
         let prediction = by_key.get(key).copied();
         let is_right = prediction.map(Prediction::is_correct);
-        let flaws = inspected.flaws.iter().filter(|(id, flaw)| match flaw {
-            Flaw::Constant { channel, .. } => !usual.contains(&(id, *channel)),
-            Flaw::Stuck { .. } | Flaw::Saturated { .. } => true,
-        });
-        let flaws = flaws.map(|(id, flaw)| format!("{id}: {flaw}"));
+        let flaws = inspected.flaws.iter().map(|(id, flaw)| format!("{id}: {flaw}"));
         let plain = inspected.plain.iter().map(|id| format!("{id}: the picture is of one colour"));
         TrialCheck {
             key: key.clone(),

@@ -3,11 +3,11 @@
 use plotters::prelude::*;
 
 use super::report::{PaperReport, ReportRow};
-use crate::draw::{Area, Drawn, FigureError, put, svg};
+use crate::draw::{Area, COLOURS, Drawn, FigureError, put, svg};
 use crate::evaluate::Confusion;
 
-const OURS: RGBColor = RGBColor(0, 90, 160);
-const PAPER: RGBColor = RGBColor(200, 70, 0);
+const OURS: RGBColor = COLOURS[0];
+const PAPER: RGBColor = COLOURS[1];
 const ROW: i32 = 22;
 const WIDTH: u32 = 960;
 const LEFT: i32 = 390;

@@ -119,11 +119,8 @@ fn text(rows: &mut Vec<Row>) {
     }
     let shifted = changed(|s| SampledSource { align: s.align || is_image(s), ..s });
     let unshifted = changed(|s| SampledSource { align: false, ..s });
-    let camera_and_ac = [
-        SampledSource::as_used("ca1"),
-        SampledSource { align: false, ..SampledSource::as_used("ac") },
-    ];
-    rows.push(row(TEXT, users, "all, both domains", both, mean(98.2, 1.7)));
+    let ac = SampledSource { align: false, ..SampledSource::as_used("ac") };
+    let camera_and_ac = vec![SampledSource::as_used("ca1"), ac];
     let all = AS_USED.to_vec();
     let mut weighted = row(TEXT, users, "all, ca1 and ac weigh 3", all.clone(), mean(98.5, 1.2));
     for (weight, stream) in &mut weighted.terms {
@@ -131,36 +128,28 @@ fn text(rows: &mut Vec<Row>) {
             *weight = 3.0;
         }
     }
+    rows.push(row(TEXT, users, "all, both domains", both, mean(98.2, 1.7)));
     rows.push(weighted);
-    rows.push(row(TEXT, users, "all, images shifted, too", shifted, mean(97.1, 2.2)));
+    let mut add = |place, protocol, name: &str, streams, published| {
+        rows.push(row(place, protocol, name, streams, published));
+    };
+    add(TEXT, users, "all, images shifted, too", shifted, mean(97.1, 2.2));
     for (source, figures) in [("ca1", [42.0, 34.0, 27.0]), ("ca2", [19.0, 18.0, 17.0])] {
         let channels =
             [("hue", Colour::Hue), ("saturation", Colour::Saturation), ("value", Colour::Value)];
         for ((name, colour), figure) in channels.into_iter().zip(figures) {
             let stream = SampledSource::new(source, SampleView::Pixels(colour), false);
-            rows.push(row(
-                TEXT,
-                users,
-                format!("{source}, {name}"),
-                vec![stream],
-                mean(figure, 0.0),
-            ));
+            add(TEXT, users, &format!("{source}, {name}"), vec![stream], mean(figure, 0.0));
         }
     }
-    rows.push(row(TEXT, others, ALL, all.clone(), mean(99.4, 0.8)));
-    rows.push(row(TEXT, others, "all, without the shift", unshifted.clone(), mean(99.1, 0.9)));
-    rows.push(row(TEXT, others, "ca1", used(&["ca1"]), mean(88.9, 3.7)));
-    rows.push(row(TEXT, others, "ca1 + ac", used(&["ca1", "ac"]), mean(96.9, 1.4)));
-    rows.push(row(OURS, others, "ca1 + ac, without the shift", camera_and_ac.to_vec(), None));
-    rows.push(row(
-        TEXT,
-        trials,
-        "ca1 + ac, without the shift",
-        camera_and_ac.to_vec(),
-        mean(97.1, 1.2),
-    ));
-    rows.push(row(OURS, trials, ALL, all, None));
-    rows.push(row(OURS, trials, "all, without the shift", unshifted, None));
+    add(TEXT, others, ALL, all.clone(), mean(99.4, 0.8));
+    add(TEXT, others, "all, without the shift", unshifted.clone(), mean(99.1, 0.9));
+    add(TEXT, others, "ca1", used(&["ca1"]), mean(88.9, 3.7));
+    add(TEXT, others, "ca1 + ac", used(&["ca1", "ac"]), mean(96.9, 1.4));
+    add(OURS, others, "ca1 + ac, without the shift", camera_and_ac.clone(), None);
+    add(TEXT, trials, "ca1 + ac, without the shift", camera_and_ac, mean(97.1, 1.2));
+    add(OURS, trials, ALL, all, None);
+    add(OURS, trials, "all, without the shift", unshifted, None);
 }
 
 /// Cells of Table II for one source and protocol, each a mean and a standard deviation. The first index

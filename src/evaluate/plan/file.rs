@@ -35,7 +35,6 @@ pub struct Expected {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
     pub library: String,
-    /// Whether the library was generated, not recorded.
     pub synthetic: bool,
     /// The sources to compare; other sources are not needed.
     pub sources: Vec<SourceId>,
@@ -76,7 +75,6 @@ impl Expected {
 }
 
 impl Plan {
-    /// Reads a plan from a file; an error names the file.
     pub fn read(path: &Path) -> Result<Self, LibraryError> {
         let text = std::fs::read_to_string(path).map_err(|error| LibraryError::io(path, error))?;
         Self::from_toml(&text).map_err(|problem| {

@@ -29,6 +29,7 @@ use serde::Serialize;
 pub use self::file::{Expected, Plan};
 use crate::evaluate::{
     EvaluateError, Evaluation, Fold, Outcome, ProgressFn, Protocol, Run, Share, folds, percentile,
+    within,
 };
 use crate::library::{Entry, Library};
 use crate::recognise::{
@@ -71,22 +72,19 @@ pub struct Planned {
     pub steps: Vec<String>,
 }
 
-/// Finds the cheapest plan for a library.
 pub fn search(
     library: &Library,
     options: PlanOptions,
     progress: ProgressFn<'_>,
 ) -> Result<Planned, EvaluateError> {
     let PlanOptions { target, accuracy, protocol } = options;
-    let entries: Vec<Entry> =
-        library.entries.iter().filter(|entry| !entry.sources.is_empty()).cloned().collect();
+    let entries = within(&library.entries, &library.scene);
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let folds = folds(protocol, &keys)?;
     // Finds how long scans of these sources must last, by leaving out trials of the library.
     let scan_time = |sources: &[SourceId]| -> Option<ScanTime> {
         let scene = library.scene.clone().only(sources).ok()?;
-        let within = entries.iter().map(|entry| entry.clone().within(&scene));
-        let entries: Vec<Entry> = within.filter(|entry| !entry.sources.is_empty()).collect();
+        let entries = within(&entries, &scene);
         let method = MethodSpec::from(MethodName::Embedding).build(&scene);
         let all = (0..entries.len()).collect();
         let step = |done, of| progress("finding the scan time", done, of);
@@ -101,7 +99,7 @@ pub fn search(
     let found = search.scan_time(&choice.sources);
     let scan_s = found.as_ref().and_then(ScanTime::scan_s);
     let scene = library.scene.clone().only(&sources)?;
-    let outcome = outcome(&scene, &entries, &folds, scan_s, progress)?;
+    let outcome = outcome(&scene, &within(&entries, &scene), protocol, scan_s, progress)?;
     let Share { right, of } = outcome.share;
     search.steps.extend(found.as_ref().map(ScanTime::line));
     search.steps.extend(scan_s.map(|s| format!("a scan of {s:.1} s: {right} of {of} right")));
@@ -136,19 +134,13 @@ pub fn search(
 fn outcome(
     scene: &Scene,
     entries: &[Entry],
-    folds: &[Fold],
+    protocol: Protocol,
     scan_s: Option<f64>,
     progress: ProgressFn<'_>,
 ) -> Result<Outcome, EvaluateError> {
-    let entries: Vec<Entry> = entries.iter().map(|entry| entry.clone().within(scene)).collect();
-    let has_any = |i: &usize| !entries[*i].sources.is_empty();
-    let folds = folds.iter().map(|fold| Fold {
-        name: fold.name.clone(),
-        library: fold.library.iter().copied().filter(has_any).collect(),
-        queries: fold.queries.iter().copied().filter(has_any).collect(),
-    });
-    let folds: Vec<Fold> = folds.filter(|fold| !fold.queries.is_empty()).collect();
-    let on = Evaluation::new(scene, &entries, &folds);
+    let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let folds = folds(protocol, &keys)?;
+    let on = Evaluation::new(scene, entries, &folds);
     let evaluation = Evaluation { query_seconds: scan_s, progress, ..on };
     let method = MethodSpec::from(MethodName::Embedding).build(scene);
     Ok(evaluation.prepare(&*method)?.measure()?.outcome)

@@ -114,7 +114,7 @@ pub fn run(
         let load = |&query: &usize| Ok((query, run.recording(query)?));
         let queries = fold.queries.par_iter().map(load);
         let queries: Vec<(usize, Trial)> = queries.collect::<Result<_, RecogniseError>>()?;
-        clean.extend(answers(&run, plan, &models, &queries, Trial::clone));
+        clean.extend(models.answers(&run, plan, &queries, Trial::clone));
         // Queries of one level come together, so that the library is cut to their length only once.
         for (d, of_disturbance) in plan.disturbances.iter().zip(&mut cells) {
             for (at, (&level, of_level)) in d.levels.iter().zip(of_disturbance).enumerate() {
@@ -134,9 +134,9 @@ pub fn run(
                         let changed =
                             Evaluation::new(plan.scene, &entries, folds).prepare(method)?;
                         let models = Models::fit(&changed, plan, fold, &all.library)?;
-                        answers(&changed, plan, &models, &queries, Trial::clone)
+                        models.answers(&changed, plan, &queries, Trial::clone)
                     }
-                    _ => answers(&run, plan, &models, &queries, |raw| {
+                    _ => models.answers(&run, plan, &queries, |raw| {
                         let (at, key) = (at.to_le_bytes(), raw.key.to_string());
                         let key = [b"stress", d.name.as_bytes(), &at, key.as_bytes()];
                         d.disturbed(raw, level, plan.scene, seed::rng(plan.seed, &key))
@@ -148,18 +148,6 @@ pub fn run(
         }
     }
     Ok(sum_up(method.name(), plan, &clean, &cells))
-}
-
-/// The answers to queries, given as (index, trial), after `change` was applied to each trial.
-fn answers(
-    run: &Run<'_, '_>,
-    plan: &StressPlan<'_>,
-    models: &Models,
-    queries: &[(usize, Trial)],
-    change: impl Fn(&Trial) -> Trial + Sync,
-) -> Vec<StressAnswer> {
-    let answer = |(query, raw): &(usize, Trial)| models.answer(run, plan, *query, change(raw));
-    queries.par_iter().map(answer).collect()
 }
 
 /// A model of the whole library, and one without the surfaces that should be unknown.
@@ -186,26 +174,29 @@ impl Models {
         Ok(Self { all: run.fit(places)?, without })
     }
 
-    fn answer(
+    /// The answers to queries, given as (index, trial), after `change` was applied to each trial.
+    fn answers(
         &self,
         run: &Run<'_, '_>,
         plan: &StressPlan<'_>,
-        query: usize,
-        trial: Trial,
-    ) -> StressAnswer {
-        let truth = &plan.entries[query].key.surface;
-        // Both models expect the same rates and channels, so the query is prepared once.
-        let Ok(disturbed) = run.query_of(&self.all, trial, None) else {
-            return StressAnswer::default();
+        queries: &[(usize, Trial)],
+        change: impl Fn(&Trial) -> Trial + Sync,
+    ) -> Vec<StressAnswer> {
+        let answer = |(query, raw): &(usize, Trial)| {
+            // Both models expect the same rates and channels, so the query is prepared once.
+            let Ok(disturbed) = run.query_of(&self.all, change(raw), None) else {
+                return StressAnswer::default();
+            };
+            let named = |ranking: Ranking| NamedQuery {
+                right: ranking.surface() == plan.entries[*query].key.surface,
+                margin: ranking.margin,
+                confidence: ranking.confidence,
+            };
+            let rank = |model: &Arc<dyn Model>| model.rank(&disturbed.prepared).ok().map(named);
+            let unknown = self.without.as_ref().filter(|_| plan.is_unknown(*query));
+            StressAnswer { known: rank(&self.all), unknown: unknown.map(rank) }
         };
-        let named = |ranking: Ranking| NamedQuery {
-            right: ranking.surface() == truth,
-            margin: ranking.margin,
-            confidence: ranking.confidence,
-        };
-        let rank = |model: &Arc<dyn Model>| model.rank(&disturbed.prepared).ok().map(named);
-        let unknown = self.without.as_ref().filter(|_| plan.is_unknown(query));
-        StressAnswer { known: rank(&self.all), unknown: unknown.map(rank) }
+        queries.par_iter().map(answer).collect()
     }
 }
 

@@ -183,19 +183,15 @@ pub fn slow(_: &SourceSpec, series: &mut Series, factor: f64, _: &mut ChaCha8Rng
 
 /// Reads a series `pace` times as fast, by linear interpolation.
 pub(super) fn stretch(series: &mut Series, pace: f64) {
-    let channels = series.channels();
     let frames = ((series.frames() as f64 / pace).floor() as usize).max(1);
-    let from = series.samples();
-    let last = series.frames() - 1;
-    let mut samples = Vec::with_capacity(frames * channels);
+    let (from, last) = (series.view(), series.frames() - 1);
+    let mut samples = Vec::with_capacity(frames * series.channels());
     for i in 0..frames {
         let at = (i as f64 * pace).min(last as f64);
         let before = (at as usize).min(last);
         let (after, part) = ((before + 1).min(last), (at - before as f64) as f32);
-        for channel in 0..channels {
-            let (a, b) = (from[before * channels + channel], from[after * channels + channel]);
-            samples.push(a + part * (b - a));
-        }
+        let pairs = from.row(before).into_iter().zip(from.row(after));
+        samples.extend(pairs.map(|(a, b)| a + part * (b - a)));
     }
     replace(series, samples);
 }
