@@ -21,7 +21,7 @@ mod keeper;
 pub(crate) mod log;
 mod view;
 
-pub(crate) use self::csv::CsvWriter;
+pub(crate) use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
 pub(crate) use self::entries::HistoryRow;
 pub(crate) use correction::{Correction, Precision};
 pub use keeper::Keeper;
@@ -30,6 +30,8 @@ pub(crate) use view::{Bands, bands, four_digits};
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use serde_json::Value;
 
 use self::entries::{HistoryEntry, HistoryState};
 use self::file::{Disk, SCANS};
@@ -218,6 +220,11 @@ impl History {
         })
     }
 
+    /// Like [`Self::rows`], as JSON.
+    pub(crate) fn values(&self) -> impl Iterator<Item = std::io::Result<Value>> + '_ {
+        self.rows().map(|row| Ok(serde_json::to_value(row?)?))
+    }
+
     /// The answer with this name (its id), or the newest one with this scan number.
     pub(crate) fn answer(&self, name: &str) -> Result<HistoryRow, HistoryError> {
         let inner = &*self.lock();
@@ -292,6 +299,12 @@ pub enum HistoryError {
     NoSignals(String),
     #[error(transparent)]
     Library(#[from] crate::library::LibraryError),
+}
+
+impl From<HistoryError> for std::io::Error {
+    fn from(error: HistoryError) -> Self {
+        Self::other(error)
+    }
 }
 
 impl HistoryError {

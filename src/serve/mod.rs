@@ -13,6 +13,7 @@
 
 mod accept;
 pub(crate) mod api;
+pub(crate) mod export;
 mod guard;
 mod hub;
 mod library;
@@ -22,7 +23,7 @@ mod scans;
 mod server;
 mod settings;
 mod state;
-pub(crate) mod subscribers;
+mod subscribers;
 mod trace;
 
 pub(crate) use guard::Traffic;

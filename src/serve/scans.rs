@@ -1,5 +1,6 @@
 //! Past scans for programs and the page. Serves the list, single scans, their files and corrections.
 
+use std::io::Write;
 use std::sync::Arc;
 
 use axum::Router;
@@ -12,16 +13,18 @@ use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::export::{CSV, JSON_LINES, exported};
 use super::hub::{Hub, Shared};
 use super::request::{Problem, Said, aside, body, label};
 use super::settings::LibraryFolder;
 use super::subscribers::EventKind;
 use crate::history::{
-    Correction, CsvWriter, Extent, History, HistoryError, HistoryRow, NOTES, Precision,
-    nearest_picture,
+    COLUMNS, Correction, Extent, HistoryError, HistoryRow, NOTES, Precision, nearest_picture,
+    write_csv,
 };
 use crate::jpeg;
 use crate::library::{About, LibraryError, recording};
+use crate::printable::json_text;
 use crate::record::TrialOptions;
 use crate::record::edit::{self, Editor};
 use crate::scene::SourceId;
@@ -84,43 +87,17 @@ async fn scans(
     Ok(Json(json!({ "scans": scans })))
 }
 
-/// All past scans as one text, made on a separate thread.
-async fn all(
-    hub: Arc<Hub>,
-    content_type: &'static str,
-    write: impl FnOnce(&History) -> Result<Vec<u8>, Problem> + Send + 'static,
-) -> Result<Response, Problem> {
-    let text = aside(move || write(&hub.history)).await?;
-    Ok(([(CONTENT_TYPE, content_type)], text).into_response())
+async fn csv(State(hub): Shared) -> Response {
+    exported(CSV, move |out| write_csv(out, COLUMNS, hub.history.values()))
 }
 
-impl From<std::io::Error> for Problem {
-    fn from(error: std::io::Error) -> Self {
-        Self::Failed(error.to_string())
-    }
-}
-
-async fn csv(State(hub): Shared) -> Result<Response, Problem> {
-    let write = |history: &History| {
-        let mut csv = CsvWriter::new(Vec::new())?;
-        for row in history.rows() {
-            csv.scan(&row?)?;
+async fn json_lines(State(hub): Shared) -> Response {
+    exported(JSON_LINES, move |mut out| {
+        for row in hub.history.rows() {
+            writeln!(out, "{}", json_text(&row?))?;
         }
-        Ok(csv.finish()?)
-    };
-    all(hub, "text/csv; charset=utf-8", write).await
-}
-
-async fn json_lines(State(hub): Shared) -> Result<Response, Problem> {
-    let write = |history: &History| {
-        let mut text = Vec::new();
-        for row in history.rows() {
-            serde_json::to_writer(&mut text, &row?).map_err(std::io::Error::from)?;
-            text.push(b'\n');
-        }
-        Ok(text)
-    };
-    all(hub, "application/jsonl", write).await
+        out.flush()
+    })
 }
 
 type ScanPath = Result<Path<String>, PathRejection>;
