@@ -85,7 +85,7 @@ impl Listener for JsonLines {
             StationEvent::Finished(_) if !self.warnings.is_empty() => self.print(None::<&()>),
             _ => {
                 let room = WARNINGS.saturating_sub(self.warnings.len());
-                self.warnings.extend(event.warning().map(String::from).into_iter().take(room));
+                self.warnings.extend(event.warning().into_iter().take(room));
             }
         }
         if last {

@@ -34,9 +34,9 @@ impl Listener for Tally {
             }
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Warning(text) => self.damage(text),
-            StationEvent::Unnamed(unnamed) => {
-                self.too_little += usize::from(unnamed.too_little);
-                self.damage(&unnamed.text);
+            StationEvent::Unnamed(answer) => {
+                self.too_little += usize::from(answer.too_little);
+                self.damage(&answer.not_named());
             }
             _ => {}
         }

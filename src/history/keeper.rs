@@ -177,7 +177,8 @@ impl Work {
         // A method that panics on one scan must not end the thread, so the panic is caught.
         let explain = std::panic::AssertUnwindSafe(|| by.as_ref()?.explain(scan).ok());
         let why = std::panic::catch_unwind(explain).ok().flatten();
-        let nearest = why.as_ref().and_then(|why| by.as_ref()?.trial(&why.nearest)?.load().ok());
+        let nearest =
+            why.as_ref().and_then(|why| by.as_ref()?.trials.get(&why.nearest)?.load().ok());
         if let Some(nearest) = &nearest {
             write_pictures(nearest, folder)?;
         }

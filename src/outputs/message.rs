@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::device::DeviceState;
 use crate::printable::json_text;
 use crate::recognise::RankedSurface;
-use crate::station::{Answer, AnswerState, StationEvent, SurfaceProbability};
+use crate::station::{Answer, StationEvent, SurfaceProbability};
 
 /// The largest answer, in bytes (about 1000 surfaces), since many brokers refuse larger messages.
 pub(super) const LARGEST: usize = 128 << 10;
@@ -86,14 +86,11 @@ impl StationCard {
             {
                 self.devices.insert(device.clone(), (*state, detail.clone()));
             }
-            StationEvent::Answer(answer) => self.count(answer.state),
-            StationEvent::Unnamed(_) => self.count(AnswerState::Unnamed),
+            StationEvent::Answer(answer) | StationEvent::Unnamed(answer) => {
+                *self.counts.entry(answer.state.as_str()).or_default() += 1;
+            }
             _ => {}
         }
-    }
-
-    fn count(&mut self, state: AnswerState) {
-        *self.counts.entry(state.as_str()).or_default() += 1;
     }
 
     /// The state as JSON, without the fields that the output itself adds.

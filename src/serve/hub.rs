@@ -176,8 +176,8 @@ impl HubState {
             | StationEvent::Scan(_) => {}
             StationEvent::Reading => self.publish(EventKind::Reading, &true),
             StationEvent::Library(library) => self.publish(EventKind::Library, library),
-            StationEvent::Unnamed(unnamed) => {
-                self.publish(EventKind::Unnamed, &unnamed.answer);
+            StationEvent::Unnamed(answer) => {
+                self.publish(EventKind::Unnamed, answer);
                 self.publish_warning();
             }
             StationEvent::Warning(_) => self.publish_warning(),
@@ -241,8 +241,7 @@ impl Hub {
     /// Handles an event. When all trials of an enrolment are kept, the library is read again.
     fn take(&self, notice: &StationEvent) {
         let answer = match notice {
-            StationEvent::Answer(answer) => Some(answer),
-            StationEvent::Unnamed(unnamed) => Some(&unnamed.answer),
+            StationEvent::Answer(answer) | StationEvent::Unnamed(answer) => Some(answer),
             _ => None,
         };
         if let Some(answer) = answer.filter(|_| self.history.root().is_none()) {

@@ -146,9 +146,9 @@ impl State {
                 (self.library, self.reading) = (Some(library.clone()), false);
             }
             StationEvent::Warning(text) => self.warned(text),
-            StationEvent::Unnamed(unnamed) => {
+            StationEvent::Unnamed(answer) => {
                 self.counts.unnamed += 1;
-                self.warned(&unnamed.text);
+                self.warned(&answer.not_named());
             }
             StationEvent::Finished(_) => {
                 (self.finished, self.reading) = (true, false);

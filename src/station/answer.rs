@@ -1,6 +1,5 @@
 //! The answer of a station to a scan.
 
-use std::sync::Arc;
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
@@ -62,6 +61,9 @@ pub struct Answer {
     /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
     pub remarks: Vec<Remark>,
+    /// Whether the scan held too little to be named: it is silent, or shorter than a frame.
+    #[serde(skip)]
+    pub too_little: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -160,16 +162,6 @@ impl From<Remark> for String {
     }
 }
 
-#[derive(Clone, Debug)]
-pub struct Unnamed {
-    /// The answer to the scan; its state is [`AnswerState::Unnamed`].
-    pub answer: Arc<Answer>,
-    /// A message with the number of the scan and the reason why it was not named.
-    pub text: String,
-    /// Whether the scan holds too little data: it is silent, or shorter than a frame.
-    pub too_little: bool,
-}
-
 impl Answer {
     /// Makes an answer without a name; `latency_ms` is the time since the end of the scan.
     pub(crate) fn of(scan: &Scan, latency_ms: f64) -> Self {
@@ -193,6 +185,11 @@ impl Answer {
                 .collect(),
             ..Self::default()
         }
+    }
+
+    /// The warning that the scan was not named, with the reasons.
+    pub(crate) fn not_named(&self) -> String {
+        format!("scan {} was not named: {}", self.scan, self.reasons.join("; "))
     }
 
     /// How many seconds the drag was too short; `None` below 0.05 s, which would be printed as 0.0.

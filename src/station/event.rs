@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::Receiver;
 use serde::Serialize;
 
-use super::answer::{Answer, AnswerState, Damage, Unnamed};
+use super::answer::{Answer, AnswerState, Damage};
 use super::recogniser::{LibraryState, Recogniser};
 use crate::device::DeviceState;
 use crate::scan::{Scan, StreamMeter, Totals, Trace};
@@ -111,7 +111,8 @@ pub enum StationEvent {
     },
     Guess(Guess),
     Answer(Arc<Answer>),
-    Unnamed(Unnamed),
+    /// A scan could not be named; the answer has the state [`AnswerState::Unnamed`].
+    Unnamed(Arc<Answer>),
     /// A scan with its signals, sent after the scan's `Answer` or `Unnamed` event.
     Scan(Arc<AnsweredScan>),
     /// The outcome of a scan that was to be kept as a trial.
@@ -133,9 +134,10 @@ pub enum StationEvent {
 }
 
 impl StationEvent {
-    pub fn warning(&self) -> Option<&str> {
+    pub fn warning(&self) -> Option<String> {
         match self {
-            Self::Warning(text) | Self::Unnamed(Unnamed { text, .. }) => Some(text),
+            Self::Warning(text) => Some(text.clone()),
+            Self::Unnamed(answer) => Some(answer.not_named()),
             _ => None,
         }
     }

@@ -27,10 +27,12 @@ pub struct Recogniser {
     models: Vec<Arc<dyn Model>>,
     model_of: BTreeMap<TrialKey, usize>,
     following: Vec<FollowOptions>,
-    needed_s: Option<f64>,
+    /// How long a drag should last, in seconds; `None` if that is not known.
+    pub needed_s: Option<f64>,
     scene: Scene,
-    library: LibraryState,
-    trials: BTreeMap<TrialKey, Entry>,
+    pub library: LibraryState,
+    /// Where the library's trials are, so that the trial nearest to a scan can be shown.
+    pub(crate) trials: BTreeMap<TrialKey, Entry>,
 }
 
 impl Recogniser {
@@ -55,11 +57,7 @@ impl Recogniser {
         Self { models, model_of, following, needed_s, scene, library, trials }
     }
 
-    pub fn lasting(self, needed_s: Option<f64>) -> Self {
-        Self { needed_s, ..self }
-    }
-
-    /// Stores where the library's trials are, so that the trial nearest to a scan can be shown.
+    /// Stores where the library's trials are.
     pub fn with_trials(mut self, entries: &[Entry]) -> Self {
         self.trials = entries.iter().map(|entry| (entry.key.clone(), entry.clone())).collect();
         self
@@ -91,11 +89,6 @@ impl Recogniser {
             Some(model.clone().embedding()?.follow(options).settling().clone())
         });
         settling.collect()
-    }
-
-    /// Adds remarks about what answers are based on to the remarks of the library.
-    pub(crate) fn add_remarks(&mut self, remarks: &[String]) {
-        self.library.remarks.extend_from_slice(remarks);
     }
 
     /// A scan's model, and the options for following the scan. `truth` only picks the model that was made
@@ -212,10 +205,6 @@ impl Recogniser {
         self.library.sources.iter().filter(|id| !scan.trial.signals.contains_key(*id))
     }
 
-    pub fn trial(&self, key: &TrialKey) -> Option<&Entry> {
-        self.trials.get(key)
-    }
-
     /// The answer to a scan with this ranking; `known` are the flaws found while the scan was followed,
     /// and `settled_s` is when the answer was settled.
     pub(super) fn answer(
@@ -265,14 +254,6 @@ impl Recogniser {
     pub fn follow(&self, truth: Option<&TrialKey>) -> Option<Follower> {
         let (model, following) = self.model(truth);
         Some(model.clone().embedding()?.follow(following))
-    }
-
-    pub fn needed_s(&self) -> Option<f64> {
-        self.needed_s
-    }
-
-    pub fn library(&self) -> LibraryState {
-        self.library.clone()
     }
 }
 
