@@ -17,8 +17,7 @@ use super::cache::Snapshot;
 use crate::history::{STATION_COLUMNS, write_csv};
 use crate::serve::Settings;
 use crate::serve::api::{FILES, file, guarded};
-use crate::serve::export::{CSV, JSON_LINES, exported};
-use crate::serve::request::{Problem, aside};
+use crate::serve::request::{CSV, JSON_LINES, Problem, aside, exported};
 
 /// How many scans one answer holds by default (`USUAL`) and at most (`MOST`).
 const USUAL: usize = 100;

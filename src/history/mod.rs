@@ -13,7 +13,6 @@
 //! [`Keeper`] listens to a station and writes its scans; the page and the commands read
 //! [`History`]. Nothing here uses the network.
 
-mod correction;
 mod csv;
 mod entries;
 mod file;
@@ -23,7 +22,6 @@ mod view;
 
 pub(crate) use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
 pub(crate) use self::entries::HistoryRow;
-pub(crate) use correction::{Correction, Precision};
 pub use keeper::Keeper;
 pub(crate) use view::{Bands, bands, four_digits};
 
@@ -31,12 +29,14 @@ use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use self::entries::{HistoryEntry, HistoryState};
 use self::file::{Disk, SCANS};
 use self::log::{Head, LogLine, Text};
 use crate::printable::json_text;
+use crate::recognise::wilson_interval;
 use crate::record::edit::Move;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
@@ -62,7 +62,7 @@ pub struct History {
 }
 
 /// The size of a history.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Extent {
     /// Number of answers.
     pub scans: usize,
@@ -250,7 +250,7 @@ impl History {
         let answered = inner.entries.iter().filter(|e| e.head.state != AnswerState::Unnamed);
         let corrected = answered
             .filter_map(|entry| Some((entry.head.surface.as_deref(), entry.correction.as_ref()?)));
-        correction::precision(corrected)
+        precision(corrected)
     }
 
     /// Number of answers that are unknown or unsure, and that nobody has corrected.
@@ -283,6 +283,66 @@ impl History {
             tracing::warn!("scans are not kept in the history: {problem}");
         }
     }
+}
+
+/// The truth about a scan, as a person gave it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "was", rename_all = "lowercase")]
+pub(crate) enum Correction {
+    Surface {
+        surface: String,
+    },
+    /// The scan was of a surface that the library lacks.
+    Unknown,
+    /// The scan was so bad that nobody could name it.
+    Bad,
+}
+
+impl Correction {
+    pub fn surface(&self) -> Option<&str> {
+        match self {
+            Self::Surface { surface } => Some(surface),
+            Self::Unknown | Self::Bad => None,
+        }
+    }
+}
+
+/// How often one answer was right, among the scans that somebody corrected. Bad scans are left out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Precision {
+    /// The answer; `None` for unknown.
+    pub surface: Option<String>,
+    pub corrected: usize,
+    /// How many of the corrected scans had this answer as their truth.
+    pub right: usize,
+    pub precision: f64,
+    /// Ends of the 95 % Wilson interval.
+    pub precision_low: f64,
+    pub precision_high: f64,
+}
+
+/// The precision of each answer (a surface or unknown), from pairs of an answer and its correction.
+fn precision<'a>(
+    corrected: impl Iterator<Item = (Option<&'a str>, &'a Correction)>,
+) -> Vec<Precision> {
+    let mut counts: BTreeMap<Option<&str>, (usize, usize)> = BTreeMap::new();
+    for (answered, correction) in corrected {
+        let right = match correction {
+            Correction::Bad => continue,
+            Correction::Unknown => answered.is_none(),
+            Correction::Surface { surface } => answered == Some(surface),
+        };
+        let (all, rights) = counts.entry(answered).or_default();
+        *all += 1;
+        *rights += usize::from(right);
+    }
+    let of = |(surface, (corrected, right)): (Option<&str>, (usize, usize))| {
+        let (precision_low, precision_high) = wilson_interval(right, corrected);
+        let precision = right as f64 / corrected as f64;
+        let surface = surface.map(String::from);
+        Precision { surface, corrected, right, precision, precision_low, precision_high }
+    };
+    counts.into_iter().map(of).collect()
 }
 
 /// Why scans cannot be kept, read or corrected.

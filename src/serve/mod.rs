@@ -6,14 +6,12 @@
 //!
 //! ```text
 //! station ─► reporter ─► hub (state, history, metrics) ─► subscribers (a bounded queue each) ─► SSE
-//! station ◄─ orders ◄── api ◄── guard (rate, host, token, origin) ◄── accept (connections, timeouts)
+//! station ◄─ orders ◄── api ◄── guard (rate, host, token, origin) ◄── server (connections, timeouts)
 //! ```
 //!
 //! A subscriber that is slow misses events and is told how many. It never delays other subscribers.
 
-mod accept;
 pub(crate) mod api;
-pub(crate) mod export;
 mod guard;
 mod hub;
 mod library;

@@ -13,9 +13,8 @@ use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::export::{CSV, JSON_LINES, exported};
 use super::hub::{Hub, Shared};
-use super::request::{Problem, Said, aside, body, label};
+use super::request::{CSV, JSON_LINES, Problem, Said, aside, body, exported, label};
 use super::settings::LibraryFolder;
 use super::subscribers::EventKind;
 use crate::history::{

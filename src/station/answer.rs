@@ -8,7 +8,6 @@ use crate::recognise::RankedSurface;
 use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
 use crate::scene::SourceId;
-use crate::trial::Flaw;
 
 /// The answer to a scan that has ended; as JSON, it takes one line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -94,9 +93,6 @@ impl AnswerState {
     }
 }
 
-/// If a channel is constant for at least this share of a scan, the whole channel is called dead.
-const DEAD: f64 = 0.9;
-
 /// A fault in the signals of a scan, such as a dead or clipped channel.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Damage {
@@ -104,39 +100,6 @@ pub struct Damage {
     pub source: Option<SourceId>,
     /// The damage, and the remedy.
     pub text: String,
-}
-
-impl Damage {
-    /// Finds the worst damage of a source from its flaws; a dead channel is worse than a clipped one.
-    /// A constant channel counts only if it changes in the library (`moves` is true for its index).
-    pub(super) fn of_source(
-        source: &SourceId,
-        flaws: &[Flaw],
-        moves: impl Fn(usize) -> bool,
-    ) -> Option<Self> {
-        // Ranks a flaw by whether the channel is dead (not clipped), then by the affected share of time.
-        let weight = |flaw: &Flaw| match flaw {
-            Flaw::Constant { .. } => (true, 1.0),
-            Flaw::Stuck { share, .. } | Flaw::Saturated { value: 0.0, share, .. } => (true, *share),
-            Flaw::Saturated { share, .. } => (false, *share),
-        };
-        let found = flaws.iter().filter(|flaw| !weight(flaw).0 || moves(flaw.channel() - 1));
-        let order = |a: &&Flaw, b: &&Flaw| {
-            let ((a, of_a), (b, of_b)) = (weight(a), weight(b));
-            a.cmp(&b).then(of_a.total_cmp(&of_b))
-        };
-        let text = match weight(found.max_by(order)?) {
-            (true, DEAD..) => "dead, check the cable".into(),
-            (true, share) => {
-                format!("dead for {:.0} % of the scan, check the cable", 100.0 * share)
-            }
-            (false, share) => format!(
-                "clipped in {:.0} % of its samples, lower the gain or press less",
-                100.0 * share
-            ),
-        };
-        Some(Self { source: Some(source.clone()), text })
-    }
 }
 
 /// A flaw of a scan. Only its text is written as JSON.
@@ -211,21 +174,6 @@ mod tests {
     use std::time::UNIX_EPOCH;
 
     use super::*;
-
-    #[test]
-    fn damage_says_what_to_do_about_the_worst_channel() {
-        let source = SourceId::new("ir").unwrap();
-        let of = |flaws: &[Flaw]| Damage::of_source(&source, flaws, |channel| channel != 2);
-        let text = |flaws: &[Flaw]| of(flaws).unwrap().text;
-        let dead = |channel| Flaw::Constant { channel, value: 0.0 };
-        let clipped = |channel, share| Flaw::Saturated { channel, value: 1.0, share };
-        assert_eq!(text(&[dead(1), clipped(2, 0.1)]), "dead, check the cable");
-        let loose = Flaw::Saturated { channel: 1, value: 0.0, share: 0.6 };
-        assert_eq!(text(&[loose]), "dead for 60 % of the scan, check the cable");
-        let texts = text(&[clipped(1, 0.1), clipped(2, 0.47)]);
-        assert_eq!(texts, "clipped in 47 % of its samples, lower the gain or press less");
-        assert_eq!(of(&[dead(3)]), None, "it rests in the library, too");
-    }
 
     #[test]
     fn an_answer_is_named_by_its_moment_and_scan() {

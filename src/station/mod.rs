@@ -17,7 +17,6 @@ mod recogniser;
 mod run;
 mod store;
 mod trial_need;
-mod why;
 mod worker;
 
 pub use answer::{Answer, AnswerState, Damage, Remark, RemarkKind};
@@ -27,7 +26,6 @@ pub use event::{
     StationEvent, SurfaceProbability,
 };
 pub use orders::Keep;
-pub use recogniser::{LibraryState, Load, Recogniser};
+pub use recogniser::{LibraryState, Load, Recogniser, SourceSays, Why};
 pub use run::Station;
 pub use store::ScanStore;
-pub use why::{SourceSays, Why};

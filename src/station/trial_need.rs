@@ -3,14 +3,13 @@
 
 use std::collections::BTreeMap;
 
-use super::answer::Damage;
 use super::recogniser::Recogniser;
 use crate::duration::{OnlineDuration, SAMPLES, of_recording, scan_s};
 use crate::recognise::LOOK_S;
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::{Scene, SourceId};
 use crate::station::event::Guess;
-use crate::trial::{Series, Signal, flaws};
+use crate::trial::{Series, Signal, flaws, worst_damage};
 
 /// A source is not judged if it has not changed after this many seconds of drag.
 const RESTS_S: f64 = 1.0;
@@ -111,8 +110,8 @@ pub(super) fn faults(
             // Without a library, any channel may rest, so a constant channel is no damage.
             let moves =
                 |channel: usize| by.is_some_and(|by| by.moves(scan.truth.as_ref(), id, channel));
-            let damage = Damage::of_source(id, &flaws(series), moves);
-            faults.extend(damage.map(|damage| format!("{id}: {}", damage.text)));
+            let damage = worst_damage(&flaws(series), moves);
+            faults.extend(damage.map(|damage| format!("{id}: {damage}")));
         }
         if by_t_star.contains(id) {
             faults.extend(too_short(id, series));

@@ -3,10 +3,12 @@
 #![allow(missing_docs)] // Names that say everything need no comment.
 
 mod channel_flaws;
+mod label;
 mod signal;
 
-pub(crate) use channel_flaws::is_plain;
 pub use channel_flaws::{Flaw, SeriesFlaws, flaws};
+pub(crate) use channel_flaws::{is_plain, worst_damage};
+pub(crate) use label::{checked_label, normal};
 pub use signal::{Image, Series, Signal, SignalError};
 
 use std::collections::BTreeMap;
@@ -51,12 +53,6 @@ pub const EXPERT: &str = "expert";
 
 /// The surface of a trial if its label is unknown.
 pub const UNLABELLED: &str = "unlabelled";
-
-/// A label in Unicode's normal form C, so that an é is the same however it was typed.
-pub(crate) fn normal(label: &str) -> String {
-    use unicode_normalization::UnicodeNormalization;
-    label.nfc().collect()
-}
 
 /// Names one trial by its surface, its user and its repetition.
 ///

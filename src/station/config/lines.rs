@@ -3,8 +3,9 @@
 use toml::Spanned;
 
 use super::LinesConfig;
-use super::file::{LinesBlock, StationFile};
-use super::mistake::{Mistake, mistake, no_stray, parsed, positive, source_of};
+use super::file::{
+    LinesBlock, Mistake, StationFile, mistake, no_stray, parsed, positive, source_of,
+};
 use crate::device::lines::{Column, Count, LinesAddress, LinesStream, Survey};
 use crate::scene::{Scene, SourceId};
 

@@ -8,10 +8,10 @@ use std::time::Duration;
 use toml::Spanned;
 
 use super::file::{
-    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, OutputsBlock, StationFile,
-    StylusBlock, is_default, merged,
+    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, Mistake, OutputsBlock,
+    StationFile, StylusBlock, is_default, known, merged, mistake, no_stray, parsed, positive,
+    source_of,
 };
-use super::mistake::{Mistake, known, mistake, no_stray, parsed, positive, source_of};
 use super::output_address::{is_segment, machine_name};
 use super::{
     CameraConfig, ConfigError, FlashConfig, LinesConfig, MicrophoneConfig, MqttAddress,
