@@ -23,7 +23,7 @@ mod view;
 pub(crate) use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
 pub(crate) use self::entries::HistoryRow;
 pub use keeper::Keeper;
-pub(crate) use view::{Bands, bands, four_digits};
+pub(crate) use view::{Bands, WINDOW, bands, four_digits};
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};

@@ -17,13 +17,12 @@ use tokio::time::{Interval, MissedTickBehavior, interval};
 use super::guard::Traffic;
 use super::metrics::{Elsewhere, Metrics};
 use super::request::Problem;
-use super::settings::{Audit, LibraryFolder, Settings};
+use super::settings::Settings;
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::{self, Tracer};
 use crate::device::camera::{CameraView, Viewfinder};
 use crate::evaluate::CheckReport;
-use crate::history::History;
 use crate::outputs::{OutputHealth, OutputView};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
@@ -46,13 +45,8 @@ pub struct Hub {
     inner: Mutex<HubState>,
     orders: Sender<Command>,
     missed: Arc<AtomicU64>,
-    most_subscribers: usize,
     pub traffic: Arc<Traffic>,
-    pub history: Arc<History>,
-    /// The library, if it may be edited.
-    pub library: Option<LibraryFolder>,
-    /// The function that audits the library.
-    pub audit: Option<Audit>,
+    pub settings: Settings,
 }
 
 #[derive(Default)]
@@ -210,11 +204,8 @@ impl Hub {
             inner: Mutex::new(inner),
             orders,
             missed,
-            most_subscribers: settings.limits.readers,
             traffic: Arc::default(),
-            history: settings.history.clone(),
-            library: settings.library.clone(),
-            audit: settings.check.clone(),
+            settings: settings.clone(),
         }
     }
 
@@ -224,7 +215,7 @@ impl Hub {
     }
 
     pub fn metrics(&self) -> String {
-        let precision = self.history.precision();
+        let precision = self.settings.history.precision();
         let inner = &*self.lock();
         inner.metrics.text(&Elsewhere {
             precision: &precision,
@@ -244,9 +235,10 @@ impl Hub {
             StationEvent::Answer(answer) | StationEvent::Unnamed(answer) => Some(answer),
             _ => None,
         };
-        if let Some(answer) = answer.filter(|_| self.history.root().is_none()) {
+        let history = &self.settings.history;
+        if let Some(answer) = answer.filter(|_| history.root().is_none()) {
             // Without a disk, adding an answer cannot fail.
-            let _ = self.history.answered(answer);
+            let _ = history.answered(answer);
         }
         let inner = &mut *self.lock();
         inner.take(notice);
@@ -262,7 +254,7 @@ impl Hub {
     /// Adds a subscriber; `None` if there are too many.
     pub fn subscribe(&self, filter: EventFilter) -> Option<EventStream> {
         let inner = &mut *self.lock();
-        if inner.subscribers.count() >= self.most_subscribers {
+        if inner.subscribers.count() >= self.settings.limits.readers {
             return None;
         }
         let first = encode(EventKind::State, &inner.whole());

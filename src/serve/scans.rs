@@ -82,17 +82,18 @@ async fn scans(
 ) -> Result<Json<Value>, Problem> {
     let Query(page) = page?;
     let most = page.limit.unwrap_or(USUAL).min(MOST);
-    let scans = aside(move || Ok(hub.history.newest(page.before.as_deref(), most)?)).await?;
+    let scans =
+        aside(move || Ok(hub.settings.history.newest(page.before.as_deref(), most)?)).await?;
     Ok(Json(json!({ "scans": scans })))
 }
 
 async fn csv(State(hub): Shared) -> Response {
-    exported(CSV, move |out| write_csv(out, COLUMNS, hub.history.values()))
+    exported(CSV, move |out| write_csv(out, COLUMNS, hub.settings.history.values()))
 }
 
 async fn json_lines(State(hub): Shared) -> Response {
     exported(JSON_LINES, move |mut out| {
-        for row in hub.history.rows() {
+        for row in hub.settings.history.rows() {
             writeln!(out, "{}", json_text(&row?))?;
         }
         out.flush()
@@ -108,7 +109,7 @@ fn name(id: ScanPath) -> Result<String, Problem> {
 
 async fn scan(State(hub): Shared, id: ScanPath) -> Result<Json<HistoryRow>, Problem> {
     let id = name(id)?;
-    Ok(Json(aside(move || Ok(hub.history.answer(&id)?)).await?))
+    Ok(Json(aside(move || Ok(hub.settings.history.answer(&id)?)).await?))
 }
 
 fn whole(path: &std::path::Path) -> Result<Vec<u8>, Problem> {
@@ -120,7 +121,7 @@ fn whole(path: &std::path::Path) -> Result<Vec<u8>, Problem> {
 
 async fn why(State(hub): Shared, id: ScanPath) -> Result<Response, Problem> {
     let id = name(id)?;
-    let text = aside(move || whole(&hub.history.folder(&id)?.join(NOTES))).await?;
+    let text = aside(move || whole(&hub.settings.history.folder(&id)?.join(NOTES))).await?;
     Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
 }
 
@@ -167,7 +168,7 @@ async fn file(
 ) -> Result<Response, Problem> {
     let Path((id, file)) = path.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
     let (file, content_type) = on_disk(&file).ok_or(Problem::NotFound)?;
-    let bytes = aside(move || whole(&hub.history.folder(&id)?.join(file))).await?;
+    let bytes = aside(move || whole(&hub.settings.history.folder(&id)?.join(file))).await?;
     Ok(([(CONTENT_TYPE, content_type)], part(&headers, bytes)).into_response())
 }
 
@@ -199,7 +200,10 @@ struct HistoryView {
 }
 
 async fn history(State(hub): Shared) -> Json<HistoryView> {
-    Json(HistoryView { extent: hub.history.extent(), precision: hub.history.precision() })
+    Json(HistoryView {
+        extent: hub.settings.history.extent(),
+        precision: hub.settings.history.precision(),
+    })
 }
 
 /// The truth about a scan, as a request states it. An empty request removes the correction.
@@ -235,7 +239,7 @@ async fn correct(
     let id = name(id)?;
     let was: Was = body(said, "{\"surface\": \"oak\"}, {\"unknown\": true} or {\"bad\": true}")?;
     let correction = was.correction()?;
-    let (history, library) = (hub.history.clone(), hub.library.clone());
+    let (history, library) = (hub.settings.history.clone(), hub.settings.library.clone());
     let scan = aside(move || {
         let _reviewing = history.reviewing();
         let scan = history.answer(&id)?;
@@ -290,8 +294,8 @@ async fn keep(State(hub): Shared, id: ScanPath, said: Said) -> Result<Json<Histo
     let id = name(id)?;
     let KeepRequest { user } = body(said, "{\"user\": \"anna\"}")?;
     let user = label("user", user.as_deref().unwrap_or(EXPERT))?;
-    let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
-    let history = hub.history.clone();
+    let library = hub.settings.library.clone().ok_or(Problem::NoLibrary)?;
+    let history = hub.settings.history.clone();
     let scan = aside(move || {
         let _reviewing = history.reviewing();
         let scan = history.answer(&id)?;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use serde::Serialize;
 
-use crate::history::{Bands, bands, four_digits};
+use crate::history::{Bands, WINDOW, bands, four_digits};
 use crate::scan::{Fresh, Trace};
 use crate::scene::SourceId;
 
@@ -12,8 +12,6 @@ use crate::scene::SourceId;
 const BINS_A_SECOND: f64 = 200.0;
 /// How many bins of one stream an event may hold. If there are more, only the newest are sent.
 const MOST_BINS: usize = 400;
-/// How many frames of each stream are kept for its spectrum.
-pub const RECENT: usize = 4096;
 
 #[derive(Debug, PartialEq, Serialize)]
 pub struct TraceEvent {
@@ -47,7 +45,7 @@ pub struct Tracer {
 pub struct TracedStream {
     pub rate_hz: f64,
     pub channels: usize,
-    /// The newest samples, interleaved; at most [`RECENT`] frames.
+    /// The newest samples, interleaved; at most [`WINDOW`] frames.
     pub recent: VecDeque<f32>,
     /// Number of frames in a bin.
     width: usize,
@@ -180,7 +178,7 @@ impl TracedStream {
     }
 
     fn remember(&mut self, samples: &[f32]) {
-        let most = RECENT * self.channels;
+        let most = WINDOW * self.channels;
         let samples = &samples[samples.len().saturating_sub(most)..];
         let over = (self.recent.len() + samples.len()).saturating_sub(most);
         self.recent.drain(..over);
@@ -237,9 +235,9 @@ pub struct StreamBands {
 pub fn spectra(tracer: &Tracer) -> Vec<StreamBands> {
     let of = |(source, stream): (&SourceId, &TracedStream)| {
         let TracedStream { rate_hz, channels, recent, .. } = stream;
-        let full = recent.len() >= RECENT * channels;
+        let full = recent.len() >= WINDOW * channels;
         let samples: Vec<f32> = recent.iter().copied().collect();
-        let bands = full.then(|| bands(&samples, *channels, *rate_hz, RECENT))??;
+        let bands = full.then(|| bands(&samples, *channels, *rate_hz))??;
         Some(StreamBands { source: source.clone(), bands })
     };
     tracer.streams.iter().filter_map(of).collect()
@@ -298,13 +296,13 @@ mod tests {
         assert_eq!(event.streams[0].len(), MOST_BINS);
         assert!((event.streams[0].start_s - 998.0).abs() < 1e-9);
         let (_, stream) = tracer.streams.first_key_value().unwrap();
-        assert_eq!(stream.recent.len(), RECENT);
+        assert_eq!(stream.recent.len(), WINDOW);
         assert_eq!(stream.recent.back(), Some(&999_999.0));
     }
 
     #[test]
     fn a_stream_has_a_spectrum_once_it_has_enough_frames() {
-        for (frames, spectra_of) in [(RECENT - 1, 0), (RECENT, 1)] {
+        for (frames, spectra_of) in [(WINDOW - 1, 0), (WINDOW, 1)] {
             let mut tracer = Tracer::default();
             tracer.add(&fresh(0, vec![0.0; frames]));
             assert_eq!(spectra(&tracer).len(), spectra_of);

@@ -173,14 +173,8 @@ impl StoreWriter {
             }
         }
         self.current = false;
-        while let Some(mut last) = self.waiting.pop_front() {
-            match self.write(&last) {
-                Ok(stored) => self.kept(last, stored),
-                Err(error) => {
-                    last.remarks.push(error.to_string());
-                    self.report(&last, EnrolledOutcome::Lost);
-                }
-            }
+        while let Some(last) = self.waiting.pop_front() {
+            self.try_write(last, false);
         }
     }
 
@@ -195,20 +189,23 @@ impl StoreWriter {
         }
     }
 
-    fn keep(&mut self, mut new: WaitingScan) {
+    fn keep(&mut self, new: WaitingScan) {
         // The numbers are read for each scan, since other programs may write into the same library.
         self.read_numbers();
+        self.try_write(new, self.waiting.len() < MAX_WAITING);
+    }
+
+    /// Writes a scan. If that fails, the scan waits if it `may_wait`, and is lost otherwise.
+    fn try_write(&mut self, mut new: WaitingScan, may_wait: bool) {
         match self.write(&new) {
             Ok(stored) => self.kept(new, stored),
             Err(error) => {
-                let full = self.waiting.len() >= MAX_WAITING;
-                let outcome = if full { EnrolledOutcome::Lost } else { EnrolledOutcome::Waiting };
+                let outcome =
+                    if may_wait { EnrolledOutcome::Waiting } else { EnrolledOutcome::Lost };
                 new.remarks.push(error.to_string());
                 self.report(&new, outcome);
                 new.remarks.pop();
-                if !full {
-                    self.waiting.push_back(new);
-                }
+                self.waiting.extend(may_wait.then_some(new));
             }
         }
     }
