@@ -33,7 +33,6 @@ const SHARED: [&str; 4] = ["/style.css", "/review.css", "/dom.js", "/favicon.svg
 
 type Shared = State<Arc<Fleet>>;
 
-/// The routes of all paths, protected by the guard.
 pub(super) fn router(fleet: Arc<Fleet>, settings: &Settings) -> Router {
     let api = Router::new()
         .route("/state", get(state))
@@ -65,7 +64,6 @@ async fn state(State(fleet): Shared) -> Json<Value> {
 #[serde(deny_unknown_fields)]
 struct ScansRequest {
     limit: Option<usize>,
-    /// Only the scans of this station.
     station: Option<String>,
     before_unix_ms: Option<u64>,
 }
@@ -81,7 +79,6 @@ async fn scans(State(fleet): Shared, request: Asked) -> Result<Response, Problem
     Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
 }
 
-/// The history of all stations, or of one station.
 fn history(fleet: &Fleet, request: Asked) -> Result<Snapshot, Problem> {
     let Query(ScansRequest { limit, station, before_unix_ms }) = request?;
     if limit.is_some() || before_unix_ms.is_some() {

@@ -46,7 +46,6 @@ pub(super) struct Cache {
     most: u64,
     /// Answers before this time may be missing, since they were dropped to make room for newer ones.
     floor_ms: u64,
-    /// Keeps the cache locked while it is in use.
     _lock: Locked,
 }
 
@@ -70,7 +69,6 @@ impl Snapshot {
 }
 
 impl Cache {
-    /// Opens the cache in a folder. Creates the folder if necessary.
     pub fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
         let lock = hold(folder, "lock")?;
         let log = Log::open(&folder.join(LOG), false)?;
@@ -156,7 +154,6 @@ impl Cache {
         wanted.take(most).map(|(_, entry)| self.log.answer_text(entry.span)).collect()
     }
 
-    /// All answers at this moment, of one station or of all.
     pub fn snapshot(&self, station: Option<&str>) -> Result<Snapshot, HistoryError> {
         let wanted =
             self.entries.iter().filter(|(key, _)| station.is_none_or(|name| key.2 == name));

@@ -37,7 +37,6 @@ pub enum FleetError {
     Serve(#[from] ServeError),
 }
 
-/// State shared by the handlers of requests and messages.
 #[derive(Debug)]
 struct Fleet {
     inner: Mutex<Inner>,
@@ -167,10 +166,8 @@ const EVERY: Duration = Duration::from_secs(1);
 /// How many answers one request asks for. The reply may have at most `LARGEST` bytes.
 const A_REQUEST: usize = 200;
 const LARGEST: usize = 32 << 20;
-/// How many requests one refill may send to a station.
-const MOST_REQUESTS: usize = 500;
-/// How long a station may take to reply.
-const PATIENCE: Duration = Duration::from_secs(10);
+const MOST_REQUESTS_A_STATION: usize = 500;
+const REPLY_PATIENCE: Duration = Duration::from_secs(10);
 
 #[derive(Deserialize)]
 struct Scans {
@@ -194,7 +191,7 @@ async fn refill(fleet: &Fleet) {
 async fn read(fleet: &Fleet, station: &str, page: &str, from_ms: u64) -> Result<(), String> {
     let address: HttpAddress = page.parse()?;
     let mut before = String::new();
-    for _ in 0..MOST_REQUESTS {
+    for _ in 0..MOST_REQUESTS_A_STATION {
         let scans = request(&address, &before).await?;
         let is_last = scans.len() < A_REQUEST;
         let oldest_ms = scans.last().and_then(|scan| scan["unix_ms"].as_u64()).unwrap_or(0);
@@ -229,7 +226,7 @@ async fn request(address: &HttpAddress, before: &str) -> Result<Vec<Value>, Stri
     let request = Request::get(path).body(Body::empty()).map_err(|error| error.to_string())?;
     let asked = http::send((&address.host.0, address.host.1), request, LARGEST);
     let (status, body) =
-        timeout(PATIENCE, asked).await.map_err(|_| "its page gives no answer")??;
+        timeout(REPLY_PATIENCE, asked).await.map_err(|_| "its page gives no answer")??;
     match status {
         StatusCode::OK => {}
         StatusCode::UNAUTHORIZED => return Err("its page asks for a token".into()),

@@ -28,7 +28,6 @@ pub(super) struct Stations(BTreeMap<String, Station>);
 
 #[derive(Debug, Default)]
 struct Station {
-    /// The last published state.
     card: Map<String, Value>,
     /// When the station's `state` last changed, in milliseconds since 1970.
     since_unix_ms: u64,
@@ -52,7 +51,6 @@ struct StationView<'a> {
     card: &'a Map<String, Value>,
     since_unix_ms: u64,
     page_problem: Option<&'a str>,
-    /// Counts over the last ten minutes.
     scans_10_min: u64,
     unknown_10_min: u64,
     answers: &'a VecDeque<Head>,
@@ -77,7 +75,6 @@ impl Stations {
         Some(self.0.entry(name.into()).or_default())
     }
 
-    /// Updates a station with a new answer.
     pub fn answered(&mut self, head: &Head) {
         let Some(station) = self.named(&head.station) else { return };
         let unix_ms = head.unix_ms;
@@ -146,7 +143,6 @@ impl Stations {
         }
     }
 
-    /// The view of all stations, for programs.
     pub fn view(&self, cache: &Cache) -> Value {
         let mut counts: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
         for (name, is_unknown) in cache.since(unix_ms().saturating_sub(COUNTED.as_millis() as u64))

@@ -75,7 +75,6 @@ impl HistoryState {
         Ok(())
     }
 
-    /// Applies a line of the log.
     pub fn take(&mut self, line: LogLine, span: Span) {
         if let LogLine::Answer(head) = line {
             return self.entries.push_back(HistoryEntry::new(head, Text::InLog(span)));

@@ -49,7 +49,6 @@ struct Notes<'a> {
     nearest: Option<NearestView>,
 }
 
-/// The library's trial that is most similar to the scan.
 #[derive(Serialize)]
 struct NearestView {
     trial: TrialKey,

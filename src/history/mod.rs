@@ -41,8 +41,7 @@ use crate::record::edit::Move;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
 
-/// Most answers that a history in memory remembers.
-const IN_MEMORY: usize = 1000;
+const MOST_IN_MEMORY: usize = 1000;
 /// Name of the folder of a history. It lies in the folder of the library that names the scans.
 pub(crate) const FOLDER: &str = ".history";
 /// Name of the file, in the scan's folder, that says why the scan got its name.
@@ -143,7 +142,7 @@ impl History {
             None => (Text::Here(text), Ok(())),
         };
         inner.entries.push_back(HistoryEntry::new(head, text));
-        if inner.disk.is_none() && inner.entries.len() > IN_MEMORY {
+        if inner.disk.is_none() && inner.entries.len() > MOST_IN_MEMORY {
             inner.entries.pop_front();
         }
         written?;
@@ -231,7 +230,6 @@ impl History {
         inner.row(inner.find(name)?)
     }
 
-    /// The folder of a scan's signals.
     pub(crate) fn folder(&self, name: &str) -> Result<PathBuf, HistoryError> {
         let inner = &*self.lock();
         let HistoryEntry { head: Head { id, .. }, signals, .. } = inner.find(name)?;
@@ -244,7 +242,6 @@ impl History {
         self.lock().disk.as_ref().map(|disk| disk.root.clone())
     }
 
-    /// The precision of the answers that somebody corrected.
     pub(crate) fn precision(&self) -> Vec<Precision> {
         let inner = &*self.lock();
         let answered = inner.entries.iter().filter(|e| e.head.state != AnswerState::Unnamed);

@@ -18,7 +18,6 @@ const AUDIBLE_HZ: f64 = 8000.0;
 pub struct TrialView {
     /// The views of all sources that are series, sorted by name.
     pub series: Vec<SeriesView>,
-    /// The sources that are pictures.
     pub pictures: Vec<SourceId>,
 }
 

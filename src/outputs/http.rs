@@ -15,8 +15,7 @@ use super::{BackOff, OutputHealth, Pending};
 use crate::station::Answer;
 use crate::station::config::HttpAddress;
 
-/// How long one attempt may take.
-const ATTEMPT: Duration = Duration::from_secs(5);
+const LONGEST_ATTEMPT: Duration = Duration::from_secs(5);
 
 /// Posts the answers of a station. After its end, returns once all arrived or an attempt failed.
 pub(super) async fn post_all(
@@ -49,7 +48,7 @@ pub(super) async fn post_all(
 
 /// Posts one answer; true if the answer was accepted, or refused for good.
 async fn deliver(health: &OutputHealth, address: &HttpAddress, answer: String) -> bool {
-    let why = match timeout(ATTEMPT, post(address, answer)).await {
+    let why = match timeout(LONGEST_ATTEMPT, post(address, answer)).await {
         Ok(Ok(status)) if status.is_success() => {
             health.arrived();
             return true;
@@ -75,7 +74,6 @@ async fn deliver(health: &OutputHealth, address: &HttpAddress, answer: String) -
     false
 }
 
-/// Posts one answer, and returns the status of the reply.
 pub(super) async fn post(address: &HttpAddress, answer: String) -> Result<StatusCode, String> {
     let HttpAddress { host, path } = address;
     let request = Request::post(path)

@@ -78,7 +78,6 @@ pub(super) struct StationCard {
 }
 
 impl StationCard {
-    /// Updates the state with an event of the station.
     pub fn take(&mut self, event: &StationEvent) {
         match event {
             StationEvent::Device { device, state, detail }

@@ -96,7 +96,6 @@ pub struct Output {
     end: End,
 }
 
-/// A station's state, for an output that publishes it.
 type Card = Arc<Mutex<StationCard>>;
 
 fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -247,10 +246,8 @@ impl BackOff {
     }
 }
 
-/// How long an output may take to deliver the test answer.
 const TEST_PATIENCE: Duration = Duration::from_secs(10);
 
-/// The result of sending the test answer to one output.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct OutputTest {
     pub output: String,

@@ -27,7 +27,6 @@ const STATE_EVERY: Duration = Duration::from_secs(2);
 /// If the broker acknowledges nothing for this long, the connection is made again.
 const NO_ACKNOWLEDGEMENT: Duration = Duration::from_secs(20);
 
-/// Publishes the answers of a station, and its state.
 pub(super) struct Publisher {
     pending: Pending,
     options: MqttOptions,
@@ -83,7 +82,6 @@ impl Publisher {
         Ok(Self { pending, options, answer_topic, state_topic, card, history, page, back_off })
     }
 
-    /// Publishes answers until the station ends.
     pub async fn run(mut self, mut answers: mpsc::Receiver<Arc<Answer>>) {
         while let Some(why) = self.connection(&mut answers).await {
             self.pending.health.failed(&format!("{why}; they are tried again"));
@@ -172,7 +170,6 @@ impl Publisher {
         }
     }
 
-    /// Publishes the state of the station if it has changed.
     fn publish_state(&self, is_online: bool, on: &mut Connection) {
         if !on.is_connected {
             return;
@@ -219,16 +216,13 @@ impl Publisher {
     }
 }
 
-/// Interval at which a packet is sent on an idle connection.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
-/// How many packets may wait to be sent.
-const PACKETS: usize = 64;
+const MOST_QUEUED_PACKETS: usize = 64;
 
 /// The files in which Linux systems keep the certificates of trusted authorities.
 const SYSTEM: [&str; 3] =
     ["/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem"];
 
-/// The options of an MQTT client, for the broker at an address.
 pub(crate) fn options(address: &MqttAddress, client: String) -> Result<MqttOptions, HistoryError> {
     let MqttAddress { host, credentials, tls, .. } = address;
     let mut options = MqttOptions::new(client, host.0.clone(), host.1);
@@ -264,7 +258,7 @@ pub(crate) struct Line {
 impl Line {
     /// Starts to connect. Must be called within a runtime.
     pub fn open(options: MqttOptions) -> Self {
-        let (client, mut connection) = AsyncClient::new(options, PACKETS);
+        let (client, mut connection) = AsyncClient::new(options, MOST_QUEUED_PACKETS);
         let (send, events) = mpsc::unbounded_channel();
         let work = async move {
             loop {

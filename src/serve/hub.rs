@@ -30,9 +30,7 @@ use crate::scene::SourceId;
 use crate::station::{Command, StationEvent};
 use crate::trial::Image;
 
-/// Interval at which the counts of streams are published.
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
-/// Interval at which spectra are published.
 const SPECTRA_EVERY: Duration = Duration::from_millis(200);
 /// Interval at which an empty comment is sent on a silent connection, so that it stays open.
 const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
@@ -40,7 +38,6 @@ const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
 /// The hub, as axum passes it to the handlers of requests.
 pub type Shared = axum::extract::State<Arc<Hub>>;
 
-/// State shared by the handlers of requests.
 pub struct Hub {
     inner: Mutex<HubState>,
     orders: Sender<Command>,
@@ -60,16 +57,13 @@ pub struct HubState {
     meters: Vec<StreamMeter>,
     enrolls: bool,
     pub viewfinder: Option<Viewfinder>,
-    /// The view of the camera, as last published.
-    camera: Option<CameraView>,
+    published_camera: Option<CameraView>,
     outputs: Vec<OutputHealth>,
-    /// The state of the outputs, as last published.
-    output_views: Vec<OutputView>,
+    published_outputs: Vec<OutputView>,
     pub check: CheckView,
 }
 
 impl HubState {
-    /// The whole current state, as one document.
     pub fn whole(&self) -> StateDocument<'_> {
         StateDocument {
             state: &self.state,
@@ -111,21 +105,19 @@ impl HubState {
         self.publish(EventKind::Warning, &self.state.warnings.front().cloned());
     }
 
-    /// Publishes the view of the camera, if it has changed.
     fn publish_camera(&mut self) {
         let view = self.viewfinder.as_ref().map(Viewfinder::view);
-        if view != self.camera {
-            self.camera.clone_from(&view);
+        if view != self.published_camera {
+            self.published_camera.clone_from(&view);
             self.publish(EventKind::Camera, &view);
         }
     }
 
-    /// Publishes the state of the outputs, if it has changed.
     fn publish_outputs(&mut self) {
         let views = self.outputs();
-        if views != self.output_views {
+        if views != self.published_outputs {
             self.publish(EventKind::Outputs, &views);
-            self.output_views = views;
+            self.published_outputs = views;
         }
     }
 
@@ -328,7 +320,6 @@ fn every(period: Duration) -> Interval {
 pub struct StateDocument<'a> {
     #[serde(flatten)]
     state: &'a State,
-    /// Whether scans may be kept as trials of a library.
     enrolls: bool,
     camera: Option<CameraView>,
     streams: Vec<StreamView>,

@@ -19,7 +19,6 @@ use crate::station::Command;
 
 const MOST: usize = 1000;
 
-/// The routes below `/api/v1`.
 pub fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/library/trials", get(trials))

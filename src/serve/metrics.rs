@@ -18,10 +18,9 @@ use crate::station::AnswerState;
 
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// Bounds of the histogram of scan durations, in seconds.
-const SCAN_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
-/// Bounds of the histogram of latencies, in seconds.
-const LATENCY_S: [f64; 11] = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
+const SCAN_BOUNDS_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
+const LATENCY_BOUNDS_S: [f64; 11] =
+    [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
 
 #[derive(Debug)]
 struct Histogram {
@@ -51,7 +50,8 @@ pub struct Metrics {
 
 impl Default for Metrics {
     fn default() -> Self {
-        let (scan_s, latency_s) = (Histogram::new(&SCAN_S), Histogram::new(&LATENCY_S));
+        let (scan_s, latency_s) =
+            (Histogram::new(&SCAN_BOUNDS_S), Histogram::new(&LATENCY_BOUNDS_S));
         Self { scan_s, latency_s }
     }
 }
@@ -154,7 +154,6 @@ impl Metrics {
     }
 }
 
-/// The names and values of a line's labels.
 type Labels<'a> = Vec<(&'a str, &'a str)>;
 
 #[derive(Default)]

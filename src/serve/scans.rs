@@ -35,7 +35,6 @@ const USUAL: usize = 100;
 /// How many scans one answer may hold.
 const MOST: usize = 1000;
 
-/// The routes of scans, below `/api/v1`.
 pub fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/scans", get(scans))

@@ -123,7 +123,6 @@ pub struct Reporter {
 }
 
 impl Reporter {
-    /// Creates a reporter, and the receiver of its events.
     fn new() -> (Self, mpsc::Receiver<StationEvent>) {
         let (queue, notices) = mpsc::channel(QUEUE);
         (Self { queue, missed: Arc::default() }, notices)
@@ -144,13 +143,11 @@ impl Listener for Reporter {
     }
 }
 
-/// The largest header section of a request, in bytes.
-const LARGEST_HEAD: usize = 16 << 10;
+const MOST_HEADER_BYTES: usize = 16 << 10;
 const MOST_HEADERS: usize = 64;
 /// The pause after a connection could not be accepted, for example because file handles ran out.
 const NO_CONNECTION: Duration = Duration::from_millis(100);
 
-/// Serves a router until `stop` is ready.
 async fn accept(
     listener: TcpListener,
     (router, traffic): (Router, Arc<Traffic>),
@@ -217,7 +214,7 @@ async fn connection(stream: TcpStream, peer: Peer, router: Router, limits: Limit
     let serving = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(limits.request)
-        .max_buf_size(LARGEST_HEAD)
+        .max_buf_size(MOST_HEADER_BYTES)
         .max_headers(MOST_HEADERS)
         .serve_connection(TokioIo::new(Box::pin(stream)), service);
     // An error ends only the connection of its client, so the error is ignored.

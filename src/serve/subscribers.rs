@@ -122,7 +122,6 @@ impl Subscribers {
         self.subscribers.iter().filter(|subscriber| !subscriber.queue.is_closed()).count()
     }
 
-    /// Whether any subscriber wants events of this type.
     pub fn wanted(&self, kind: EventKind) -> bool {
         self.subscribers.iter().any(|subscriber| subscriber.filter.holds(kind))
     }

@@ -8,7 +8,6 @@ use crate::history::{Bands, WINDOW, bands, four_digits};
 use crate::scan::{Fresh, Trace};
 use crate::scene::SourceId;
 
-/// Approximate number of bins a second.
 const BINS_A_SECOND: f64 = 200.0;
 /// How many bins of one stream an event may hold. If there are more, only the newest are sent.
 const MOST_BINS: usize = 400;
@@ -47,8 +46,7 @@ pub struct TracedStream {
     pub channels: usize,
     /// The newest samples, interleaved; at most [`WINDOW`] frames.
     pub recent: VecDeque<f32>,
-    /// Number of frames in a bin.
-    width: usize,
+    bin_frames: usize,
     /// Index of the next expected frame.
     next: u64,
     /// Number of frames in the bin being filled.
@@ -127,7 +125,7 @@ impl TracedStream {
             rate_hz: fresh.rate_hz,
             channels: fresh.channels,
             recent: VecDeque::new(),
-            width: (fresh.rate_hz / BINS_A_SECOND).round().max(1.0) as usize,
+            bin_frames: (fresh.rate_hz / BINS_A_SECOND).round().max(1.0) as usize,
             next: fresh.start,
             filled: 0,
             extremes: vec![NONE_YET; fresh.channels],
@@ -145,7 +143,7 @@ impl TracedStream {
     fn add(&mut self, fresh: &Fresh) -> Bins {
         let mut bins = Bins {
             source: fresh.source.clone(),
-            bin_s: self.width as f64 / self.rate_hz,
+            bin_s: self.bin_frames as f64 / self.rate_hz,
             start_s: (self.next - self.filled as u64) as f64 / self.rate_hz,
             min: vec![Vec::new(); self.channels],
             max: vec![Vec::new(); self.channels],
@@ -159,7 +157,7 @@ impl TracedStream {
                 self.clipped |= limits.add(sample);
             }
             self.filled += 1;
-            if self.filled == self.width {
+            if self.filled == self.bin_frames {
                 self.filled = 0;
                 if std::mem::take(&mut self.clipped) {
                     bins.clipped.push(bins.len());

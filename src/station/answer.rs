@@ -81,7 +81,6 @@ pub enum AnswerState {
 }
 
 impl AnswerState {
-    /// The state as a word, the same in all outputs.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Named => "named",

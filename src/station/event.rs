@@ -18,7 +18,6 @@ use crate::scene::Phase;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SurfaceProbability {
     pub surface: String,
-    /// From 0 to 1.
     pub probability: f64,
 }
 
@@ -69,7 +68,6 @@ pub struct Enrolling {
     pub wanted: Option<u32>,
     /// The number of trials that were ordered; `None` if every scan is kept.
     pub trials: Option<u32>,
-    /// The number of trials kept so far.
     pub kept: u32,
     pub refused: Option<RefusedScan>,
 }
@@ -78,7 +76,6 @@ pub struct Enrolling {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RefusedScan {
     pub scan: u32,
-    /// Reasons for the refusal, a line each.
     pub reasons: Vec<String>,
 }
 
@@ -115,7 +112,6 @@ pub enum StationEvent {
     Unnamed(Arc<Answer>),
     /// A scan with its signals, sent after the scan's `Answer` or `Unnamed` event.
     Scan(Arc<AnsweredScan>),
-    /// The outcome of a scan that was to be kept as a trial.
     Enrolled(Enrolled),
     /// The order for the next scan has changed; `None` if the next scan will only be named.
     Enrolling(Option<Enrolling>),

@@ -18,12 +18,10 @@ pub struct Keep {
 /// The order under which a scan is kept as a trial.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Enrolment {
-    /// Number of the order.
     pub order: u64,
     pub keep: Keep,
 }
 
-/// An order, and its progress.
 #[derive(Debug)]
 struct Order {
     enrolment: Enrolment,
@@ -54,7 +52,6 @@ impl Order {
         self.wanted().map(|wanted| wanted.saturating_sub(self.under_way))
     }
 
-    /// Whether the order keeps the scan with this number.
     fn keeps(&self, scan: u32) -> bool {
         let covers = self.from <= scan && self.until.is_none_or(|until| scan < until);
         covers && self.to_come() != Some(0)
@@ -67,7 +64,6 @@ impl Order {
     }
 }
 
-/// All orders of a station that are not finished.
 #[derive(Debug, Default)]
 pub(super) struct Orders {
     own: Option<Order>,

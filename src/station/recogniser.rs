@@ -56,7 +56,6 @@ impl Recogniser {
         Self { models, model_of, following, needed_s, scene, library, trials }
     }
 
-    /// Stores where the library's trials are.
     pub fn with_trials(mut self, entries: &[Entry]) -> Self {
         self.trials = entries.iter().map(|entry| (entry.key.clone(), entry.clone())).collect();
         self

@@ -33,7 +33,6 @@ const BACKLOG: usize = 64;
 
 pub struct Station<'a> {
     pub devices: Vec<Box<dyn Device>>,
-    /// Options of the session.
     pub options: Options,
     pub recogniser: Option<Arc<Recogniser>>,
     /// Reads the library, at each [`Command::Reload`], and at the start unless there is a recogniser.
@@ -58,8 +57,7 @@ struct StationRun<'a> {
     loading: Option<Receiver<LoadedRecogniser>>,
     /// Whether to read the library once more, since it may have changed after `loading` began.
     load_again: bool,
-    /// Jobs that the worker has not taken yet.
-    pending: VecDeque<Job>,
+    to_do: VecDeque<Job>,
     /// Numbers of the scans that the worker is to name.
     in_hand: VecDeque<u32>,
     /// Trials that the worker is to find the nearest surface of, in the order of their jobs.
@@ -67,13 +65,11 @@ struct StationRun<'a> {
     orders: Orders,
     /// The order for the next scan, as it was last reported.
     enrolling: Option<Enrolling>,
-    /// When [`Command::Quit`] was given.
-    ordered: Option<Instant>,
+    quit_at: Option<Instant>,
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
 
 impl<'a> Station<'a> {
-    /// Creates a station without a library.
     pub fn new(devices: Vec<Box<dyn Device>>, options: Options) -> Self {
         Self {
             devices,
@@ -92,12 +88,10 @@ impl<'a> Station<'a> {
         self
     }
 
-    /// Sends an event to all listeners added so far, before the station runs.
     pub fn emit(&mut self, event: &StationEvent) {
         self.listeners.iter_mut().for_each(|listener| listener.on_event(event));
     }
 
-    /// The sender of commands, for use before and while the station runs.
     pub fn commands(&self) -> Sender<Command> {
         self.commands.0.clone()
     }
@@ -117,7 +111,6 @@ impl<'a> Station<'a> {
 }
 
 impl<'a> StationRun<'a> {
-    /// Starts the devices and threads of a station.
     fn start(station: Station<'a>) -> Result<Self, SessionError> {
         let Station { devices, options, recogniser, load, store, keep, listeners, .. } = station;
         let thread = |name: &str| {
@@ -139,12 +132,12 @@ impl<'a> StationRun<'a> {
             naming: Err("no library is set".into()),
             loading: None,
             load_again: false,
-            pending: VecDeque::new(),
+            to_do: VecDeque::new(),
             in_hand: VecDeque::new(),
             kept: VecDeque::new(),
             orders: Orders::default(),
             enrolling: None,
-            ordered: None,
+            quit_at: None,
             listeners,
         };
         keep.into_iter().for_each(|keep| run.orders.set_own(keep));
@@ -170,18 +163,18 @@ impl<'a> StationRun<'a> {
     fn until_finished(&mut self, commands: &Receiver<Command>) {
         let mut finished = false;
         loop {
-            let deadline = self.ordered.map(|ordered| ordered + NAMED);
+            let deadline = self.quit_at.map(|quit_at| quit_at + NAMED);
             match deadline.is_some_and(|deadline| deadline <= Instant::now()) {
                 true => self.give_up_naming(),
                 false => self.hand_on(),
             }
-            let waits = [self.pending.is_empty(), self.in_hand.is_empty(), self.kept.is_empty()];
+            let waits = [self.to_do.is_empty(), self.in_hand.is_empty(), self.kept.is_empty()];
             let is_idle = waits == [true; 3];
             if finished && is_idle {
                 return;
             }
             // A recording is paused until its scans are named; live devices cannot be paused.
-            let reads = !finished && (!self.waits || self.pending.is_empty());
+            let reads = !finished && (!self.waits || self.to_do.is_empty());
             let events = if reads { self.session.events().clone() } else { never() };
             let done = self.worker.done.clone();
             let stored = self.recording.as_ref().map_or_else(never, |thread| thread.stored.clone());
@@ -215,7 +208,7 @@ impl<'a> StationRun<'a> {
 
     /// Waits until scans are written to disk, and reports the end.
     fn finish(mut self) -> Result<Totals, SessionError> {
-        let until = self.ordered.map(|ordered| ordered + WRITTEN);
+        let until = self.quit_at.map(|quit_at| quit_at + WRITTEN);
         let written = self.recording.take().into_iter().flat_map(|thread| thread.finish(until));
         written.for_each(|stored| self.enrolled(&stored.enrolment, stored.enrolled));
         let Self { session, mut listeners, .. } = self;
@@ -250,7 +243,7 @@ impl<'a> StationRun<'a> {
         // If too many scans wait, the trial is reported without its nearest surface.
         match kept.filter(|_| self.waits || self.kept.len() < BACKLOG) {
             Some((scan, by)) => {
-                self.pending.push_back(Job::Nearest(scan, by));
+                self.to_do.push_back(Job::Nearest(scan, by));
                 self.kept.push_back((enrolment, enrolled));
             }
             None => self.enrolled(&enrolment, enrolled),
@@ -271,7 +264,6 @@ impl<'a> StationRun<'a> {
         self.report_order();
     }
 
-    /// Reports the order for the next scan if it has changed.
     fn report_order(&mut self) {
         let now = self.orders.in_force();
         if now != self.enrolling {
@@ -310,9 +302,9 @@ impl<'a> StationRun<'a> {
             Command::Reload => self.reload(),
             Command::Quit => {
                 self.session.request_stop();
-                if self.ordered.is_none() {
+                if self.quit_at.is_none() {
                     let now = Instant::now();
-                    self.ordered = Some(now);
+                    self.quit_at = Some(now);
                     self.emit(StationEvent::Ending(now + PASSED_ON));
                 }
             }
@@ -370,20 +362,20 @@ impl<'a> StationRun<'a> {
             recording.store(scan, enrolment, self.naming.clone().ok());
             return self.report_order();
         }
-        self.pending.push_back(Job::Scan(scan));
+        self.to_do.push_back(Job::Scan(scan));
         self.limit_backlog();
     }
 
     /// Drops the oldest scan, and the progress before it, if too many scans wait.
     fn limit_backlog(&mut self) {
-        let waiting = self.pending.iter().filter(|job| matches!(job, Job::Scan(_))).count();
+        let waiting = self.to_do.iter().filter(|job| matches!(job, Job::Scan(_))).count();
         if waiting <= BACKLOG || self.waits {
             return;
         }
-        if let Some(at) = self.pending.iter().position(|job| matches!(job, Job::Scan(_)))
-            && let Some(Job::Scan(scan)) = self.pending.remove(at)
+        if let Some(at) = self.to_do.iter().position(|job| matches!(job, Job::Scan(_)))
+            && let Some(Job::Scan(scan)) = self.to_do.remove(at)
         {
-            self.pending.retain(
+            self.to_do.retain(
                 |job| !matches!(job, Job::Progress(progress) if progress.number == scan.number),
             );
             let from = scan.ended_at;
@@ -393,17 +385,16 @@ impl<'a> StationRun<'a> {
 
     /// Queues progress of a scan. It is joined to the newest job if that job is progress of this scan.
     fn progress(&mut self, progress: Progress) {
-        match self.pending.back_mut() {
+        match self.to_do.back_mut() {
             Some(Job::Progress(last)) if last.number == progress.number => last.append(progress),
-            _ => self.pending.push_back(Job::Progress(progress)),
+            _ => self.to_do.push_back(Job::Progress(progress)),
         }
     }
 
-    /// Hands jobs to the worker until it accepts no more.
     fn hand_on(&mut self) {
-        while let Some(job) = self.pending.pop_front() {
+        while let Some(job) = self.to_do.pop_front() {
             if self.naming.is_err() && self.loading.is_some() {
-                return self.pending.push_front(job);
+                return self.to_do.push_front(job);
             }
             let (trial, number) = match &job {
                 Job::Progress(progress) => (self.sources_of_trial(progress.number), None),
@@ -412,7 +403,7 @@ impl<'a> StationRun<'a> {
             };
             let work = Work { job, trial, by: self.naming.clone() };
             if let Err(back) = self.worker.work.try_send(work) {
-                return self.pending.push_front(back.into_inner().job);
+                return self.to_do.push_front(back.into_inner().job);
             }
             self.in_hand.extend(number);
         }
@@ -453,7 +444,7 @@ impl<'a> StationRun<'a> {
         // From now on, no results come from the worker, since all these scans are reported here.
         self.worker.done = never();
         let mut unnamed = std::mem::take(&mut self.in_hand);
-        for job in self.pending.drain(..) {
+        for job in self.to_do.drain(..) {
             if let Job::Scan(scan) = job {
                 unnamed.push_back(scan.number);
             }

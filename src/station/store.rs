@@ -23,12 +23,10 @@ use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Trial, TrialKey, normal};
 
-/// Time between two attempts to write a scan.
 const RETRY: Duration = Duration::from_secs(2);
 /// How many scans may wait to be written. Scans of 10 s then take 200 MB.
 const MAX_WAITING: usize = 64;
 
-/// The library in which scans are stored, and the data written beside them.
 #[derive(Clone, Debug)]
 pub struct ScanStore {
     /// The folder of the library; it need not exist yet.
@@ -45,7 +43,6 @@ impl ScanStore {
     }
 }
 
-/// The outcome of storing a scan, and the enrolment of the scan.
 pub(super) struct StoredScan {
     pub enrolment: Enrolment,
     pub enrolled: Enrolled,
@@ -59,7 +56,6 @@ enum Task {
     KeepRefused(u32),
 }
 
-/// The channels to and from the thread that writes scans.
 pub(super) struct RecordingThread {
     scans: Sender<Task>,
     pub stored: Receiver<StoredScan>,

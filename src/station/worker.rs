@@ -25,7 +25,6 @@ pub(super) struct Work {
     pub job: Job,
     /// The sources whose independent samples count, if the scan in progress is to be a trial.
     pub trial: Option<Vec<SourceId>>,
-    /// The recogniser, or the reason why there is none.
     pub by: Result<Arc<Recogniser>, String>,
 }
 
@@ -125,11 +124,9 @@ fn nearest(scan: &Scan, by: &Recogniser) -> Option<String> {
 /// Damage is reported only after a drag of this many seconds.
 const DAMAGE_AFTER_S: f64 = 0.5;
 
-/// Data about the scan in progress.
 #[derive(Default)]
 struct Followed {
     scan: u32,
-    /// The follower, and the recogniser that created it.
     follower: Option<(Arc<Recogniser>, Follower)>,
     last: Option<GuessSoFar>,
     need: TrialNeed,
