@@ -238,7 +238,7 @@ fn play(
     if let (Some(server), Some(signals)) = (server, signals) {
         // The page is served until a signal arrives.
         let _ = signals.recv();
-        server.stop();
+        drop(server);
     }
     if let Some((name, error)) = totals.failed.first() {
         return Err(Failure::Failed(format!("{name}: {error}")));

@@ -18,10 +18,7 @@ use crate::history::{STATION_COLUMNS, write_csv};
 use crate::serve::Settings;
 use crate::serve::api::{FILES, file, guarded};
 use crate::serve::request::{CSV, JSON_LINES, Problem, aside, exported};
-
-/// How many scans one answer holds by default (`USUAL`) and at most (`MOST`).
-const USUAL: usize = 100;
-const MOST: usize = 1000;
+use crate::serve::scans::{MOST, USUAL};
 
 /// The files that only this page has; the other files are shared with a station's page.
 const OWN: [(&str, &str, &str); 3] = [

@@ -13,7 +13,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use axum::body::Body;
+use axum::body::{Body, to_bytes};
 use axum::http::{Request, StatusCode};
 use rumqttc::{Event, MqttOptions, Packet, QoS};
 use serde::Deserialize;
@@ -28,14 +28,6 @@ use crate::outputs::http;
 use crate::outputs::mqtt::{self, Line};
 use crate::serve::{ServeError, Server, Settings, Traffic};
 use crate::station::config::{HttpAddress, MqttAddress, is_segment, machine_name};
-
-#[derive(Debug, thiserror::Error)]
-pub enum FleetError {
-    #[error(transparent)]
-    File(#[from] HistoryError),
-    #[error(transparent)]
-    Serve(#[from] ServeError),
-}
 
 #[derive(Debug)]
 struct Fleet {
@@ -71,21 +63,18 @@ impl Fleet {
 
 /// Shows the stations of a broker until the server is dropped. Answers are kept in `folder`, which
 /// takes at most `most_bytes`.
-///
-/// # Errors
-/// If the cache or a certificate cannot be read, if another fleet uses the cache, or those of
-/// [`Server::start`].
 pub fn start(
     address: MqttAddress,
     folder: &Path,
     most_bytes: u64,
     serve: &Settings,
-) -> Result<Server, FleetError> {
-    let cache = Cache::open(folder, most_bytes)?;
+) -> Result<Server, ServeError> {
+    let system = |error: HistoryError| ServeError::System(error.into());
+    let cache = Cache::open(folder, most_bytes).map_err(system)?;
     // The broker finds our session by this name, so the name must be the same after a restart.
     let place = format!("{}:{}", machine_name(), folder.display());
     let client = format!("surfaced-fleet-{:08x}", crc32fast::hash(place.as_bytes()));
-    let mut options = mqtt::options(&address, client)?;
+    let mut options = mqtt::options(&address, client).map_err(system)?;
     options.set_clean_session(false).set_manual_acks(true);
     let stations = Stations::of(&cache);
     let problem = Some("connecting".into());
@@ -99,7 +88,7 @@ pub fn start(
             _ = stopped.wait_for(|stop| *stop) => {}
         }
     };
-    Ok(Server::serve(serve, served, work)?)
+    Server::serve(serve, served, work)
 }
 
 /// Subscribes to all stations, and reconnects whenever the connection breaks. A message is
@@ -224,9 +213,13 @@ fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Result<(), String> {
 async fn request(address: &HttpAddress, before: &str) -> Result<Vec<Value>, String> {
     let path = format!("/api/v1/scans?limit={A_REQUEST}{before}");
     let request = Request::get(path).body(Body::empty()).map_err(|error| error.to_string())?;
-    let asked = http::send((&address.host.0, address.host.1), request, LARGEST);
-    let (status, body) =
-        timeout(REPLY_PATIENCE, asked).await.map_err(|_| "its page gives no answer")??;
+    let reply = timeout(REPLY_PATIENCE, async {
+        let reply = http::send(address, request).await?;
+        let status = reply.status();
+        let body = to_bytes(Body::new(reply.into_body()), LARGEST).await;
+        Ok::<_, String>((status, body.map_err(|error| error.to_string())))
+    });
+    let (status, body) = reply.await.map_err(|_| "its page gives no answer")??;
     match status {
         StatusCode::OK => {}
         StatusCode::UNAUTHORIZED => return Err("its page asks for a token".into()),

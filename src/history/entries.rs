@@ -109,11 +109,7 @@ impl HistoryState {
     }
 
     pub fn row(&self, entry: &HistoryEntry) -> Result<HistoryRow, HistoryError> {
-        let text = match (&entry.text, &self.disk) {
-            (text, Some(disk)) => text.read(&disk.log)?,
-            (Text::Here(text), None) => text.clone(),
-            (Text::InLog(_), None) => String::new(),
-        };
+        let text = entry.text.read(self.disk.as_ref().map(|disk| &disk.log))?;
         let damaged = || HistoryRow { head: entry.head.clone(), ..HistoryRow::default() };
         Ok(HistoryRow {
             correction: entry.correction.clone(),
@@ -167,7 +163,7 @@ impl HistoryState {
         }
         let mut fresh = disk.log.begin_anew()?;
         for entry in &mut self.entries {
-            let (text, written) = fresh.append_answer(entry.text.read(&disk.log)?);
+            let (text, written) = fresh.append_answer(entry.text.read(Some(&disk.log))?);
             written?;
             entry.text = text;
             let id = || entry.head.id.clone();

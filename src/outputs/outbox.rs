@@ -95,7 +95,7 @@ impl Outbox {
 
     pub fn first(&self) -> Result<Option<(u64, String)>, HistoryError> {
         let Some((sequence, text)) = self.waiting.front() else { return Ok(None) };
-        Ok(Some((*sequence, text.read(&self.log)?)))
+        Ok(Some((*sequence, text.read(Some(&self.log))?)))
     }
 
     /// Records that an answer has arrived, or was refused for good. If this cannot be written, the
@@ -117,7 +117,7 @@ impl Outbox {
         fresh.append(&json_text(&head))?;
         let mut places = Vec::new();
         for (_, text) in &self.waiting {
-            let (place, written) = fresh.append_answer(text.read(&self.log)?);
+            let (place, written) = fresh.append_answer(text.read(Some(&self.log))?);
             written?;
             places.push(place);
         }

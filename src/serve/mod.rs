@@ -17,7 +17,7 @@ mod hub;
 mod library;
 mod metrics;
 pub(crate) mod request;
-mod scans;
+pub(crate) mod scans;
 mod server;
 mod settings;
 mod state;

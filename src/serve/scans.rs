@@ -30,10 +30,9 @@ use crate::scene::SourceId;
 use crate::station::Command;
 use crate::trial::{EXPERT, Trial, TrialKey};
 
-/// How many scans one answer holds by default.
-const USUAL: usize = 100;
-/// How many scans one answer may hold.
-const MOST: usize = 1000;
+/// How many scans one answer holds by default (`USUAL`) and at most (`MOST`).
+pub(crate) const USUAL: usize = 100;
+pub(crate) const MOST: usize = 1000;
 
 pub fn router() -> Router<Arc<Hub>> {
     Router::new()
@@ -58,6 +57,12 @@ impl From<HistoryError> for Problem {
                 Self::Failed(error.to_string())
             }
         }
+    }
+}
+
+impl From<PathRejection> for Problem {
+    fn from(rejection: PathRejection) -> Self {
+        Self::Bad(rejection.body_text())
     }
 }
 
@@ -101,13 +106,8 @@ async fn json_lines(State(hub): Shared) -> Response {
 
 type ScanPath = Result<Path<String>, PathRejection>;
 
-fn name(id: ScanPath) -> Result<String, Problem> {
-    let bad = |_| Problem::Bad("name the scan by its `id` or its number".into());
-    id.map(|Path(id)| id).map_err(bad)
-}
-
 async fn scan(State(hub): Shared, id: ScanPath) -> Result<Json<HistoryRow>, Problem> {
-    let id = name(id)?;
+    let Path(id) = id?;
     Ok(Json(aside(move || Ok(hub.settings.history.answer(&id)?)).await?))
 }
 
@@ -119,7 +119,7 @@ fn whole(path: &std::path::Path) -> Result<Vec<u8>, Problem> {
 }
 
 async fn why(State(hub): Shared, id: ScanPath) -> Result<Response, Problem> {
-    let id = name(id)?;
+    let Path(id) = id?;
     let text = aside(move || whole(&hub.settings.history.folder(&id)?.join(NOTES))).await?;
     Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
 }
@@ -165,7 +165,7 @@ async fn file(
     path: Result<Path<(String, String)>, PathRejection>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let Path((id, file)) = path.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
+    let Path((id, file)) = path?;
     let (file, content_type) = on_disk(&file).ok_or(Problem::NotFound)?;
     let bytes = aside(move || whole(&hub.settings.history.folder(&id)?.join(file))).await?;
     Ok(([(CONTENT_TYPE, content_type)], part(&headers, bytes)).into_response())
@@ -173,7 +173,7 @@ async fn file(
 
 /// The latest picture of a camera, cut to the compared region, or whole for `whole-SOURCE.jpg`.
 async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Problem> {
-    let file = file.map(|Path(file)| file).map_err(|_| Problem::NotFound)?;
+    let Path(file) = file?;
     let stem = file.strip_suffix(".jpg").ok_or(Problem::NotFound)?;
     let whole = stem.strip_prefix("whole-");
     let source = SourceId::new(whole.unwrap_or(stem)).map_err(|_| Problem::NotFound)?;
@@ -216,28 +216,23 @@ struct Was {
     bad: bool,
 }
 
-impl Was {
-    fn correction(self) -> Result<Option<Correction>, Problem> {
-        match self {
-            Self { surface: None, unknown: false, bad: false } => Ok(None),
-            Self { surface: None, unknown: true, bad: false } => Ok(Some(Correction::Unknown)),
-            Self { surface: None, unknown: false, bad: true } => Ok(Some(Correction::Bad)),
-            Self { surface: Some(surface), unknown: false, bad: false } => {
-                Ok(Some(Correction::Surface { surface: label("surface", &surface)? }))
-            }
-            _ => Err(Problem::Bad("give only one of `surface`, `unknown` and `bad`".into())),
-        }
-    }
-}
-
 async fn correct(
     State(hub): Shared,
     id: ScanPath,
     said: Said,
 ) -> Result<Json<HistoryRow>, Problem> {
-    let id = name(id)?;
-    let was: Was = body(said, "{\"surface\": \"oak\"}, {\"unknown\": true} or {\"bad\": true}")?;
-    let correction = was.correction()?;
+    let Path(id) = id?;
+    let expected = "{\"surface\": \"oak\"}, {\"unknown\": true} or {\"bad\": true}";
+    let Was { surface, unknown, bad } = body(said, expected)?;
+    let correction = match (surface, unknown, bad) {
+        (None, false, false) => None,
+        (None, true, false) => Some(Correction::Unknown),
+        (None, false, true) => Some(Correction::Bad),
+        (Some(surface), false, false) => {
+            Some(Correction::Surface { surface: label("surface", &surface)? })
+        }
+        _ => return Err(Problem::Bad("give only one of `surface`, `unknown` and `bad`".into())),
+    };
     let (history, library) = (hub.settings.history.clone(), hub.settings.library.clone());
     let scan = aside(move || {
         let _reviewing = history.reviewing();
@@ -290,7 +285,7 @@ struct KeepRequest {
 }
 
 async fn keep(State(hub): Shared, id: ScanPath, said: Said) -> Result<Json<HistoryRow>, Problem> {
-    let id = name(id)?;
+    let Path(id) = id?;
     let KeepRequest { user } = body(said, "{\"user\": \"anna\"}")?;
     let user = label("user", user.as_deref().unwrap_or(EXPERT))?;
     let library = hub.settings.library.clone().ok_or(Problem::NoLibrary)?;

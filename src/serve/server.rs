@@ -26,7 +26,8 @@ use super::hub::{self, Hub};
 use super::settings::{Limits, ServeError, Settings};
 use crate::station::{Command, Listener, StationEvent};
 
-/// A running server; dropping it stops the server.
+/// A running server. Dropping it stops the server: unfinished answers get a moment, then all connections
+/// end.
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
@@ -95,9 +96,6 @@ impl Server {
     pub fn address(&self) -> SocketAddr {
         self.address
     }
-
-    /// Stops the server. Unfinished answers get a moment, then all connections end.
-    pub fn stop(self) {}
 }
 
 impl Drop for Server {

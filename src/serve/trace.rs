@@ -171,7 +171,7 @@ impl TracedStream {
         }
         self.next += (fresh.samples.len() / self.channels) as u64;
         self.remember(&fresh.samples);
-        bins.newest(MOST_BINS);
+        bins.drop_old();
         bins
     }
 
@@ -185,9 +185,8 @@ impl TracedStream {
 }
 
 impl Bins {
-    /// Drops all bins except the newest `most`.
-    fn newest(&mut self, most: usize) {
-        let over = self.len().saturating_sub(most);
+    fn drop_old(&mut self) {
+        let over = self.len().saturating_sub(MOST_BINS);
         self.start_s += over as f64 * self.bin_s;
         self.min.iter_mut().chain(&mut self.max).for_each(|values| drop(values.drain(..over)));
         self.clipped.retain(|bin| *bin >= over);

@@ -105,17 +105,9 @@ pub struct Damage {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "String")]
 pub struct Remark {
-    pub kind: RemarkKind,
-    /// The source that the flaw concerns; `None` if it concerns the whole scan.
+    /// The source whose signal is flawed; `None` if the drag is shorter than the library's scan time.
     pub source: Option<SourceId>,
     pub text: String,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum RemarkKind {
-    Flaw,
-    /// The drag is shorter than the scan time of the library.
-    Short,
 }
 
 impl From<Remark> for String {

@@ -129,16 +129,6 @@ pub enum StationEvent {
     Finished(Arc<Totals>),
 }
 
-impl StationEvent {
-    pub fn warning(&self) -> Option<String> {
-        match self {
-            Self::Warning(text) => Some(text.clone()),
-            Self::Unnamed(answer) => Some(answer.not_named()),
-            _ => None,
-        }
-    }
-}
-
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
     /// Begin a scan now, regardless of the detector.

@@ -19,7 +19,7 @@ mod store;
 mod trial_need;
 mod worker;
 
-pub use answer::{Answer, AnswerState, Damage, Remark, RemarkKind};
+pub use answer::{Answer, AnswerState, Damage, Remark};
 pub use assemble::{Assembled, assemble};
 pub use event::{
     AnsweredScan, Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, RefusedScan,

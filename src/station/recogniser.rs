@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde::{Serialize, Serializer};
 
-use super::answer::{Answer, AnswerState, Damage, Remark, RemarkKind};
+use super::answer::{Answer, AnswerState, Damage, Remark};
 use super::certainty::{judge, so_far, unknown_share};
 use crate::library::Entry;
 use crate::recognise::{
@@ -156,14 +156,13 @@ impl Recogniser {
             let left_out =
                 if ranking.sources.contains(id) { "" } else { "; the source is left out" };
             let text = |flaw: &Flaw| format!("{id}: {flaw}{left_out}");
-            let (kind, source) = (RemarkKind::Flaw, Some(id.clone()));
-            let remark = |flaw: &Flaw| Remark { kind, source: source.clone(), text: text(flaw) };
+            let remark = |flaw: &Flaw| Remark { source: Some(id.clone()), text: text(flaw) };
             remarks.extend(found.iter().map(remark));
         }
         if let Some(needed_s) = self.needed_s.filter(|s| scan.scan_s < s - 0.5 * LOOK_S) {
             let so_long = format!("{:.1} s, and this library needs {needed_s:.1} s", scan.scan_s);
             let text = format!("the drag was short: {so_long}");
-            remarks.push(Remark { kind: RemarkKind::Short, source: None, text });
+            remarks.push(Remark { source: None, text });
         }
         remarks
     }

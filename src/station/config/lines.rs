@@ -63,9 +63,7 @@ fn checked(column: &Spanned<Column>) -> Result<&Column, Mistake> {
 const SENSOR: &str = "sensor";
 
 /// The configuration text for a station with only this sensor, from a survey of its lines.
-///
-/// # Errors
-/// If the sensor's rate cannot be measured, or no column measures. The text says what to do.
+/// Fails if the sensor's rate cannot be measured, or no column measures.
 pub fn fitting(address: &LinesAddress, survey: &Survey) -> Result<String, String> {
     // The name consists of letters only, so it is a valid id.
     let id = SourceId::new(SENSOR).expect("letters name a source");
