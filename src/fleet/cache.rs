@@ -7,10 +7,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::history::HistoryError;
-use crate::history::log::{Log, Span, hold};
+use crate::history::log::{Log, Span};
 use crate::record::edit::is_plain;
 use crate::station::AnswerState;
-use crate::system::Locked;
 
 const LOG: &str = "answers.jsonl";
 const LONGEST_ID: usize = 64;
@@ -46,7 +45,6 @@ pub(super) struct Cache {
     most: u64,
     /// Answers before this time may be missing, since they were dropped to make room for newer ones.
     floor_ms: u64,
-    _lock: Locked,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -70,13 +68,12 @@ impl Snapshot {
 
 impl Cache {
     pub fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
-        let lock = hold(folder, "lock")?;
-        let log = Log::open(&folder.join(LOG), false)?;
+        let log = Log::hold(folder, LOG, "lock")?;
         let mut entries = BTreeMap::new();
         for (Line { answer: head }, span) in log.read::<Line>(u64::MAX)? {
             entries.insert(key(&head), Entry { span, state: head.state });
         }
-        let mut cache = Self { log, entries, most, floor_ms: 0, _lock: lock };
+        let mut cache = Self { log, entries, most, floor_ms: 0 };
         cache.make_room()?;
         Ok(cache)
     }
@@ -103,11 +100,10 @@ impl Cache {
         if self.log.bytes <= self.most {
             return Ok(());
         }
-        let mut left = self.most / 4 * 3;
+        let (mut bytes, most) = (0, self.most / 4 * 3);
         let fits = |entry: &&Entry| {
-            let rest = left.checked_sub(u64::from(entry.span.length) + 1);
-            left = rest.unwrap_or(left);
-            rest.is_some()
+            bytes += u64::from(entry.span.length) + 1;
+            bytes <= most
         };
         let kept = self.entries.values().rev().take_while(fits).count();
         for _ in kept..self.entries.len() {

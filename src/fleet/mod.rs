@@ -61,8 +61,7 @@ impl Fleet {
     }
 }
 
-/// Shows the stations of a broker until the server is dropped. Answers are kept in `folder`, which
-/// takes at most `most_bytes`.
+/// Shows the stations of a broker until the server is dropped. `folder` keeps the answers.
 pub fn start(
     address: MqttAddress,
     folder: &Path,
@@ -91,8 +90,7 @@ pub fn start(
     Server::serve(serve, served, work)
 }
 
-/// Subscribes to all stations, and reconnects whenever the connection breaks. A message is
-/// acknowledged after it was written to disk.
+/// Subscribes to all stations, anew after each break. A message is acknowledged once it is on disk.
 async fn subscribe(fleet: &Fleet, options: &MqttOptions, prefix: &str) {
     let mut back_off = BackOff::new();
     loop {

@@ -100,8 +100,7 @@ impl Listener for Keeper {
 }
 
 impl Drop for Keeper {
-    /// Waits until all scans and notes are written, or until the station must end; then
-    /// reports scans without notes as kept.
+    /// Waits until all is written or the station must end, and reports scans without notes as kept.
     fn drop(&mut self) {
         self.scans = None;
         if !self.end.wait(Duration::MAX) {
@@ -135,8 +134,7 @@ impl Work {
         }
     }
 
-    /// Writes the signals of a scan, and returns their folder; `None` if there are no signals, or the
-    /// history is in memory.
+    /// Writes the signals of a scan, and returns their folder; `None` without signals or a disk.
     fn write(&self, answered: &AnsweredScan) -> Result<Option<PathBuf>, HistoryError> {
         let AnsweredScan { scan, answer, .. } = answered;
         // A scan that could not be named may have no signals.

@@ -15,7 +15,6 @@
 
 mod csv;
 mod entries;
-mod file;
 mod keeper;
 pub(crate) mod log;
 mod view;
@@ -32,8 +31,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use self::entries::{HistoryEntry, HistoryState};
-use self::file::{Disk, SCANS};
+use self::entries::{Disk, HistoryEntry, HistoryState, SCANS};
 use self::log::{Head, LogLine, Text};
 use crate::printable::json_text;
 use crate::recognise::wilson_interval;
@@ -52,7 +50,7 @@ pub(crate) fn nearest_picture(source: &SourceId) -> String {
     format!(".nearest-{source}.jpg")
 }
 
-/// The answers and scans that are kept, in memory or on disk.
+/// The answers and scans that are kept, on disk or, by default, the last 1000 answers in memory.
 #[derive(Debug, Default)]
 pub struct History {
     inner: Mutex<HistoryState>,
@@ -76,11 +74,6 @@ pub struct Extent {
 }
 
 impl History {
-    /// Makes a history in memory. It has the last 1000 answers, without signals, until the program ends.
-    pub fn in_memory() -> Self {
-        Self::default()
-    }
-
     /// Opens the history in a folder, which is created if absent. It takes at most `most_bytes`,
     /// and less on a nearly full disk, so that a tenth of the disk or a gigabyte stays free.
     ///
@@ -96,7 +89,7 @@ impl History {
         for entry in &mut inner.entries {
             // After a crash, signals may be on disk that the log does not mention, so the disk is asked.
             entry.signals = match there.contains(&entry.head.id) {
-                true => entry.signals.or_else(|| disk.size(&entry.head.id).ok()),
+                true => entry.signals.or_else(|| disk.signal_bytes(&entry.head.id).ok()),
                 false => None,
             };
         }
@@ -149,11 +142,10 @@ impl History {
         room
     }
 
-    /// Notes that the signals of a scan are in its folder on disk, and removes the oldest signals
-    /// if space is short.
+    /// Notes that the signals of a scan are on disk, and removes the oldest if space is short.
     pub(crate) fn kept(&self, id: &str) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
-        let Some(bytes) = inner.disk.as_ref().map(|disk| disk.size(id)).transpose()? else {
+        let Some(bytes) = inner.disk.as_ref().map(|disk| disk.signal_bytes(id)).transpose()? else {
             return Ok(());
         };
         inner.change(LogLine::Signals { id: id.into(), bytes: Some(bytes) })?;

@@ -152,7 +152,7 @@ fn the_log_is_bounded_and_keeps_the_newest_answers_with_what_was_said_of_them() 
 
 #[test]
 fn a_history_in_memory_remembers_a_thousand_answers() {
-    let history = History::in_memory();
+    let history = History::default();
     (1..=1200).for_each(|scan| history.answered(&answer(scan, None)).unwrap());
     assert_eq!((scans(&history).len(), scans(&history)[0]), (1000, 1200));
     history.correct(&answer(1200, None).id, Some(Correction::Bad)).unwrap();

@@ -31,7 +31,6 @@ pub struct SeriesView {
     pub audible: bool,
     /// Least sample in each time interval, one list per channel.
     pub min: Vec<Vec<f32>>,
-    /// Greatest sample in each time interval, one list per channel.
     pub max: Vec<Vec<f32>>,
     /// The spectrum; `None` for a series that is too short.
     pub spectrum: Option<Bands>,

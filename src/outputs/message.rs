@@ -26,8 +26,7 @@ struct Message<'a> {
     sequence: u64,
     #[serde(flatten)]
     answer: &'a Answer,
-    /// The surfaces, the most probable first; together with `unknown` they sum to 1. Empty if the
-    /// method gives no probabilities.
+    /// The surfaces, the most probable first; with `unknown` they sum to 1. Empty for some methods.
     probabilities: Vec<SurfaceProbability>,
     /// The probability that the surface is not in the library; null if that is not known.
     unknown: Option<f64>,
@@ -107,11 +106,6 @@ impl StationCard {
             "counts": self.counts,
         })
     }
-}
-
-/// The message that the broker publishes if the station disappears without notice.
-pub(super) fn last_will(station: &str) -> String {
-    json!({ "station": station, "state": "offline" }).to_string()
 }
 
 /// The entities of a station in Home Assistant: the discovery topic and description of each

@@ -12,11 +12,12 @@ use rand::rngs::SysRng;
 use rumqttc::{
     AsyncClient, ConnectionError, Event, LastWill, MqttOptions, Outgoing, Packet, QoS, Transport,
 };
+use serde_json::json;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout_at};
 
-use super::message::{LARGEST, discovery, last_will};
+use super::message::{LARGEST, discovery};
 use super::{BackOff, Card, PATIENCE, Pending, lock};
 use crate::history::{History, HistoryError};
 use crate::station::Answer;
@@ -76,7 +77,8 @@ impl Publisher {
         let topic = |what: &str| format!("{}/{}/{what}", address.prefix, pending.station);
         let (answer_topic, state_topic) = (topic("answer"), topic("state"));
         let mut options = options(address, client)?;
-        let will = last_will(&pending.station);
+        // The broker publishes this message if the station disappears without notice.
+        let will = json!({ "station": pending.station, "state": "offline" }).to_string();
         options.set_last_will(LastWill::new(&state_topic, will, QoS::AtLeastOnce, true));
         let (history, page, back_off) = (history.clone(), page.clone(), BackOff::new());
         Ok(Self { pending, options, answer_topic, state_topic, card, history, page, back_off })

@@ -12,9 +12,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::history::HistoryError;
-use crate::history::log::{Log, Text, hold};
+use crate::history::log::{Log, Text};
 use crate::printable::json_text;
-use crate::system::Locked;
 
 /// The largest size of waiting answers, in bytes. To stay below, the oldest answers are dropped.
 const MOST: u64 = 64 << 20;
@@ -31,7 +30,6 @@ pub(super) struct Outbox {
     pub dropped: u64,
     waiting_bytes: u64,
     most: u64,
-    _lock: Locked,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -48,11 +46,9 @@ impl Outbox {
     }
 
     fn of_at_most(folder: &Path, output: &str, most: u64) -> Result<Self, HistoryError> {
-        let lock = hold(folder, &format!("{output}.lock"))?;
-        let log = Log::open(&folder.join(format!("{output}.jsonl")), false)?;
+        let log = Log::hold(folder, &format!("{output}.jsonl"), &format!("{output}.lock"))?;
         let (waiting, next) = (VecDeque::new(), 1);
-        let mut outbox =
-            Self { log, waiting, next, dropped: 0, waiting_bytes: 0, most, _lock: lock };
+        let mut outbox = Self { log, waiting, next, dropped: 0, waiting_bytes: 0, most };
         for (line, span) in outbox.log.read(u64::MAX)? {
             match line {
                 Line::Head { next, dropped } => (outbox.next, outbox.dropped) = (next, dropped),

@@ -271,8 +271,7 @@ fn cookie<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
     pairs.filter_map(|pair| pair.trim().split_once('=')).find(|(n, _)| *n == name).map(|p| p.1)
 }
 
-/// Whether a `Host` header names this machine: `localhost`, 127.x.x.x or `[::1]`. Any port is
-/// accepted, since a tunnel may change it.
+/// Whether a `Host` header names this machine, at any port, since a tunnel may change the port.
 fn is_loopback(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or_default(),
@@ -336,8 +335,7 @@ fn words<'a>(headers: &'a HeaderMap, name: &str) -> impl Iterator<Item = &'a str
     lines.flat_map(|line| line.split(',')).map(str::trim)
 }
 
-/// The address by which a client is counted. An IPv6 address counts as its 64-bit network, since a
-/// subscriber owns the whole network.
+/// The address by which a client is counted: its 64-bit network, which one client owns, for IPv6.
 pub fn neighbourhood(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => {

@@ -15,7 +15,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
 use super::guard::Traffic;
-use super::metrics::{Elsewhere, Metrics};
+use super::metrics::{Histogram, LATENCY_BOUNDS_S, Metrics, SCAN_BOUNDS_S};
 use super::request::Problem;
 use super::settings::Settings;
 use super::state::State;
@@ -49,7 +49,8 @@ pub struct Hub {
 #[derive(Default)]
 pub struct HubState {
     pub state: State,
-    metrics: Metrics,
+    scan_s: Histogram,
+    latency_s: Histogram,
     subscribers: Subscribers,
     tracer: Tracer,
     /// The latest picture of each camera stream.
@@ -151,7 +152,8 @@ impl HubState {
             }
             StationEvent::Guess(_) => {}
             StationEvent::Answer(answer) => {
-                self.metrics.scan(answer.scan_s, answer.latency_ms / 1e3);
+                self.scan_s.observe(answer.scan_s);
+                self.latency_s.observe(answer.latency_ms / 1e3);
                 self.publish(EventKind::Answer, answer);
             }
             StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
@@ -186,6 +188,8 @@ impl Hub {
     pub fn new(settings: &Settings, orders: Sender<Command>, missed: Arc<AtomicU64>) -> Self {
         let inner = HubState {
             state: State::new(),
+            scan_s: Histogram::new(&SCAN_BOUNDS_S),
+            latency_s: Histogram::new(&LATENCY_BOUNDS_S),
             enrolls: settings.enrolls,
             viewfinder: settings.viewfinder.clone(),
             outputs: settings.outputs.clone(),
@@ -209,7 +213,9 @@ impl Hub {
     pub fn metrics(&self) -> String {
         let precision = self.settings.history.precision();
         let inner = &*self.lock();
-        inner.metrics.text(&Elsewhere {
+        let metrics = Metrics {
+            scan_s: &inner.scan_s,
+            latency_s: &inner.latency_s,
             precision: &precision,
             traffic: &self.traffic,
             outputs: &inner.outputs(),
@@ -218,7 +224,8 @@ impl Hub {
             subscribers: inner.subscribers.count(),
             dropped: inner.subscribers.dropped,
             missed: self.missed.load(Ordering::Relaxed),
-        })
+        };
+        metrics.text()
     }
 
     /// Handles an event. When all trials of an enrolment are kept, the library is read again.

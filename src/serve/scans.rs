@@ -10,7 +10,7 @@ use axum::http::header::{ACCEPT_RANGES, CONTENT_RANGE, CONTENT_TYPE, RANGE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::{get, post};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::hub::{Hub, Shared};
@@ -18,8 +18,7 @@ use super::request::{CSV, JSON_LINES, Problem, Said, aside, body, exported, labe
 use super::settings::LibraryFolder;
 use super::subscribers::EventKind;
 use crate::history::{
-    COLUMNS, Correction, Extent, HistoryError, HistoryRow, NOTES, Precision, nearest_picture,
-    write_csv,
+    COLUMNS, Correction, HistoryError, HistoryRow, NOTES, nearest_picture, write_csv,
 };
 use crate::jpeg;
 use crate::library::{About, LibraryError, recording};
@@ -191,18 +190,11 @@ async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Pr
     Ok(([(CONTENT_TYPE, "image/jpeg")], bytes).into_response())
 }
 
-#[derive(Serialize)]
-struct HistoryView {
-    #[serde(flatten)]
-    extent: Extent,
-    precision: Vec<Precision>,
-}
-
-async fn history(State(hub): Shared) -> Json<HistoryView> {
-    Json(HistoryView {
-        extent: hub.settings.history.extent(),
-        precision: hub.settings.history.precision(),
-    })
+async fn history(State(hub): Shared) -> Json<Value> {
+    let history = &hub.settings.history;
+    let mut view = json!(history.extent());
+    view["precision"] = json!(history.precision());
+    Json(view)
 }
 
 /// The truth about a scan, as a request states it. An empty request removes the correction.

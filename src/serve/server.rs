@@ -26,8 +26,7 @@ use super::hub::{self, Hub};
 use super::settings::{Limits, ServeError, Settings};
 use crate::station::{Command, Listener, StationEvent};
 
-/// A running server. Dropping it stops the server: unfinished answers get a moment, then all connections
-/// end.
+/// A running server. Dropping it ends all connections; unfinished answers get a moment before.
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
@@ -78,8 +77,7 @@ impl Server {
             runtime.block_on(async move {
                 let publishing = tokio::spawn(work(stopped.clone()));
                 accept(listener, served, &settings, stopped).await;
-                // Events that were queued before the end are still sent to subscribers that read
-                // quickly.
+                // Events queued before the end are still sent to subscribers that read quickly.
                 let _ = tokio::time::timeout(SHUTDOWN_GRACE, publishing).await;
             });
             // An edit of the library may wait long for the disk or another program, so it is given up.

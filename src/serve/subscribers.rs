@@ -126,8 +126,7 @@ impl Subscribers {
         self.subscribers.iter().any(|subscriber| subscriber.filter.holds(kind))
     }
 
-    /// Sends an event to all subscribers that want it, and `state` to those that have room again
-    /// after missing events.
+    /// Sends an event to all that want it, and `state` to those that have room again after a gap.
     pub fn publish(&mut self, kind: EventKind, event: &Bytes, state: &mut dyn FnMut() -> Bytes) {
         let dropped = &mut self.dropped;
         self.subscribers.retain_mut(|subscriber| {

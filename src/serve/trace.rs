@@ -27,7 +27,6 @@ pub struct Bins {
     pub start_s: f64,
     /// The smallest sample of each bin, in one list for each channel.
     pub min: Vec<Vec<f32>>,
-    /// The largest sample of each bin, in one list for each channel.
     pub max: Vec<Vec<f32>>,
     /// Indexes of the bins in which a channel is clipped.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -58,8 +57,7 @@ pub struct TracedStream {
     clipped: bool,
 }
 
-/// Detects where a channel is clipped, that is, where several successive samples equal the highest
-/// or lowest value so far.
+/// Detects clipping: several successive samples equal the highest or lowest value so far.
 #[derive(Clone, Debug)]
 struct ChannelLimits {
     low: f32,
@@ -134,11 +132,6 @@ impl TracedStream {
         }
     }
 
-    /// Whether new frames follow the last ones without a gap, in the same format.
-    fn continues(&self, fresh: &Fresh) -> bool {
-        (self.next, self.channels, self.rate_hz) == (fresh.start, fresh.channels, fresh.rate_hz)
-    }
-
     /// Adds new frames, and returns the bins that are now full.
     fn add(&mut self, fresh: &Fresh) -> Bins {
         let mut bins = Bins {
@@ -199,8 +192,7 @@ impl Bins {
 }
 
 impl Tracer {
-    /// Adds new data, and returns the bins and pictures to draw. After a gap or a change of rate, a
-    /// stream starts again.
+    /// Returns the bins and pictures to draw. After a gap or a change of rate, a stream starts again.
     pub fn add(&mut self, trace: &Trace) -> TraceEvent {
         let mut streams = Vec::new();
         for fresh in trace.fresh.iter().filter(|fresh| fresh.channels > 0) {
@@ -208,7 +200,8 @@ impl Tracer {
                 .streams
                 .entry(fresh.source.clone())
                 .or_insert_with(|| TracedStream::new(fresh));
-            if !stream.continues(fresh) {
+            let expected = (stream.next, stream.channels, stream.rate_hz);
+            if expected != (fresh.start, fresh.channels, fresh.rate_hz) {
                 *stream = TracedStream::new(fresh);
             }
             let bins = stream.add(fresh);

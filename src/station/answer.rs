@@ -47,8 +47,7 @@ pub struct Answer {
     /// Time from the end of the scan to its answer, in milliseconds.
     pub latency_ms: f64,
     pub scan_s: f64,
-    /// Seconds of scan until the answer was settled (see [`super::Guess`]); `None` if it never was,
-    /// or if the scan was not followed.
+    /// Seconds of scan until the answer was settled (see [`super::Guess`]); `None` if it never was.
     pub settled_s: Option<f64>,
     /// Number of frames and pictures lost during the scan.
     pub lost_samples: u64,
@@ -152,8 +151,7 @@ impl Answer {
     }
 }
 
-/// The permanent id of an answer, such as `20260921-143000.123-07`, and its time in milliseconds
-/// since 1970.
+/// The id of an answer, such as `20260921-143000.123-07`, and its time in milliseconds since 1970.
 fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
     let unix_ms = unix_ms(now);
     let date = utc(now).replace(['-', ':', 'Z'], "").replace('T', "-");

@@ -25,14 +25,12 @@ pub struct SurfaceProbability {
 pub struct Guess {
     pub scan: u32,
     pub scan_s: f64,
-    /// The state of the answer if the scan ended now; `None` as long as it cannot be told whether
-    /// the surface is unknown.
+    /// The state of the answer if the scan ended now; `None` until unknown surfaces can be recognised.
     pub state: Option<AnswerState>,
     /// The most probable surfaces, at most five; empty while the scan cannot be compared yet.
     pub named: Vec<SurfaceProbability>,
     pub damage: Vec<Damage>,
-    /// Whether the answer is settled, so that a longer drag would give the same answer, except for a
-    /// stated loss of accuracy.
+    /// Whether a longer drag would give the same answer, except for a stated loss of accuracy.
     pub settled: bool,
     /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
@@ -149,8 +147,7 @@ pub enum Command {
     Ping,
     /// Read the library and the plan again, without dropping a sample.
     Reload,
-    /// End the scan in progress, name it, and stop the station within 5 s. If there is no time to
-    /// name a scan, a warning says so.
+    /// End and name the scan in progress, and stop within 5 s; a warning tells of unnamed scans.
     Quit,
 }
 

@@ -28,8 +28,7 @@ struct Order {
     kept: u32,
     /// The order's last scan, if it was refused.
     refused: Option<RefusedScan>,
-    /// Number of scans that are being written.
-    under_way: u32,
+    being_written: u32,
     /// Number of the first scan that the order covers.
     from: u32,
     /// Number of the first scan that the order no longer covers; `None` while it is in force.
@@ -39,7 +38,7 @@ struct Order {
 impl Order {
     fn new(order: u64, keep: Keep, from: u32) -> Self {
         let enrolment = Enrolment { order, keep };
-        Self { enrolment, kept: 0, refused: None, under_way: 0, from, until: None }
+        Self { enrolment, kept: 0, refused: None, being_written: 0, from, until: None }
     }
 
     /// Number of trials still to be kept; `None` if every scan is kept.
@@ -49,7 +48,7 @@ impl Order {
 
     /// Number of scans still to come; `None` if every scan is kept.
     fn to_come(&self) -> Option<u32> {
-        self.wanted().map(|wanted| wanted.saturating_sub(self.under_way))
+        self.wanted().map(|wanted| wanted.saturating_sub(self.being_written))
     }
 
     fn keeps(&self, scan: u32) -> bool {
@@ -60,7 +59,7 @@ impl Order {
     /// Whether the order has all its trials, or covers no scan to come while no scan is being written.
     fn is_over(&self) -> bool {
         let covers_none = self.until.is_some_and(|until| until <= self.from);
-        self.wanted() == Some(0) || covers_none && self.under_way == 0
+        self.wanted() == Some(0) || covers_none && self.being_written == 0
     }
 }
 
@@ -109,7 +108,7 @@ impl Orders {
         }
         let mut all = self.given.iter_mut().rev().chain(&mut self.own);
         let enrolment = all.find(|order| order.keeps(number)).map(|order| {
-            order.under_way += 1;
+            order.being_written += 1;
             order.enrolment.clone()
         });
         self.forget();
@@ -121,7 +120,7 @@ impl Orders {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         if let Some(order) = all.find(|order| order.enrolment.order == of.order) {
             let ended = enrolled.outcome != EnrolledOutcome::Waiting;
-            order.under_way = order.under_way.saturating_sub(u32::from(ended));
+            order.being_written = order.being_written.saturating_sub(u32::from(ended));
             order.kept += u32::from(enrolled.outcome == EnrolledOutcome::Kept);
             let (scan, reasons) = (enrolled.scan, &enrolled.remarks);
             order.refused = (enrolled.outcome == EnrolledOutcome::Refused)
@@ -140,7 +139,7 @@ impl Orders {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         let order = all.find(|o| o.refused.as_ref().is_some_and(|last| last.scan == scan))?;
         order.refused = None;
-        order.under_way += 1;
+        order.being_written += 1;
         Some(order.enrolment.clone())
     }
 

@@ -89,8 +89,7 @@ impl Recogniser {
         settling.collect()
     }
 
-    /// A scan's model, and the options for following the scan. `truth` only picks the model that was made
-    /// without that scan.
+    /// A scan's model, made without the scan if `truth` names a trial, and the options to follow it.
     fn model(&self, truth: Option<&TrialKey>) -> (&Arc<dyn Model>, &FollowOptions) {
         let at = truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0);
         (&self.models[at], &self.following[at])
@@ -121,8 +120,7 @@ impl Recogniser {
         flaws.iter().filter_map(of).collect()
     }
 
-    /// Whether a channel (counted from 0) ever changes in the library; `truth` is the scan's
-    /// [`Scan::truth`].
+    /// Whether a channel (counted from 0) changes in the library that names a scan of this `truth`.
     pub(super) fn moves(&self, truth: Option<&TrialKey>, id: &SourceId, channel: usize) -> bool {
         let embedding = self.model(truth).0.clone().embedding();
         embedding.is_none_or(|embedding| embedding.moves(id, channel))
@@ -138,8 +136,7 @@ impl Recogniser {
         self.damage(truth, &found)
     }
 
-    /// The state of the answer if the scan in progress ended now; `None` as long as it cannot be
-    /// told whether the surface is unknown.
+    /// The state of the answer if the scan ended now; `None` until unknown surfaces can be recognised.
     pub(super) fn state_so_far(
         &self,
         truth: Option<&TrialKey>,
@@ -298,8 +295,7 @@ impl LibraryState {
 pub struct Why {
     pub winner: String,
     pub runner_up: Option<String>,
-    /// The sources, sorted by how strongly they favour the winner, the strongest first. Empty if
-    /// the method cannot separate sources.
+    /// The sources, those that favour the winner most first; empty if the method cannot separate them.
     pub sources: Vec<SourceSays>,
     /// Sources that were not compared, and the reasons, a line each.
     pub left_out: Vec<String>,

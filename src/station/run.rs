@@ -168,8 +168,7 @@ impl<'a> StationRun<'a> {
                 true => self.give_up_naming(),
                 false => self.hand_on(),
             }
-            let waits = [self.to_do.is_empty(), self.in_hand.is_empty(), self.kept.is_empty()];
-            let is_idle = waits == [true; 3];
+            let is_idle = self.to_do.is_empty() && self.in_hand.is_empty() && self.kept.is_empty();
             if finished && is_idle {
                 return;
             }
@@ -362,25 +361,12 @@ impl<'a> StationRun<'a> {
             recording.store(scan, enrolment, self.naming.clone().ok());
             return self.report_order();
         }
-        self.to_do.push_back(Job::Scan(scan));
-        self.limit_backlog();
-    }
-
-    /// Drops the oldest scan, and the progress before it, if too many scans wait.
-    fn limit_backlog(&mut self) {
         let waiting = self.to_do.iter().filter(|job| matches!(job, Job::Scan(_))).count();
-        if waiting <= BACKLOG || self.waits {
-            return;
-        }
-        if let Some(at) = self.to_do.iter().position(|job| matches!(job, Job::Scan(_)))
-            && let Some(Job::Scan(scan)) = self.to_do.remove(at)
-        {
-            self.to_do.retain(
-                |job| !matches!(job, Job::Progress(progress) if progress.number == scan.number),
-            );
+        if waiting >= BACKLOG && !self.waits {
             let from = scan.ended_at;
-            self.answered(unnamed(scan, "too many scans were waiting", false, from));
+            return self.answered(unnamed(scan, "too many scans are waiting", false, from));
         }
+        self.to_do.push_back(Job::Scan(scan));
     }
 
     /// Queues progress of a scan. It is joined to the newest job if that job is progress of this scan.

@@ -96,8 +96,7 @@ impl RecordingThread {
         settle(&mut self.under_way, enrolled);
     }
 
-    /// Tries a last time to write the waiting scans, and returns the last outcomes. Data not
-    /// written by `until` is lost.
+    /// Tries a last time to write the waiting scans. Data not written by `until` is lost.
     pub fn finish(self, until: Option<Instant>) -> Vec<StoredScan> {
         let Self { scans, stored, working, mut under_way } = self;
         drop((scans, working));

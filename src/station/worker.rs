@@ -190,7 +190,6 @@ impl Followed {
         Some((ranking, scan.trial.signals.keys().filter_map(flaws_of).collect()))
     }
 
-    /// The scan time, in seconds, at which the answer to a scan was settled.
     fn settled_s(&self, scan: u32) -> Option<f64> {
         let last = self.last.as_ref().filter(|_| self.scan == scan)?;
         last.settled.as_ref().map(|(_, at)| *at)

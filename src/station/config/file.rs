@@ -234,13 +234,12 @@ pub(super) fn source_of<T>(
 ) -> Result<SourceId, Mistake> {
     let id = known(name, parts, scene)?;
     let expected = scene.get(name).map_or(0, |spec| spec.channels);
-    match parts.get_ref().len() {
-        found if found == expected => Ok(id),
-        found => {
-            let problem = format!("{name}: {what}: {found}, but the source has {expected}");
-            mistake(parts, problem)
-        }
+    let found = parts.get_ref().len();
+    if found != expected {
+        let problem = format!("{name}: {what}: {found}, but the source has {expected}");
+        return mistake(parts, problem);
     }
+    Ok(id)
 }
 
 /// Refuses settings for sources that `sources` lacks, except default settings.

@@ -38,8 +38,8 @@ pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mi
     let mut streams = Vec::new();
     for (name, columns) in sources {
         let id = source_of(name, "columns", columns, scene)?;
-        for column in columns.get_ref() {
-            place(column).or_else(|problem| mistake(columns, format!("{name}: {problem}")))?;
+        if columns.get_ref().contains(&Column::Place(0)) {
+            return mistake(columns, format!("{name}: {NO_COLUMN}"));
         }
         let scale = scale.get(name).map(|scale| positive("scale", scale)).transpose()?;
         streams.push(LinesStream { id, columns: columns.get_ref().clone(), scale });
@@ -47,16 +47,13 @@ pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mi
     Ok(LinesConfig { address, rate_hz, count, streams })
 }
 
-fn place(column: &Column) -> Result<(), String> {
-    match column {
-        Column::Place(0) => Err("column 0; columns are counted from 1".into()),
-        _ => Ok(()),
-    }
-}
+const NO_COLUMN: &str = "column 0; columns are counted from 1";
 
 fn checked(column: &Spanned<Column>) -> Result<&Column, Mistake> {
-    place(column.get_ref()).or_else(|problem| mistake(column, problem))?;
-    Ok(column.get_ref())
+    match column.get_ref() {
+        Column::Place(0) => mistake(column, NO_COLUMN),
+        column => Ok(column),
+    }
 }
 
 /// The name given to the source of all measuring columns, if the user named no source.

@@ -207,8 +207,7 @@ fn cut(source: &SourceId, stream: &SourceId, scene: &Scene) -> CutFrom {
     CutFrom { source: source.clone(), stream: stream.clone(), phase, channels }
 }
 
-/// Groups of streams that show contact: first those of the stylus, then of each sensor of lines, then
-/// of the microphone.
+/// The streams that show contact, in groups: stylus, then each sensor of lines, then microphone.
 fn groups(
     listen: &BTreeMap<String, Spanned<SensorKind>>,
     config: &StationConfig,
