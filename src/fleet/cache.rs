@@ -60,7 +60,6 @@ pub(super) struct Snapshot {
 }
 
 impl Snapshot {
-    /// The text of each answer, from the oldest to the newest.
     pub fn texts(&self) -> impl Iterator<Item = Result<String, HistoryError>> + '_ {
         self.spans.iter().map(|span| self.log.answer_text(*span))
     }

@@ -250,7 +250,6 @@ impl Hub {
         }
     }
 
-    /// Adds a subscriber; `None` if there are too many.
     pub fn subscribe(&self, filter: EventFilter) -> Option<EventStream> {
         let inner = &mut *self.lock();
         if inner.subscribers.count() >= self.settings.limits.readers {

@@ -99,7 +99,6 @@ pub async fn aside<T: Send + 'static>(
     done.unwrap_or_else(|_| Err(Problem::Failed("this failed; please report it".into())))
 }
 
-/// Content types of past scans.
 pub const CSV: &str = "text/csv; charset=utf-8";
 pub const JSON_LINES: &str = "application/jsonl";
 /// The text is sent in blocks of `PIECE` bytes, of which at most `PIECES` may wait for the client.

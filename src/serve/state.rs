@@ -68,7 +68,6 @@ pub struct WarningView {
 pub struct SessionCounts {
     /// Number of scans that were named or called unknown.
     pub scans: u64,
-    /// Number of these scans that were called unknown.
     pub unknown: u64,
     /// Number of these scans that have the nearest surface as name, with reasons for doubt.
     pub unsure: u64,

@@ -109,7 +109,6 @@ pub struct Subscribers {
 }
 
 impl Subscribers {
-    /// Adds a subscriber; the first event of its stream is `first`.
     pub fn subscribe(&mut self, filter: EventFilter, first: Bytes) -> EventStream {
         let (queue, events) = channel(QUEUE);
         let mut subscriber = Subscriber { queue, filter, missed: 0 };

@@ -252,7 +252,6 @@ impl Recogniser {
     }
 }
 
-/// Serialises each surface as a JSON object.
 fn as_rows<S: Serializer>(surfaces: &[(String, usize)], to: S) -> Result<S::Ok, S::Error> {
     let row = |(surface, trials): &_| serde_json::json!({ "surface": surface, "trials": trials });
     to.collect_seq(surfaces.iter().map(row))
