@@ -49,7 +49,7 @@ fn config(http: Option<String>, mqtt: Option<String>) -> OutputsConfig {
 
 /// The only output of a configuration.
 fn start(config: &OutputsConfig, folder: &Path) -> Output {
-    let history = Arc::new(History::in_memory());
+    let history = Arc::new(History::default());
     let page = Arc::new("http://127.0.0.1:8080".to_string().into());
     Output::start(config, folder, (&history, &page)).unwrap().pop().unwrap()
 }

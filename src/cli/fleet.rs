@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use super::keys::watch_signals;
 use super::serve::ServeArgs;
 use super::{Done, Failure};
-use crate::fleet::{self, FleetError};
+use crate::fleet;
 use crate::serve::Settings;
 use crate::station::config::{MqttAddress, TlsFiles};
 
@@ -63,15 +63,11 @@ pub fn run(args: &Args) -> Done {
     let address = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), PORT);
     let serve = args.serve.settings(Settings { address, ..Settings::default() })?;
     let most_bytes = u64::from(args.keep_mb) * 1_000_000;
-    let server = fleet::start(broker, &cache, most_bytes, &serve);
-    let server = server.map_err(|error| match error {
-        FleetError::Serve(error) => super::serve::failure(error),
-        FleetError::File(error) => Failure::from(error),
-    })?;
+    let server = fleet::start(broker, &cache, most_bytes, &serve).map_err(super::serve::failure)?;
     let signals = watch_signals(crossbeam_channel::unbounded().0)?;
     say!("http://{}", server.address());
     let _ = signals.recv();
-    server.stop();
+    drop(server);
     Ok(())
 }
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::{Done, Failure, show};
-use crate::history::{Correction, CsvWriter, FOLDER, History, HistoryRow, Precision};
+use crate::history::{COLUMNS, Correction, FOLDER, History, HistoryRow, Precision, write_csv};
 
 /// Show past scans: answers, their states and reasons, and corrections
 ///
@@ -41,19 +41,18 @@ pub fn run(args: &Args) -> Done {
     if args.precision {
         return precision(&history.precision(), args.json);
     }
-    let mut csv = if args.csv { Some(CsvWriter::new(std::io::stdout())?) } else { None };
     let passed = history.extent().scans.saturating_sub(args.last.unwrap_or(usize::MAX));
+    if args.csv {
+        return Ok(write_csv(std::io::stdout(), COLUMNS, history.values().skip(passed))?);
+    }
     let mut rows = Vec::new();
     for row in history.rows().skip(passed) {
-        match &mut csv {
-            Some(csv) => csv.scan(&row?)?,
-            None if args.json => show::json(&row?),
-            None => rows.push(cells(row?)),
+        match args.json {
+            true => show::json(&row?),
+            false => rows.push(cells(row?)),
         }
     }
-    if let Some(csv) = csv {
-        csv.finish()?;
-    } else if !args.json {
+    if !args.json {
         show::table(&["scan", "state", "surface", ">drag", "it was", "reasons"], rows);
     }
     Ok(())

@@ -74,6 +74,12 @@ impl JsonLines {
             self.dropped += 1;
         }
     }
+
+    fn warn(&mut self, text: String) {
+        if self.warnings.len() < WARNINGS {
+            self.warnings.push(text);
+        }
+    }
 }
 
 impl Listener for JsonLines {
@@ -83,10 +89,9 @@ impl Listener for JsonLines {
             StationEvent::Answer(answer) => self.print(Some(&**answer)),
             StationEvent::Enrolled(enrolled) => self.print(Some(enrolled)),
             StationEvent::Finished(_) if !self.warnings.is_empty() => self.print(None::<&()>),
-            _ => {
-                let room = WARNINGS.saturating_sub(self.warnings.len());
-                self.warnings.extend(event.warning().map(String::from).into_iter().take(room));
-            }
+            StationEvent::Warning(text) => self.warn(text.clone()),
+            StationEvent::Unnamed(answer) => self.warn(answer.not_named()),
+            _ => {}
         }
         if last {
             self.lines = None;

@@ -151,10 +151,11 @@ pub fn load(
             ready.map_err(Failure::text)?;
         remarks.iter().for_each(|remark| say!("{remark}"));
         let lasting = how.lasting(&accuracy, &model).map_err(Failure::text)?;
-        let mut by = Recogniser::new(model, scene, state).with_trials(&entries).lasting(lasting.0);
+        let mut by = Recogniser::new(model, scene, state).with_trials(&entries);
+        by.needed_s = lasting.0;
         answers.apply(&mut by).map_err(|error| error.to_string())?;
-        by.add_remarks(lasting.1.as_slice());
-        by.add_remarks(&bad_files::skipped());
+        by.library.remarks.extend(lasting.1);
+        by.library.remarks.extend(bad_files::skipped());
         Ok(Arc::new(by))
     })
 }
@@ -222,7 +223,8 @@ pub fn work(
     };
     let library = LibraryFolder { folder: store.folder.clone(), scene: store.scene.clone() };
     let devices = store.devices.clone();
-    let mut station = Station::new(assembled.devices, options).store(store);
+    let mut station = Station::new(assembled.devices, options);
+    station.store = Some(store);
     let commands = station.commands();
     // A library of another layout would not find new trials, so no scans are enrolled there.
     let enrolls = !dataset::is_foreign(&library.folder);
@@ -238,11 +240,12 @@ pub fn work(
     if let Some(load) = work.load {
         let sources = (&library.scene, devices);
         station = keep_and_send(station, config, &library.folder, sources, (&mut settings, &page))?;
-        station = station.load(load);
+        station.load = Some(load);
     }
     if let Some((order, kept)) = work.keep {
         let counter = KeptCounter { commands: commands.clone(), order: order.clone(), kept };
-        station = station.keep(order).listener(counter);
+        station.keep = Some(order);
+        station = station.listener(counter);
     }
     if let Some(flasher) = assembled.flasher {
         station = station.listener(flasher);

@@ -264,7 +264,7 @@ impl AnswerArgs {
         }
         let settling = by.calibrate(self.settle_loss);
         remarks.extend(on_settling(&settling));
-        by.add_remarks(&remarks);
+        by.library.remarks.extend_from_slice(&remarks);
         Ok((!settling.is_empty(), remarks))
     }
 }

@@ -192,7 +192,8 @@ fn play(
     if let Some(folder) = library {
         let (folder, scene) = (folder.clone(), stage.scene.clone());
         let load = live::load(&folder, &scene, how, (&args.answers, &args.accuracy), None);
-        station = station.load(load).store(ScanStore::new(folder.clone(), scene.clone()));
+        station.load = Some(load);
+        station.store = Some(ScanStore::new(folder.clone(), scene.clone()));
         settings.check = Some(live::check(&folder, how));
         settings.library = Some(LibraryFolder { folder, scene });
     }
@@ -222,7 +223,7 @@ fn play(
         (made, _) => made?,
     };
     drop(reading);
-    station = station.recogniser(Arc::new(recogniser));
+    station.recogniser = Some(Arc::new(recogniser));
     if follows {
         station.options.progress_every_s = Some(LOOK_S);
     }
@@ -235,7 +236,7 @@ fn play(
     if let (Some(server), Some(signals)) = (server, signals) {
         // The page is served until a signal arrives.
         let _ = signals.recv();
-        server.stop();
+        drop(server);
     }
     if let Some((name, error)) = totals.failed.first() {
         return Err(Failure::Failed(format!("{name}: {error}")));
@@ -267,10 +268,10 @@ fn recogniser(
     let compared = stage.compared();
     let library = LibraryState::of(&stage.name, &compared, stage.synthetic);
     let mut recogniser = Recogniser::with_folds(models, fold_of, stage.scene.clone(), library)
-        .with_trials(&compared)
-        .lasting(needed_s);
+        .with_trials(&compared);
+    recogniser.needed_s = needed_s;
     let (follows, remarks) = args.answers.apply(&mut recogniser)?;
-    recogniser.add_remarks(lasting.as_slice());
+    recogniser.library.remarks.extend(lasting.clone());
     if say::is_verbose() {
         remarks.iter().for_each(|remark| say!("{remark}"));
     }

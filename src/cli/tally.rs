@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::{Done, Failure, say, show};
 use crate::evaluate::{Share, percentile};
 use crate::scene::SourceId;
-use crate::station::{Answer, AnswerState, Listener, Remark, RemarkKind, StationEvent};
+use crate::station::{Answer, AnswerState, Listener, Remark, StationEvent};
 
 /// The answers of a replay so far, and its warnings.
 #[derive(Default)]
@@ -14,8 +14,8 @@ pub struct Tally {
     each: bool,
     total: usize,
     answers: Vec<Arc<Answer>>,
-    /// Number of remarks by kind and source. Only the first remark of a kind and source is printed.
-    remarks: BTreeMap<(RemarkKind, Option<SourceId>), usize>,
+    /// Number of remarks by source. Only the first remark of a source is printed.
+    remarks: BTreeMap<Option<SourceId>, usize>,
     damages: usize,
     /// Number of scans with too little data to be named.
     too_little: usize,
@@ -26,9 +26,9 @@ impl Listener for Tally {
         match event {
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Warning(text) => self.damage(text),
-            StationEvent::Unnamed(unnamed) => {
-                self.too_little += usize::from(unnamed.too_little);
-                self.damage(&unnamed.text);
+            StationEvent::Unnamed(answer) => {
+                self.too_little += usize::from(answer.too_little);
+                self.damage(&answer.not_named());
             }
             _ => {}
         }
@@ -87,7 +87,7 @@ impl Tally {
     }
 
     fn remark(&mut self, remark: &Remark, scan: u32) {
-        let count = self.remarks.entry((remark.kind, remark.source.clone())).or_insert(0);
+        let count = self.remarks.entry(remark.source.clone()).or_insert(0);
         *count += 1;
         if *count == 1 {
             say!("warning: scan {scan}: {}", remark.text);
@@ -153,9 +153,8 @@ impl Tally {
         }
         let mut left_out: BTreeMap<&SourceId, usize> = BTreeMap::new();
         for answer in &self.answers {
-            let flawed = answer.remarks.iter().filter(|remark| remark.kind == RemarkKind::Flaw);
             let sources: BTreeSet<&SourceId> =
-                flawed.filter_map(|remark| remark.source.as_ref()).collect();
+                answer.remarks.iter().filter_map(|remark| remark.source.as_ref()).collect();
             // A source with a flawed channel may still have been used, so `sources` decides.
             for source in sources.into_iter().filter(|source| !answer.sources.contains(source)) {
                 *left_out.entry(source).or_default() += 1;

@@ -145,8 +145,8 @@ impl Listener for Terminal {
             StationEvent::Enrolled(enrolled) => self.enrolled(enrolled),
             StationEvent::Library(library) => self.library(library),
             StationEvent::Warning(text) => tracing::warn!("{text}"),
-            StationEvent::Unnamed(unnamed) => {
-                tracing::warn!("{}", unnamed.text);
+            StationEvent::Unnamed(answer) => {
+                tracing::warn!("{}", answer.not_named());
                 self.last = Some("not named".into());
             }
             StationEvent::Finished(totals) => {

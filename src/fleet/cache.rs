@@ -7,10 +7,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::history::HistoryError;
-use crate::history::log::{Log, Span, hold};
+use crate::history::log::{Log, Span};
 use crate::record::edit::is_plain;
 use crate::station::AnswerState;
-use crate::system::Locked;
 
 const LOG: &str = "answers.jsonl";
 const LONGEST_ID: usize = 64;
@@ -46,8 +45,6 @@ pub(super) struct Cache {
     most: u64,
     /// Answers before this time may be missing, since they were dropped to make room for newer ones.
     floor_ms: u64,
-    /// Keeps the cache locked while it is in use.
-    _lock: Locked,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -63,22 +60,19 @@ pub(super) struct Snapshot {
 }
 
 impl Snapshot {
-    /// The text of each answer, from the oldest to the newest.
     pub fn texts(&self) -> impl Iterator<Item = Result<String, HistoryError>> + '_ {
         self.spans.iter().map(|span| self.log.answer_text(*span))
     }
 }
 
 impl Cache {
-    /// Opens the cache in a folder. Creates the folder if necessary.
     pub fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
-        let lock = hold(folder, "lock")?;
-        let log = Log::open(&folder.join(LOG), false)?;
+        let log = Log::hold(folder, LOG, "lock")?;
         let mut entries = BTreeMap::new();
         for (Line { answer: head }, span) in log.read::<Line>(u64::MAX)? {
             entries.insert(key(&head), Entry { span, state: head.state });
         }
-        let mut cache = Self { log, entries, most, floor_ms: 0, _lock: lock };
+        let mut cache = Self { log, entries, most, floor_ms: 0 };
         cache.make_room()?;
         Ok(cache)
     }
@@ -105,11 +99,10 @@ impl Cache {
         if self.log.bytes <= self.most {
             return Ok(());
         }
-        let mut left = self.most / 4 * 3;
+        let (mut bytes, most) = (0, self.most / 4 * 3);
         let fits = |entry: &&Entry| {
-            let rest = left.checked_sub(u64::from(entry.span.length) + 1);
-            left = rest.unwrap_or(left);
-            rest.is_some()
+            bytes += u64::from(entry.span.length) + 1;
+            bytes <= most
         };
         let kept = self.entries.values().rev().take_while(fits).count();
         for _ in kept..self.entries.len() {
@@ -156,7 +149,6 @@ impl Cache {
         wanted.take(most).map(|(_, entry)| self.log.answer_text(entry.span)).collect()
     }
 
-    /// All answers at this moment, of one station or of all.
     pub fn snapshot(&self, station: Option<&str>) -> Result<Snapshot, HistoryError> {
         let wanted =
             self.entries.iter().filter(|(key, _)| station.is_none_or(|name| key.2 == name));

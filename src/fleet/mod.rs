@@ -2,37 +2,33 @@
 //!
 //! A fleet names no scans itself. Answers and states come from the broker, through a lasting
 //! session with acknowledgements, and are stored in a bounded [`cache`] on disk. Answers that the
-//! broker or the cache has lost are read from the stations' histories ([`refill`]). [`api`] serves
+//! broker or the cache has lost are read from the stations' histories. [`api`] serves
 //! the page and the HTTP API.
 
 mod api;
 mod cache;
-mod refill;
 mod state;
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
+use axum::body::{Body, to_bytes};
+use axum::http::{Request, StatusCode};
 use rumqttc::{Event, MqttOptions, Packet, QoS};
+use serde::Deserialize;
 use serde_json::Value;
+use tokio::time::{sleep, timeout};
 
 use self::cache::Cache;
 use self::state::Stations;
 use crate::history::HistoryError;
 use crate::outputs::BackOff;
-use crate::outputs::broker::{self, Line};
+use crate::outputs::http;
+use crate::outputs::mqtt::{self, Line};
 use crate::serve::{ServeError, Server, Settings, Traffic};
-use crate::station::config::{MqttAddress, is_segment, machine_name};
+use crate::station::config::{HttpAddress, MqttAddress, is_segment, machine_name};
 
-#[derive(Debug, thiserror::Error)]
-pub enum FleetError {
-    #[error(transparent)]
-    File(#[from] HistoryError),
-    #[error(transparent)]
-    Serve(#[from] ServeError),
-}
-
-/// State shared by the handlers of requests and messages.
 #[derive(Debug)]
 struct Fleet {
     inner: Mutex<Inner>,
@@ -65,23 +61,19 @@ impl Fleet {
     }
 }
 
-/// Shows the stations of a broker until the server is dropped. Answers are kept in `folder`, which
-/// takes at most `most_bytes`.
-///
-/// # Errors
-/// If the cache or a certificate cannot be read, if another fleet uses the cache, or those of
-/// [`Server::start`].
+/// Shows the stations of a broker until the server is dropped. `folder` keeps the answers.
 pub fn start(
     address: MqttAddress,
     folder: &Path,
     most_bytes: u64,
     serve: &Settings,
-) -> Result<Server, FleetError> {
-    let cache = Cache::open(folder, most_bytes)?;
+) -> Result<Server, ServeError> {
+    let system = |error: HistoryError| ServeError::System(error.into());
+    let cache = Cache::open(folder, most_bytes).map_err(system)?;
     // The broker finds our session by this name, so the name must be the same after a restart.
     let place = format!("{}:{}", machine_name(), folder.display());
     let client = format!("surfaced-fleet-{:08x}", crc32fast::hash(place.as_bytes()));
-    let mut options = broker::options(&address, client)?;
+    let mut options = mqtt::options(&address, client).map_err(system)?;
     options.set_clean_session(false).set_manual_acks(true);
     let stations = Stations::of(&cache);
     let problem = Some("connecting".into());
@@ -91,15 +83,14 @@ pub fn start(
     let work = |mut stopped: tokio::sync::watch::Receiver<bool>| async move {
         tokio::select! {
             () = subscribe(&fleet, &options, &address.prefix) => {}
-            () = refill::refill(&fleet) => {}
+            () = refill(&fleet) => {}
             _ = stopped.wait_for(|stop| *stop) => {}
         }
     };
-    Ok(Server::serve(serve, served, work)?)
+    Server::serve(serve, served, work)
 }
 
-/// Subscribes to all stations, and reconnects whenever the connection breaks. A message is
-/// acknowledged after it was written to disk.
+/// Subscribes to all stations, anew after each break. A message is acknowledged once it is on disk.
 async fn subscribe(fleet: &Fleet, options: &MqttOptions, prefix: &str) {
     let mut back_off = BackOff::new();
     loop {
@@ -134,7 +125,7 @@ async fn subscribe(fleet: &Fleet, options: &MqttOptions, prefix: &str) {
         if before.is_none_or(|before| before == "connecting") {
             tracing::warn!("the broker is not connected: {why}; it is tried again");
         }
-        tokio::time::sleep(back_off.next()).await;
+        sleep(back_off.next()).await;
     }
 }
 
@@ -155,4 +146,85 @@ fn take(fleet: &Fleet, prefix: &str, topic: &str, payload: &[u8]) -> Result<(), 
         _ => inner.answered(station, &said)?,
     }
     Ok(())
+}
+
+/// Interval at which stations with missing answers are looked for.
+const EVERY: Duration = Duration::from_secs(1);
+/// How many answers one request asks for. The reply may have at most `LARGEST` bytes.
+const A_REQUEST: usize = 200;
+const LARGEST: usize = 32 << 20;
+const MOST_REQUESTS_A_STATION: usize = 500;
+const REPLY_PATIENCE: Duration = Duration::from_secs(10);
+
+#[derive(Deserialize)]
+struct Scans {
+    scans: Vec<Value>,
+}
+
+/// Reads missing answers, one station after the other, without end.
+async fn refill(fleet: &Fleet) {
+    loop {
+        sleep(EVERY).await;
+        loop {
+            let next = fleet.lock().stations.next_to_read();
+            let Some((station, page, from_ms)) = next else { break };
+            let done = read(fleet, &station, &page, from_ms).await;
+            fleet.lock().stations.was_read(&station, from_ms, done);
+        }
+    }
+}
+
+/// Reads the history of a station, from the newest scan back to the time `from_ms`.
+async fn read(fleet: &Fleet, station: &str, page: &str, from_ms: u64) -> Result<(), String> {
+    let address: HttpAddress = page.parse()?;
+    let mut before = String::new();
+    for _ in 0..MOST_REQUESTS_A_STATION {
+        let scans = request(&address, &before).await?;
+        let is_last = scans.len() < A_REQUEST;
+        let oldest_ms = scans.last().and_then(|scan| scan["unix_ms"].as_u64()).unwrap_or(0);
+        before = format!(
+            "&before={}",
+            scans.last().and_then(|scan| scan["id"].as_str()).unwrap_or_default()
+        );
+        for scan in scans {
+            add(fleet, station, scan)?;
+        }
+        if is_last || oldest_ms < from_ms {
+            break;
+        }
+    }
+    Ok(())
+}
+
+fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Result<(), String> {
+    // Outputs send no answer for a scan that could not be compared, so it is skipped here too.
+    let was_compared = scan["state"] != "unnamed";
+    let Some(fields) = scan.as_object_mut().filter(|_| was_compared) else { return Ok(()) };
+    fields.insert("station".into(), station.into());
+    // Corrections belong to the station and may change there, so they are removed.
+    for said in ["correction", "became", "kept"] {
+        fields.remove(said);
+    }
+    fleet.lock().answered(station, &scan)
+}
+
+async fn request(address: &HttpAddress, before: &str) -> Result<Vec<Value>, String> {
+    let path = format!("/api/v1/scans?limit={A_REQUEST}{before}");
+    let request = Request::get(path).body(Body::empty()).map_err(|error| error.to_string())?;
+    let reply = timeout(REPLY_PATIENCE, async {
+        let reply = http::send(address, request).await?;
+        let status = reply.status();
+        let body = to_bytes(Body::new(reply.into_body()), LARGEST).await;
+        Ok::<_, String>((status, body.map_err(|error| error.to_string())))
+    });
+    let (status, body) = reply.await.map_err(|_| "its page gives no answer")??;
+    match status {
+        StatusCode::OK => {}
+        StatusCode::UNAUTHORIZED => return Err("its page asks for a token".into()),
+        StatusCode::MISDIRECTED_REQUEST => {
+            return Err("its page answers only its own machine; run `surfaced fleet` there".into());
+        }
+        other => return Err(format!("its page answers {other}")),
+    }
+    serde_json::from_slice(&body?).map(|Scans { scans }| scans).map_err(|error| error.to_string())
 }

@@ -3,8 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
-use serde::Serialize;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 use super::cache::{Cache, Head};
 use crate::serve::unix_ms;
@@ -28,7 +27,6 @@ pub(super) struct Stations(BTreeMap<String, Station>);
 
 #[derive(Debug, Default)]
 struct Station {
-    /// The last published state.
     card: Map<String, Value>,
     /// When the station's `state` last changed, in milliseconds since 1970.
     since_unix_ms: u64,
@@ -43,19 +41,6 @@ struct Station {
     not_before: Option<Instant>,
     /// The reason why the history could not be read; `None` after a success.
     page_problem: Option<String>,
-}
-
-#[derive(Serialize)]
-struct StationView<'a> {
-    station: &'a str,
-    #[serde(flatten)]
-    card: &'a Map<String, Value>,
-    since_unix_ms: u64,
-    page_problem: Option<&'a str>,
-    /// Counts over the last ten minutes.
-    scans_10_min: u64,
-    unknown_10_min: u64,
-    answers: &'a VecDeque<Head>,
 }
 
 impl Stations {
@@ -77,7 +62,6 @@ impl Stations {
         Some(self.0.entry(name.into()).or_default())
     }
 
-    /// Updates a station with a new answer.
     pub fn answered(&mut self, head: &Head) {
         let Some(station) = self.named(&head.station) else { return };
         let unix_ms = head.unix_ms;
@@ -146,7 +130,6 @@ impl Stations {
         }
     }
 
-    /// The view of all stations, for programs.
     pub fn view(&self, cache: &Cache) -> Value {
         let mut counts: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
         for (name, is_unknown) in cache.since(unix_ms().saturating_sub(COUNTED.as_millis() as u64))
@@ -155,19 +138,19 @@ impl Stations {
             (*scans, *unknown) = (*scans + 1, *unknown + u64::from(is_unknown));
         }
         let view = |(name, station): (&String, &Station)| {
-            let (scans_10_min, unknown_10_min) =
-                counts.get(name.as_str()).copied().unwrap_or_default();
-            let view = StationView {
-                station: name,
-                card: &station.card,
-                since_unix_ms: station.since_unix_ms,
-                page_problem: station.page_problem.as_deref(),
-                scans_10_min,
-                unknown_10_min,
-                answers: &station.recent,
-            };
-            // The view consists of plain structs, numbers and text, so serialising cannot fail.
-            serde_json::to_value(view).unwrap_or_default()
+            let (scans, unknown) = counts.get(name.as_str()).copied().unwrap_or_default();
+            let mut view = json!({
+                "station": name,
+                "since_unix_ms": station.since_unix_ms,
+                "page_problem": station.page_problem,
+                "scans_10_min": scans,
+                "unknown_10_min": unknown,
+                "answers": station.recent,
+            });
+            if let Some(fields) = view.as_object_mut() {
+                fields.extend(station.card.clone());
+            }
+            view
         };
         self.0.iter().map(view).collect()
     }
@@ -182,8 +165,6 @@ impl Station {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
 
     fn answered(stations: &mut Stations, sequence: Option<u64>, unix_ms: u64) {

@@ -1,52 +1,31 @@
 //! Past scans as CSV, with a header line and then one line per scan.
 
-use std::io::Write;
+use std::io::{self, Write};
 
-use serde::Serialize;
 use serde_json::Value;
 
-/// The columns. They are fields of an answer, its correction and its trial; lists have semicolons.
-const COLUMNS: &str = "id unix_ms scan state surface nearest reasons confidence fit margin scan_s \
+/// The columns for one station: fields of an answer, its correction and its trial.
+pub const COLUMNS: &str = "id unix_ms scan state surface nearest reasons confidence fit margin scan_s \
                        settled_s latency_ms lost_samples truth sources spoiled correction became";
 
-/// Writes scans as CSV (RFC 4180).
-pub struct CsvWriter<W: Write> {
-    out: ::csv::Writer<W>,
-    columns: Vec<&'static str>,
-}
+/// The columns for many stations, with the station and without corrections.
+pub const STATION_COLUMNS: &str = "station sequence id unix_ms scan state surface nearest reasons \
+                                   confidence fit margin scan_s settled_s latency_ms lost_samples \
+                                   truth sources spoiled";
 
-impl<W: Write> CsvWriter<W> {
-    /// Writes the header line.
-    pub fn new(out: W) -> std::io::Result<Self> {
-        Self::with(out, COLUMNS.split(' ').collect())
+/// Writes scans, given as JSON, as CSV (RFC 4180). Items of lists are separated by semicolons.
+pub fn write_csv(
+    out: impl Write,
+    columns: &str,
+    scans: impl Iterator<Item = io::Result<Value>>,
+) -> io::Result<()> {
+    let mut out = ::csv::Writer::from_writer(out);
+    out.write_record(columns.split(' '))?;
+    for scan in scans {
+        let scan = scan?;
+        out.write_record(columns.split(' ').map(|column| cell(&scan, column)))?;
     }
-
-    /// Like [`CsvWriter::new`], for scans of many stations, with the station and without corrections.
-    pub fn of_stations(out: W) -> std::io::Result<Self> {
-        let said = |column: &&str| *column != "correction" && *column != "became";
-        Self::with(
-            out,
-            "station sequence".split(' ').chain(COLUMNS.split(' ')).filter(said).collect(),
-        )
-    }
-
-    fn with(out: W, columns: Vec<&'static str>) -> std::io::Result<Self> {
-        let mut out = ::csv::Writer::from_writer(out);
-        out.write_record(&columns)?;
-        Ok(Self { out, columns })
-    }
-
-    /// Adds a scan, given as a [`super::HistoryRow`] or as its JSON with the fields of a fleet.
-    pub fn scan(&mut self, scan: &impl Serialize) -> std::io::Result<()> {
-        let scan = serde_json::to_value(scan)?;
-        self.out.write_record(self.columns.iter().map(|column| cell(&scan, column)))?;
-        Ok(())
-    }
-
-    /// Flushes, and returns the inner writer.
-    pub fn finish(self) -> std::io::Result<W> {
-        self.out.into_inner().map_err(::csv::IntoInnerError::into_error)
-    }
+    out.flush()
 }
 
 fn cell(scan: &Value, column: &str) -> String {
@@ -85,9 +64,9 @@ mod tests {
             "id": "x", "surface": "oak, \"sanded\"", "reasons": ["a", "b"], "scan_s": 1.5,
             "ranked": [{"surface": "oak"}], "correction": {"was": "unknown"},
         });
-        let mut writer = CsvWriter::new(Vec::new()).unwrap();
-        writer.scan(&scan).unwrap();
-        let text = String::from_utf8(writer.finish().unwrap()).unwrap();
+        let mut text = Vec::new();
+        write_csv(&mut text, COLUMNS, [Ok(scan)].into_iter()).unwrap();
+        let text = String::from_utf8(text).unwrap();
         let line = text.lines().nth(1).unwrap();
         let cells = serde_json::json!({
             "surface": "=1+1", "margin": -1.5, "truth": "@x", "sources": ["+a"], "became": "-b",

@@ -49,7 +49,6 @@ struct Notes<'a> {
     nearest: Option<NearestView>,
 }
 
-/// The library's trial that is most similar to the scan.
 #[derive(Serialize)]
 struct NearestView {
     trial: TrialKey,
@@ -101,8 +100,7 @@ impl Listener for Keeper {
 }
 
 impl Drop for Keeper {
-    /// Waits until all scans and notes are written, or until the station must end; then
-    /// reports scans without notes as kept.
+    /// Waits until all is written or the station must end, and reports scans without notes as kept.
     fn drop(&mut self) {
         self.scans = None;
         if !self.end.wait(Duration::MAX) {
@@ -136,8 +134,7 @@ impl Work {
         }
     }
 
-    /// Writes the signals of a scan, and returns their folder; `None` if there are no signals, or the
-    /// history is in memory.
+    /// Writes the signals of a scan, and returns their folder; `None` without signals or a disk.
     fn write(&self, answered: &AnsweredScan) -> Result<Option<PathBuf>, HistoryError> {
         let AnsweredScan { scan, answer, .. } = answered;
         // A scan that could not be named may have no signals.
@@ -177,7 +174,8 @@ impl Work {
         // A method that panics on one scan must not end the thread, so the panic is caught.
         let explain = std::panic::AssertUnwindSafe(|| by.as_ref()?.explain(scan).ok());
         let why = std::panic::catch_unwind(explain).ok().flatten();
-        let nearest = why.as_ref().and_then(|why| by.as_ref()?.trial(&why.nearest)?.load().ok());
+        let nearest =
+            why.as_ref().and_then(|why| by.as_ref()?.trials.get(&why.nearest)?.load().ok());
         if let Some(nearest) = &nearest {
             write_pictures(nearest, folder)?;
         }

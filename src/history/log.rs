@@ -76,10 +76,11 @@ impl Text {
     }
 
     /// Returns the text, which is read from `log` if it is there.
-    pub fn read(&self, log: &Log) -> Result<String, HistoryError> {
-        match self {
-            Self::InLog(span) => log.answer_text(*span),
-            Self::Here(text) => Ok(text.clone()),
+    pub fn read(&self, log: Option<&Log>) -> Result<String, HistoryError> {
+        match (self, log) {
+            (Self::InLog(span), Some(log)) => log.answer_text(*span),
+            (Self::InLog(_), None) => Ok(String::new()),
+            (Self::Here(text), _) => Ok(text.clone()),
         }
     }
 }
@@ -91,24 +92,25 @@ pub(crate) struct Span {
     pub length: u32,
 }
 
-/// A file of JSON lines that only grows. It holds the answers of a history or of a fleet, or the answers
-/// that wait for an output.
+/// A file of JSON lines that only grows, with the answers of a history, a fleet or an output.
 #[derive(Debug)]
 pub(crate) struct Log {
     path: PathBuf,
     file: File,
     pub bytes: u64,
-}
-
-/// Creates a folder and a file in it if they are missing, and locks the file against other programs.
-pub(crate) fn hold(folder: &Path, name: &str) -> Result<Locked, HistoryError> {
-    fs::create_dir_all(folder).map_err(HistoryError::io(folder))?;
-    let path = folder.join(name);
-    let lock = File::create(&path).map_err(HistoryError::io(&path))?;
-    Locked::now(lock).ok_or_else(|| HistoryError::InUse(folder.to_path_buf()))
+    _lock: Option<Locked>,
 }
 
 impl Log {
+    /// Opens a log in a folder, both created if absent, and locks a file against other programs.
+    pub fn hold(folder: &Path, name: &str, lock: &str) -> Result<Self, HistoryError> {
+        fs::create_dir_all(folder).map_err(HistoryError::io(folder))?;
+        let path = folder.join(lock);
+        let lock = File::create(&path).map_err(HistoryError::io(&path))?;
+        let lock = Locked::now(lock).ok_or_else(|| HistoryError::InUse(folder.to_path_buf()))?;
+        Ok(Self { _lock: Some(lock), ..Self::open(&folder.join(name), false)? })
+    }
+
     /// Opens the log for reading, and for writing unless `read_only`.
     pub fn open(path: &Path, read_only: bool) -> Result<Self, HistoryError> {
         let fail = HistoryError::io(path);
@@ -124,7 +126,7 @@ impl Log {
         };
         let open = || options.open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
         let (bytes, file) = is_regular.and_then(|()| open()).map_err(fail)?;
-        Ok(Self { path: path.to_path_buf(), file, bytes })
+        Ok(Self { path: path.to_path_buf(), file, bytes, _lock: None })
     }
 
     /// The lines in the last `most` bytes. Skips lines that are cut short, or are no `T` in JSON.
@@ -190,7 +192,6 @@ impl Log {
         Ok(String::from_utf8_lossy(&text).into_owned())
     }
 
-    /// The text of the answer in a line.
     pub fn answer_text(&self, span: Span) -> Result<String, HistoryError> {
         let line = self.line(span)?;
         let text = line.strip_prefix("{\"answer\":").and_then(|rest| rest.strip_suffix('}'));
@@ -200,7 +201,7 @@ impl Log {
     /// Another handle to the same file, which reads it even after a new file has taken its place.
     pub fn share(&self) -> Result<Self, HistoryError> {
         let file = self.file.try_clone().map_err(HistoryError::io(&self.path))?;
-        Ok(Self { path: self.path.clone(), file, bytes: self.bytes })
+        Ok(Self { path: self.path.clone(), file, bytes: self.bytes, _lock: None })
     }
 
     /// Opens an empty log, in a file of its own, that can replace this log.

@@ -13,34 +13,33 @@
 //! [`Keeper`] listens to a station and writes its scans; the page and the commands read
 //! [`History`]. Nothing here uses the network.
 
-mod correction;
 mod csv;
 mod entries;
-mod file;
 mod keeper;
 pub(crate) mod log;
 mod view;
 
-pub(crate) use self::csv::CsvWriter;
+pub(crate) use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
 pub(crate) use self::entries::HistoryRow;
-pub(crate) use correction::{Correction, Precision};
 pub use keeper::Keeper;
-pub(crate) use view::{Bands, bands, four_digits};
+pub(crate) use view::{Bands, WINDOW, bands, four_digits};
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use self::entries::{HistoryEntry, HistoryState};
-use self::file::{Disk, SCANS};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use self::entries::{Disk, HistoryEntry, HistoryState, SCANS};
 use self::log::{Head, LogLine, Text};
 use crate::printable::json_text;
+use crate::recognise::wilson_interval;
 use crate::record::edit::Move;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
 
-/// Most answers that a history in memory remembers.
-const IN_MEMORY: usize = 1000;
+const MOST_IN_MEMORY: usize = 1000;
 /// Name of the folder of a history. It lies in the folder of the library that names the scans.
 pub(crate) const FOLDER: &str = ".history";
 /// Name of the file, in the scan's folder, that says why the scan got its name.
@@ -51,7 +50,7 @@ pub(crate) fn nearest_picture(source: &SourceId) -> String {
     format!(".nearest-{source}.jpg")
 }
 
-/// The answers and scans that are kept, in memory or on disk.
+/// The answers and scans that are kept, on disk or, by default, the last 1000 answers in memory.
 #[derive(Debug, Default)]
 pub struct History {
     inner: Mutex<HistoryState>,
@@ -60,7 +59,7 @@ pub struct History {
 }
 
 /// The size of a history.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Extent {
     /// Number of answers.
     pub scans: usize,
@@ -75,11 +74,6 @@ pub struct Extent {
 }
 
 impl History {
-    /// Makes a history in memory. It has the last 1000 answers, without signals, until the program ends.
-    pub fn in_memory() -> Self {
-        Self::default()
-    }
-
     /// Opens the history in a folder, which is created if absent. It takes at most `most_bytes`,
     /// and less on a nearly full disk, so that a tenth of the disk or a gigabyte stays free.
     ///
@@ -95,7 +89,7 @@ impl History {
         for entry in &mut inner.entries {
             // After a crash, signals may be on disk that the log does not mention, so the disk is asked.
             entry.signals = match there.contains(&entry.head.id) {
-                true => entry.signals.or_else(|| disk.size(&entry.head.id).ok()),
+                true => entry.signals.or_else(|| disk.signal_bytes(&entry.head.id).ok()),
                 false => None,
             };
         }
@@ -141,18 +135,17 @@ impl History {
             None => (Text::Here(text), Ok(())),
         };
         inner.entries.push_back(HistoryEntry::new(head, text));
-        if inner.disk.is_none() && inner.entries.len() > IN_MEMORY {
+        if inner.disk.is_none() && inner.entries.len() > MOST_IN_MEMORY {
             inner.entries.pop_front();
         }
         written?;
         room
     }
 
-    /// Notes that the signals of a scan are in its folder on disk, and removes the oldest signals
-    /// if space is short.
+    /// Notes that the signals of a scan are on disk, and removes the oldest if space is short.
     pub(crate) fn kept(&self, id: &str) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
-        let Some(bytes) = inner.disk.as_ref().map(|disk| disk.size(id)).transpose()? else {
+        let Some(bytes) = inner.disk.as_ref().map(|disk| disk.signal_bytes(id)).transpose()? else {
             return Ok(());
         };
         inner.change(LogLine::Signals { id: id.into(), bytes: Some(bytes) })?;
@@ -218,13 +211,17 @@ impl History {
         })
     }
 
+    /// Like [`Self::rows`], as JSON.
+    pub(crate) fn values(&self) -> impl Iterator<Item = std::io::Result<Value>> + '_ {
+        self.rows().map(|row| Ok(serde_json::to_value(row?)?))
+    }
+
     /// The answer with this name (its id), or the newest one with this scan number.
     pub(crate) fn answer(&self, name: &str) -> Result<HistoryRow, HistoryError> {
         let inner = &*self.lock();
         inner.row(inner.find(name)?)
     }
 
-    /// The folder of a scan's signals.
     pub(crate) fn folder(&self, name: &str) -> Result<PathBuf, HistoryError> {
         let inner = &*self.lock();
         let HistoryEntry { head: Head { id, .. }, signals, .. } = inner.find(name)?;
@@ -237,13 +234,12 @@ impl History {
         self.lock().disk.as_ref().map(|disk| disk.root.clone())
     }
 
-    /// The precision of the answers that somebody corrected.
     pub(crate) fn precision(&self) -> Vec<Precision> {
         let inner = &*self.lock();
         let answered = inner.entries.iter().filter(|e| e.head.state != AnswerState::Unnamed);
         let corrected = answered
             .filter_map(|entry| Some((entry.head.surface.as_deref(), entry.correction.as_ref()?)));
-        correction::precision(corrected)
+        precision(corrected)
     }
 
     /// Number of answers that are unknown or unsure, and that nobody has corrected.
@@ -278,6 +274,66 @@ impl History {
     }
 }
 
+/// The truth about a scan, as a person gave it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "was", rename_all = "lowercase")]
+pub(crate) enum Correction {
+    Surface {
+        surface: String,
+    },
+    /// The scan was of a surface that the library lacks.
+    Unknown,
+    /// The scan was so bad that nobody could name it.
+    Bad,
+}
+
+impl Correction {
+    pub fn surface(&self) -> Option<&str> {
+        match self {
+            Self::Surface { surface } => Some(surface),
+            Self::Unknown | Self::Bad => None,
+        }
+    }
+}
+
+/// How often one answer was right, among the scans that somebody corrected. Bad scans are left out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Precision {
+    /// The answer; `None` for unknown.
+    pub surface: Option<String>,
+    pub corrected: usize,
+    /// How many of the corrected scans had this answer as their truth.
+    pub right: usize,
+    pub precision: f64,
+    /// Ends of the 95 % Wilson interval.
+    pub precision_low: f64,
+    pub precision_high: f64,
+}
+
+/// The precision of each answer (a surface or unknown), from pairs of an answer and its correction.
+fn precision<'a>(
+    corrected: impl Iterator<Item = (Option<&'a str>, &'a Correction)>,
+) -> Vec<Precision> {
+    let mut counts: BTreeMap<Option<&str>, (usize, usize)> = BTreeMap::new();
+    for (answered, correction) in corrected {
+        let right = match correction {
+            Correction::Bad => continue,
+            Correction::Unknown => answered.is_none(),
+            Correction::Surface { surface } => answered == Some(surface),
+        };
+        let (all, rights) = counts.entry(answered).or_default();
+        *all += 1;
+        *rights += usize::from(right);
+    }
+    let of = |(surface, (corrected, right)): (Option<&str>, (usize, usize))| {
+        let (precision_low, precision_high) = wilson_interval(right, corrected);
+        let precision = right as f64 / corrected as f64;
+        let surface = surface.map(String::from);
+        Precision { surface, corrected, right, precision, precision_low, precision_high }
+    };
+    counts.into_iter().map(of).collect()
+}
+
 /// Why scans cannot be kept, read or corrected.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)] // The messages document the variants.
@@ -292,6 +348,12 @@ pub enum HistoryError {
     NoSignals(String),
     #[error(transparent)]
     Library(#[from] crate::library::LibraryError),
+}
+
+impl From<HistoryError> for std::io::Error {
+    fn from(error: HistoryError) -> Self {
+        Self::other(error)
+    }
 }
 
 impl HistoryError {

@@ -152,7 +152,7 @@ fn the_log_is_bounded_and_keeps_the_newest_answers_with_what_was_said_of_them() 
 
 #[test]
 fn a_history_in_memory_remembers_a_thousand_answers() {
-    let history = History::in_memory();
+    let history = History::default();
     (1..=1200).for_each(|scan| history.answered(&answer(scan, None)).unwrap());
     assert_eq!((scans(&history).len(), scans(&history)[0]), (1000, 1200));
     history.correct(&answer(1200, None).id, Some(Correction::Bad)).unwrap();
@@ -202,4 +202,21 @@ fn a_log_that_is_no_file_is_refused_and_of_a_long_one_only_the_end_is_read() {
     keep(&history, 1, 100);
     assert!(fs::metadata(&log).unwrap().len() < 1 << 20);
     assert_eq!(scans(&history), [1]);
+}
+
+#[test]
+fn precision_counts_by_what_was_answered_and_not_bad_scans() {
+    let was = |surface: &str| Correction::Surface { surface: surface.into() };
+    let said = [
+        (Some("oak"), was("oak")),
+        (Some("oak"), was("ash")),
+        (Some("oak"), Correction::Unknown),
+        (Some("oak"), Correction::Bad),
+        (None, Correction::Unknown),
+        (None, was("elm")),
+    ];
+    let found = precision(said.iter().map(|(answered, was)| (*answered, was)));
+    let counts: Vec<_> =
+        found.iter().map(|p| (p.surface.as_deref(), p.right, p.corrected)).collect();
+    assert_eq!(counts, [(None, 1, 2), (Some("oak"), 1, 3)]);
 }

@@ -9,7 +9,7 @@ use crate::trial::{Series, Signal, Trial};
 /// Most time intervals that a series is divided into for drawing.
 const BINS: usize = 400;
 /// Frames in each window of the spectrum.
-const WINDOW: usize = 4096;
+pub const WINDOW: usize = 4096;
 /// Lowest rate of a sound that can be listened to.
 const AUDIBLE_HZ: f64 = 8000.0;
 
@@ -18,7 +18,6 @@ const AUDIBLE_HZ: f64 = 8000.0;
 pub struct TrialView {
     /// The views of all sources that are series, sorted by name.
     pub series: Vec<SeriesView>,
-    /// The sources that are pictures.
     pub pictures: Vec<SourceId>,
 }
 
@@ -32,7 +31,6 @@ pub struct SeriesView {
     pub audible: bool,
     /// Least sample in each time interval, one list per channel.
     pub min: Vec<Vec<f32>>,
-    /// Greatest sample in each time interval, one list per channel.
     pub max: Vec<Vec<f32>>,
     /// The spectrum; `None` for a series that is too short.
     pub spectrum: Option<Bands>,
@@ -78,7 +76,7 @@ impl SeriesView {
             audible: rate_hz >= AUDIBLE_HZ && channels <= 2 && is_sound,
             min: extremes(f32::min),
             max: extremes(f32::max),
-            spectrum: bands(series.samples(), channels, rate_hz, WINDOW),
+            spectrum: bands(series.samples(), channels, rate_hz),
         }
     }
 }
@@ -107,10 +105,10 @@ pub struct Bands {
     pub db: Vec<f64>,
 }
 
-/// The spectrum of interleaved samples, averaged over adjacent windows of `window` frames, or over
+/// The spectrum of interleaved samples, averaged over adjacent windows of [`WINDOW`] frames, or over
 /// one window of all frames if there are fewer. `None` for fewer than eight frames.
-pub fn bands(samples: &[f32], channels: usize, rate_hz: f64, window: usize) -> Option<Bands> {
-    let frames = window.min(samples.len() / channels.max(1));
+pub fn bands(samples: &[f32], channels: usize, rate_hz: f64) -> Option<Bands> {
+    let frames = WINDOW.min(samples.len() / channels.max(1));
     if frames < 8 {
         return None;
     }
@@ -175,8 +173,6 @@ mod tests {
         assert_eq!(four_digits(f32::NAN), 0.0);
     }
 
-    const FRAMES: usize = 4096;
-
     fn tone(frames: usize) -> Vec<f32> {
         let turn = std::f64::consts::TAU * 1000.0 / 10_000.0;
         (0..frames).map(|i| 5.0 + 0.1 * (turn * i as f64).sin() as f32).collect()
@@ -184,8 +180,8 @@ mod tests {
 
     #[test]
     fn a_tone_stands_out_in_its_band_at_its_height() {
-        for frames in [FRAMES, 3 * FRAMES + 7] {
-            let Bands { from_hz, to_hz, db } = bands(&tone(frames), 1, 10_000.0, FRAMES).unwrap();
+        for frames in [WINDOW, 3 * WINDOW + 7] {
+            let Bands { from_hz, to_hz, db } = bands(&tone(frames), 1, 10_000.0).unwrap();
             let peak = (0..db.len()).max_by(|&a, &b| db[a].total_cmp(&db[b])).unwrap();
             let hz = from_hz * (to_hz / from_hz).powf((peak as f64 + 0.5) / db.len() as f64);
             assert!((hz / 1000.0).ln().abs() < 0.05, "{hz} Hz");
@@ -197,8 +193,8 @@ mod tests {
 
     #[test]
     fn silence_is_the_floor_and_too_few_frames_are_nothing() {
-        let silent = bands(&[0.0; FRAMES], 1, 10_000.0, FRAMES).unwrap();
+        let silent = bands(&[0.0; WINDOW], 1, 10_000.0).unwrap();
         assert!(silent.db.iter().all(|&db| db == FLOOR_DB));
-        assert!(bands(&[0.0; 7], 1, 10_000.0, FRAMES).is_none());
+        assert!(bands(&[0.0; 7], 1, 10_000.0).is_none());
     }
 }

@@ -3,9 +3,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::body::{Body, Bytes, to_bytes};
+use axum::body::Body;
 use axum::http::header::{CONTENT_TYPE, HOST};
-use axum::http::{Request, StatusCode};
+use axum::http::{Request, Response, StatusCode};
+use hyper::body::Incoming;
 use hyper_util::rt::TokioIo;
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
@@ -15,8 +16,7 @@ use super::{BackOff, OutputHealth, Pending};
 use crate::station::Answer;
 use crate::station::config::HttpAddress;
 
-/// How long one attempt may take.
-const ATTEMPT: Duration = Duration::from_secs(5);
+const LONGEST_ATTEMPT: Duration = Duration::from_secs(5);
 
 /// Posts the answers of a station. After its end, returns once all arrived or an attempt failed.
 pub(super) async fn post_all(
@@ -49,7 +49,7 @@ pub(super) async fn post_all(
 
 /// Posts one answer; true if the answer was accepted, or refused for good.
 async fn deliver(health: &OutputHealth, address: &HttpAddress, answer: String) -> bool {
-    let why = match timeout(ATTEMPT, post(address, answer)).await {
+    let why = match timeout(LONGEST_ATTEMPT, post(address, answer)).await {
         Ok(Ok(status)) if status.is_success() => {
             health.arrived();
             return true;
@@ -75,28 +75,21 @@ async fn deliver(health: &OutputHealth, address: &HttpAddress, answer: String) -
     false
 }
 
-/// Posts one answer, and returns the status of the reply.
 pub(super) async fn post(address: &HttpAddress, answer: String) -> Result<StatusCode, String> {
-    let HttpAddress { host, path } = address;
-    let request = Request::post(path)
+    let request = Request::post(&address.path)
         .header(CONTENT_TYPE, "application/json")
         .body(Body::from(answer))
         .map_err(|error| error.to_string())?;
-    // Only the status matters, so the body of the reply is not used.
-    Ok(send((&host.0, host.1), request, 0).await?.0)
+    Ok(send(address, request).await?.status())
 }
 
-/// Sends a request to a host and port, without TLS. Reads at most `most` bytes of the reply; a
-/// longer or unreadable body is an error.
-///
-/// # Errors
-/// With the reason, if the host cannot be reached or gives no reply.
+/// Sends a request to the host of an address, without TLS; fails with the reason.
 pub(crate) async fn send(
-    (host, port): (&str, u16),
+    address: &HttpAddress,
     mut request: Request<Body>,
-    most: usize,
-) -> Result<(StatusCode, Result<Bytes, String>), String> {
+) -> Result<Response<Incoming>, String> {
     let text = |error: &dyn std::fmt::Display| error.to_string();
+    let (host, port) = (address.host.0.as_str(), address.host.1);
     let name =
         if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") };
     let name = name.parse().map_err(|error| text(&error))?;
@@ -105,10 +98,7 @@ pub(crate) async fn send(
     let connected = hyper::client::conn::http1::handshake(TokioIo::new(stream)).await;
     let (mut sender, connection) = connected.map_err(|error| text(&error))?;
     // An error of the connection also reaches `send_request`, so the connection's copy is dropped.
-    let connection = tokio::spawn(async move { drop(connection.await) });
-    let answer = sender.send_request(request).await.map_err(|error| text(&error))?;
-    let status = answer.status();
-    let body = to_bytes(Body::new(answer.into_body()), most).await;
-    connection.abort();
-    Ok((status, body.map_err(|error| text(&error))))
+    // The connection ends when its reply is read or dropped.
+    tokio::spawn(async move { drop(connection.await) });
+    sender.send_request(request).await.map_err(|error| text(&error))
 }

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::device::DeviceState;
 use crate::printable::json_text;
 use crate::recognise::RankedSurface;
-use crate::station::{Answer, AnswerState, StationEvent, SurfaceProbability};
+use crate::station::{Answer, StationEvent, SurfaceProbability};
 
 /// The largest answer, in bytes (about 1000 surfaces), since many brokers refuse larger messages.
 pub(super) const LARGEST: usize = 128 << 10;
@@ -26,8 +26,7 @@ struct Message<'a> {
     sequence: u64,
     #[serde(flatten)]
     answer: &'a Answer,
-    /// The surfaces, the most probable first; together with `unknown` they sum to 1. Empty if the
-    /// method gives no probabilities.
+    /// The surfaces, the most probable first; with `unknown` they sum to 1. Empty for some methods.
     probabilities: Vec<SurfaceProbability>,
     /// The probability that the surface is not in the library; null if that is not known.
     unknown: Option<f64>,
@@ -78,7 +77,6 @@ pub(super) struct StationCard {
 }
 
 impl StationCard {
-    /// Updates the state with an event of the station.
     pub fn take(&mut self, event: &StationEvent) {
         match event {
             StationEvent::Device { device, state, detail }
@@ -86,14 +84,11 @@ impl StationCard {
             {
                 self.devices.insert(device.clone(), (*state, detail.clone()));
             }
-            StationEvent::Answer(answer) => self.count(answer.state),
-            StationEvent::Unnamed(_) => self.count(AnswerState::Unnamed),
+            StationEvent::Answer(answer) | StationEvent::Unnamed(answer) => {
+                *self.counts.entry(answer.state.as_str()).or_default() += 1;
+            }
             _ => {}
         }
-    }
-
-    fn count(&mut self, state: AnswerState) {
-        *self.counts.entry(state.as_str()).or_default() += 1;
     }
 
     /// The state as JSON, without the fields that the output itself adds.
@@ -111,11 +106,6 @@ impl StationCard {
             "counts": self.counts,
         })
     }
-}
-
-/// The message that the broker publishes if the station disappears without notice.
-pub(super) fn last_will(station: &str) -> String {
-    json!({ "station": station, "state": "offline" }).to_string()
 }
 
 /// The entities of a station in Home Assistant: the discovery topic and description of each

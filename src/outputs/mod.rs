@@ -5,10 +5,9 @@
 //! answers that have not arrived. Each is sent after the one before it has arrived.
 //! A receiver recognises a repeated answer by its `id`.
 
-pub(crate) mod broker;
 pub(crate) mod http;
 mod message;
-mod mqtt;
+pub(crate) mod mqtt;
 mod outbox;
 
 use std::convert::Infallible;
@@ -22,8 +21,8 @@ use serde::Serialize;
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 
-use self::broker::Line;
 use self::message::StationCard;
+use self::mqtt::Line;
 use self::outbox::Outbox;
 use crate::history::{History, HistoryError};
 use crate::scan::Scan;
@@ -97,7 +96,6 @@ pub struct Output {
     end: End,
 }
 
-/// A station's state, for an output that publishes it.
 type Card = Arc<Mutex<StationCard>>;
 
 fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -248,10 +246,8 @@ impl BackOff {
     }
 }
 
-/// How long an output may take to deliver the test answer.
 const TEST_PATIENCE: Duration = Duration::from_secs(10);
 
-/// The result of sending the test answer to one output.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct OutputTest {
     pub output: String,
@@ -276,7 +272,7 @@ pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryErr
     }
     if let Some(address) = &config.mqtt {
         let topic = format!("{}/{}/test", address.prefix, config.station);
-        let options = broker::options(address, format!("surfaced-test-{}", std::process::id()))?;
+        let options = mqtt::options(address, format!("surfaced-test-{}", std::process::id()))?;
         let done = runtime.block_on(tried(publish(options, &topic, text)));
         tests.push(OutputTest::of(format!("{address}/{}/test", config.station), done));
     }

@@ -1,30 +1,33 @@
-//! Sends answers by MQTT 3.1.1, each at least once. The next answer is sent after the broker has
+//! Connections to MQTT brokers. Sends answers by MQTT 3.1.1, each at least once. The next answer is sent after the broker has
 //! acknowledged the previous answer.
 
 use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
 use std::process;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use rand::TryRng;
 use rand::rngs::SysRng;
-use rumqttc::{Event, LastWill, MqttOptions, Outgoing, Packet, QoS};
+use rumqttc::{
+    AsyncClient, ConnectionError, Event, LastWill, MqttOptions, Outgoing, Packet, QoS, Transport,
+};
+use serde_json::json;
 use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout_at};
 
-use super::broker::{Line, options};
-use super::message::{discovery, last_will};
+use super::message::{LARGEST, discovery};
 use super::{BackOff, Card, PATIENCE, Pending, lock};
 use crate::history::{History, HistoryError};
 use crate::station::Answer;
-use crate::station::config::MqttAddress;
+use crate::station::config::{MqttAddress, TlsFiles};
 
 /// Interval at which the state of the station is published if it has changed.
 const STATE_EVERY: Duration = Duration::from_secs(2);
 /// If the broker acknowledges nothing for this long, the connection is made again.
 const NO_ACKNOWLEDGEMENT: Duration = Duration::from_secs(20);
 
-/// Publishes the answers of a station, and its state.
 pub(super) struct Publisher {
     pending: Pending,
     options: MqttOptions,
@@ -74,13 +77,13 @@ impl Publisher {
         let topic = |what: &str| format!("{}/{}/{what}", address.prefix, pending.station);
         let (answer_topic, state_topic) = (topic("answer"), topic("state"));
         let mut options = options(address, client)?;
-        let will = last_will(&pending.station);
+        // The broker publishes this message if the station disappears without notice.
+        let will = json!({ "station": pending.station, "state": "offline" }).to_string();
         options.set_last_will(LastWill::new(&state_topic, will, QoS::AtLeastOnce, true));
         let (history, page, back_off) = (history.clone(), page.clone(), BackOff::new());
         Ok(Self { pending, options, answer_topic, state_topic, card, history, page, back_off })
     }
 
-    /// Publishes answers until the station ends.
     pub async fn run(mut self, mut answers: mpsc::Receiver<Arc<Answer>>) {
         while let Some(why) = self.connection(&mut answers).await {
             self.pending.health.failed(&format!("{why}; they are tried again"));
@@ -169,7 +172,6 @@ impl Publisher {
         }
     }
 
-    /// Publishes the state of the station if it has changed.
     fn publish_state(&self, is_online: bool, on: &mut Connection) {
         if !on.is_connected {
             return;
@@ -213,5 +215,69 @@ impl Publisher {
                 return sleep(Duration::from_millis(20)).await;
             }
         }
+    }
+}
+
+const KEEP_ALIVE: Duration = Duration::from_secs(15);
+const MOST_QUEUED_PACKETS: usize = 64;
+
+/// The files in which Linux systems keep the certificates of trusted authorities.
+const SYSTEM: [&str; 3] =
+    ["/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem"];
+
+pub(crate) fn options(address: &MqttAddress, client: String) -> Result<MqttOptions, HistoryError> {
+    let MqttAddress { host, credentials, tls, .. } = address;
+    let mut options = MqttOptions::new(client, host.0.clone(), host.1);
+    options.set_keep_alive(KEEP_ALIVE);
+    // A packet holds the answer, its topic and a header, so it is larger than the answer.
+    options.set_max_packet_size(2 * LARGEST, 2 * LARGEST);
+    if let Some((user, password)) = credentials {
+        options.set_credentials(user, password);
+    }
+    if let Some(TlsFiles { ca, client }) = tls {
+        let read = |path: &Path| std::fs::read(path).map_err(HistoryError::io(path));
+        let system = || SYSTEM.map(PathBuf::from).into_iter().find(|path| path.exists());
+        let ca = ca.clone().or_else(system).unwrap_or_else(|| SYSTEM[0].into());
+        let client = match client {
+            Some((certificate, key)) => Some((read(certificate)?, read(key)?)),
+            None => None,
+        };
+        options.set_transport(Transport::tls(read(&ca)?, client, None));
+    }
+    Ok(options)
+}
+
+/// One connection to a broker, from the attempt to connect until the connection breaks.
+#[derive(Debug)]
+pub(crate) struct Line {
+    pub client: AsyncClient,
+    /// The events of the connection, of which the last is an error. The queue is unbounded, but holds
+    /// no more than a broker sends without acknowledgements.
+    pub events: mpsc::UnboundedReceiver<Result<Event, ConnectionError>>,
+    task: JoinHandle<()>,
+}
+
+impl Line {
+    /// Starts to connect. Must be called within a runtime.
+    pub fn open(options: MqttOptions) -> Self {
+        let (client, mut connection) = AsyncClient::new(options, MOST_QUEUED_PACKETS);
+        let (send, events) = mpsc::unbounded_channel();
+        let work = async move {
+            loop {
+                // `poll` always runs to its end, since stopping it half-way could lose a packet.
+                let event = connection.poll().await;
+                let is_last = event.is_err();
+                if send.send(event).is_err() || is_last {
+                    return;
+                }
+            }
+        };
+        Self { client, events, task: tokio::spawn(work) }
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        self.task.abort();
     }
 }

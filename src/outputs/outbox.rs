@@ -12,9 +12,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::history::HistoryError;
-use crate::history::log::{Log, Text, hold};
+use crate::history::log::{Log, Text};
 use crate::printable::json_text;
-use crate::system::Locked;
 
 /// The largest size of waiting answers, in bytes. To stay below, the oldest answers are dropped.
 const MOST: u64 = 64 << 20;
@@ -29,11 +28,8 @@ pub(super) struct Outbox {
     next: u64,
     /// Number of answers dropped to make room for newer ones.
     pub dropped: u64,
-    /// Total size of the waiting answers, in bytes.
-    bytes: u64,
+    waiting_bytes: u64,
     most: u64,
-    /// Keeps the file locked while it is in use.
-    _lock: Locked,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -45,16 +41,14 @@ enum Line {
 }
 
 impl Outbox {
-    /// Opens the outbox of the named output. Creates the folder if necessary.
     pub fn open(folder: &Path, output: &str) -> Result<Self, HistoryError> {
         Self::of_at_most(folder, output, MOST)
     }
 
     fn of_at_most(folder: &Path, output: &str, most: u64) -> Result<Self, HistoryError> {
-        let lock = hold(folder, &format!("{output}.lock"))?;
-        let log = Log::open(&folder.join(format!("{output}.jsonl")), false)?;
+        let log = Log::hold(folder, &format!("{output}.jsonl"), &format!("{output}.lock"))?;
         let (waiting, next) = (VecDeque::new(), 1);
-        let mut outbox = Self { log, waiting, next, dropped: 0, bytes: 0, most, _lock: lock };
+        let mut outbox = Self { log, waiting, next, dropped: 0, waiting_bytes: 0, most };
         for (line, span) in outbox.log.read(u64::MAX)? {
             match line {
                 Line::Head { next, dropped } => (outbox.next, outbox.dropped) = (next, dropped),
@@ -75,10 +69,10 @@ impl Outbox {
     }
 
     fn add(&mut self, sequence: u64, text: Text) {
-        self.bytes += text.bytes();
+        self.waiting_bytes += text.bytes();
         self.waiting.push_back((sequence, text));
         self.next = sequence + 1;
-        while self.bytes > self.most && self.waiting.len() > 1 {
+        while self.waiting_bytes > self.most && self.waiting.len() > 1 {
             self.dropped += 1;
             self.pop();
         }
@@ -86,7 +80,7 @@ impl Outbox {
 
     fn pop(&mut self) {
         let gone = self.waiting.pop_front();
-        self.bytes -= gone.map_or(0, |(_, text)| text.bytes());
+        self.waiting_bytes -= gone.map_or(0, |(_, text)| text.bytes());
     }
 
     fn forget(&mut self, sequence: u64) {
@@ -97,7 +91,7 @@ impl Outbox {
 
     pub fn first(&self) -> Result<Option<(u64, String)>, HistoryError> {
         let Some((sequence, text)) = self.waiting.front() else { return Ok(None) };
-        Ok(Some((*sequence, text.read(&self.log)?)))
+        Ok(Some((*sequence, text.read(Some(&self.log))?)))
     }
 
     /// Records that an answer has arrived, or was refused for good. If this cannot be written, the
@@ -110,7 +104,7 @@ impl Outbox {
 
     /// Rewrites the file if most of its answers have arrived.
     fn tidy(&mut self) -> Result<(), HistoryError> {
-        if self.log.bytes < 2 * self.bytes + SPENT {
+        if self.log.bytes < 2 * self.waiting_bytes + SPENT {
             return Ok(());
         }
         let mut fresh = self.log.begin_anew()?;
@@ -119,13 +113,13 @@ impl Outbox {
         fresh.append(&json_text(&head))?;
         let mut places = Vec::new();
         for (_, text) in &self.waiting {
-            let (place, written) = fresh.append_answer(text.read(&self.log)?);
+            let (place, written) = fresh.append_answer(text.read(Some(&self.log))?);
             written?;
             places.push(place);
         }
         self.log.replace(fresh)?;
         self.waiting.iter_mut().zip(places).for_each(|((_, text), place)| *text = place);
-        self.bytes = self.waiting.iter().map(|(_, text)| text.bytes()).sum();
+        self.waiting_bytes = self.waiting.iter().map(|(_, text)| text.bytes()).sum();
         Ok(())
     }
 

@@ -24,7 +24,6 @@ use crate::trial::EXPERT;
 
 const MOST_TRIALS: u32 = 1000;
 
-/// The router of all paths, protected by the guard.
 pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
     let api = Router::new()
         .route("/state", get(state))
@@ -164,7 +163,6 @@ pub const FILES: [(&str, &str, &str); 16] = [
     ("/favicon.svg", "image/svg+xml", include_str!("page/favicon.svg")),
 ];
 
-/// Handles a path by answering with a file.
 pub fn file<S: Clone + Send + Sync + 'static>(
     content_type: &'static str,
     text: &'static str,

@@ -22,14 +22,11 @@ use rand::rngs::SysRng;
 use super::request::Problem;
 use super::settings::{Limits, Settings, Token};
 
-/// The cookie that holds the token.
 const TOKEN_COOKIE: &str = "surfaced_token";
 /// The cookie by which a browser that knew the token is recognised later.
 const SESSION_COOKIE: &str = "surfaced_session";
-/// How many sessions are remembered.
 const MOST_SESSIONS: usize = 1024;
-/// How many refusals a minute are logged.
-const LOGGED: u32 = 10;
+const LOGGED_A_MINUTE: u32 = 10;
 
 /// Paths that need no token, since they reveal nothing and the token form needs them.
 const OPEN: [&str; 3] = ["/healthz", "/style.css", "/favicon.svg"];
@@ -136,7 +133,7 @@ impl Budgets {
             self.logged.filter(|(since, _)| now.saturating_duration_since(*since).as_secs() < 60);
         let (since, count) = fresh.unwrap_or((now, 0));
         self.logged = Some((since, count.saturating_add(1)));
-        count < LOGGED
+        count < LOGGED_A_MINUTE
     }
 }
 
@@ -193,7 +190,6 @@ impl Guard {
         Ok(None)
     }
 
-    /// Sets the cookies, and redirects the browser to the page's address without the token.
     fn enter(&self, token: &Token, client: Client) -> Response {
         let secure = if client.tls { "; Secure" } else { "" };
         let session = self.budgets().begin_session().map(|session| format!("{session:032x}"));
@@ -275,8 +271,7 @@ fn cookie<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
     pairs.filter_map(|pair| pair.trim().split_once('=')).find(|(n, _)| *n == name).map(|p| p.1)
 }
 
-/// Whether a `Host` header names this machine: `localhost`, 127.x.x.x or `[::1]`. Any port is
-/// accepted, since a tunnel may change it.
+/// Whether a `Host` header names this machine, at any port, since a tunnel may change the port.
 fn is_loopback(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or_default(),
@@ -302,7 +297,6 @@ fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
     }
 }
 
-/// The address of the other end of a connection.
 #[derive(Clone, Copy, Debug)]
 pub struct Peer(pub SocketAddr);
 
@@ -341,8 +335,7 @@ fn words<'a>(headers: &'a HeaderMap, name: &str) -> impl Iterator<Item = &'a str
     lines.flat_map(|line| line.split(',')).map(str::trim)
 }
 
-/// The address by which a client is counted. An IPv6 address counts as its 64-bit network, since a
-/// subscriber owns the whole network.
+/// The address by which a client is counted: its 64-bit network, which one client owns, for IPv6.
 pub fn neighbourhood(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => {

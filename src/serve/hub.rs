@@ -15,15 +15,14 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 
 use super::guard::Traffic;
-use super::metrics::{Elsewhere, Metrics};
+use super::metrics::{Histogram, LATENCY_BOUNDS_S, Metrics, SCAN_BOUNDS_S};
 use super::request::Problem;
-use super::settings::{Audit, LibraryFolder, Settings};
+use super::settings::Settings;
 use super::state::State;
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::{self, Tracer};
 use crate::device::camera::{CameraView, Viewfinder};
 use crate::evaluate::CheckReport;
-use crate::history::History;
 use crate::outputs::{OutputHealth, OutputView};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
@@ -31,9 +30,7 @@ use crate::scene::SourceId;
 use crate::station::{Command, StationEvent};
 use crate::trial::Image;
 
-/// Interval at which the counts of streams are published.
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
-/// Interval at which spectra are published.
 const SPECTRA_EVERY: Duration = Duration::from_millis(200);
 /// Interval at which an empty comment is sent on a silent connection, so that it stays open.
 const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
@@ -41,24 +38,19 @@ const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
 /// The hub, as axum passes it to the handlers of requests.
 pub type Shared = axum::extract::State<Arc<Hub>>;
 
-/// State shared by the handlers of requests.
 pub struct Hub {
     inner: Mutex<HubState>,
     orders: Sender<Command>,
     missed: Arc<AtomicU64>,
-    most_subscribers: usize,
     pub traffic: Arc<Traffic>,
-    pub history: Arc<History>,
-    /// The library, if it may be edited.
-    pub library: Option<LibraryFolder>,
-    /// The function that audits the library.
-    pub audit: Option<Audit>,
+    pub settings: Settings,
 }
 
 #[derive(Default)]
 pub struct HubState {
     pub state: State,
-    metrics: Metrics,
+    scan_s: Histogram,
+    latency_s: Histogram,
     subscribers: Subscribers,
     tracer: Tracer,
     /// The latest picture of each camera stream.
@@ -66,16 +58,13 @@ pub struct HubState {
     meters: Vec<StreamMeter>,
     enrolls: bool,
     pub viewfinder: Option<Viewfinder>,
-    /// The view of the camera, as last published.
-    camera: Option<CameraView>,
+    published_camera: Option<CameraView>,
     outputs: Vec<OutputHealth>,
-    /// The state of the outputs, as last published.
-    output_views: Vec<OutputView>,
+    published_outputs: Vec<OutputView>,
     pub check: CheckView,
 }
 
 impl HubState {
-    /// The whole current state, as one document.
     pub fn whole(&self) -> StateDocument<'_> {
         StateDocument {
             state: &self.state,
@@ -117,21 +106,19 @@ impl HubState {
         self.publish(EventKind::Warning, &self.state.warnings.front().cloned());
     }
 
-    /// Publishes the view of the camera, if it has changed.
     fn publish_camera(&mut self) {
         let view = self.viewfinder.as_ref().map(Viewfinder::view);
-        if view != self.camera {
-            self.camera.clone_from(&view);
+        if view != self.published_camera {
+            self.published_camera.clone_from(&view);
             self.publish(EventKind::Camera, &view);
         }
     }
 
-    /// Publishes the state of the outputs, if it has changed.
     fn publish_outputs(&mut self) {
         let views = self.outputs();
-        if views != self.output_views {
+        if views != self.published_outputs {
             self.publish(EventKind::Outputs, &views);
-            self.output_views = views;
+            self.published_outputs = views;
         }
     }
 
@@ -165,7 +152,8 @@ impl HubState {
             }
             StationEvent::Guess(_) => {}
             StationEvent::Answer(answer) => {
-                self.metrics.scan(answer.scan_s, answer.latency_ms / 1e3);
+                self.scan_s.observe(answer.scan_s);
+                self.latency_s.observe(answer.latency_ms / 1e3);
                 self.publish(EventKind::Answer, answer);
             }
             StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
@@ -176,8 +164,8 @@ impl HubState {
             | StationEvent::Scan(_) => {}
             StationEvent::Reading => self.publish(EventKind::Reading, &true),
             StationEvent::Library(library) => self.publish(EventKind::Library, library),
-            StationEvent::Unnamed(unnamed) => {
-                self.publish(EventKind::Unnamed, &unnamed.answer);
+            StationEvent::Unnamed(answer) => {
+                self.publish(EventKind::Unnamed, answer);
                 self.publish_warning();
             }
             StationEvent::Warning(_) => self.publish_warning(),
@@ -200,6 +188,8 @@ impl Hub {
     pub fn new(settings: &Settings, orders: Sender<Command>, missed: Arc<AtomicU64>) -> Self {
         let inner = HubState {
             state: State::new(),
+            scan_s: Histogram::new(&SCAN_BOUNDS_S),
+            latency_s: Histogram::new(&LATENCY_BOUNDS_S),
             enrolls: settings.enrolls,
             viewfinder: settings.viewfinder.clone(),
             outputs: settings.outputs.clone(),
@@ -210,11 +200,8 @@ impl Hub {
             inner: Mutex::new(inner),
             orders,
             missed,
-            most_subscribers: settings.limits.readers,
             traffic: Arc::default(),
-            history: settings.history.clone(),
-            library: settings.library.clone(),
-            audit: settings.check.clone(),
+            settings: settings.clone(),
         }
     }
 
@@ -224,9 +211,11 @@ impl Hub {
     }
 
     pub fn metrics(&self) -> String {
-        let precision = self.history.precision();
+        let precision = self.settings.history.precision();
         let inner = &*self.lock();
-        inner.metrics.text(&Elsewhere {
+        let metrics = Metrics {
+            scan_s: &inner.scan_s,
+            latency_s: &inner.latency_s,
             precision: &precision,
             traffic: &self.traffic,
             outputs: &inner.outputs(),
@@ -235,19 +224,20 @@ impl Hub {
             subscribers: inner.subscribers.count(),
             dropped: inner.subscribers.dropped,
             missed: self.missed.load(Ordering::Relaxed),
-        })
+        };
+        metrics.text()
     }
 
     /// Handles an event. When all trials of an enrolment are kept, the library is read again.
     fn take(&self, notice: &StationEvent) {
         let answer = match notice {
-            StationEvent::Answer(answer) => Some(answer),
-            StationEvent::Unnamed(unnamed) => Some(&unnamed.answer),
+            StationEvent::Answer(answer) | StationEvent::Unnamed(answer) => Some(answer),
             _ => None,
         };
-        if let Some(answer) = answer.filter(|_| self.history.root().is_none()) {
+        let history = &self.settings.history;
+        if let Some(answer) = answer.filter(|_| history.root().is_none()) {
             // Without a disk, adding an answer cannot fail.
-            let _ = self.history.answered(answer);
+            let _ = history.answered(answer);
         }
         let inner = &mut *self.lock();
         inner.take(notice);
@@ -260,10 +250,9 @@ impl Hub {
         }
     }
 
-    /// Adds a subscriber; `None` if there are too many.
     pub fn subscribe(&self, filter: EventFilter) -> Option<EventStream> {
         let inner = &mut *self.lock();
-        if inner.subscribers.count() >= self.most_subscribers {
+        if inner.subscribers.count() >= self.settings.limits.readers {
             return None;
         }
         let first = encode(EventKind::State, &inner.whole());
@@ -337,7 +326,6 @@ fn every(period: Duration) -> Interval {
 pub struct StateDocument<'a> {
     #[serde(flatten)]
     state: &'a State,
-    /// Whether scans may be kept as trials of a library.
     enrolls: bool,
     camera: Option<CameraView>,
     streams: Vec<StreamView>,

@@ -19,7 +19,6 @@ use crate::station::Command;
 
 const MOST: usize = 1000;
 
-/// The routes below `/api/v1`.
 pub fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/library/trials", get(trials))
@@ -32,7 +31,7 @@ pub fn router() -> Router<Arc<Hub>> {
 }
 
 async fn trials(State(hub): Shared) -> Result<Json<Value>, Problem> {
-    let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
+    let library = hub.settings.library.clone().ok_or(Problem::NoLibrary)?;
     let listed = aside(move || {
         Ok(json!({
             "trials": edit::list(&library.folder, &library.scene)?,
@@ -107,8 +106,8 @@ async fn edited(
     hub: &Hub,
     edit: impl FnOnce(&mut Editor) -> Result<Step, LibraryError> + Send + 'static,
 ) -> Result<Json<Step>, Problem> {
-    let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
-    let history = hub.history.clone();
+    let library = hub.settings.library.clone().ok_or(Problem::NoLibrary)?;
+    let history = hub.settings.history.clone();
     let step = aside(move || {
         let step = edit(&mut Editor::open(&library.folder, &library.scene)?)?;
         // If the moves cannot be recorded now, moved trials are found later by their notes.
@@ -126,7 +125,7 @@ async fn check(State(hub): Shared) -> Json<CheckView> {
 }
 
 async fn begin_check(State(hub): Shared) -> Result<Json<CheckView>, Problem> {
-    let audit = hub.audit.clone().ok_or(Problem::NoLibrary)?;
+    let audit = hub.settings.check.clone().ok_or(Problem::NoLibrary)?;
     let view = {
         let view = &mut hub.lock().check;
         if view.state == "running" {

@@ -18,13 +18,12 @@ use crate::station::AnswerState;
 
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// Bounds of the histogram of scan durations, in seconds.
-const SCAN_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
-/// Bounds of the histogram of latencies, in seconds.
-const LATENCY_S: [f64; 11] = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
+pub const SCAN_BOUNDS_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
+pub const LATENCY_BOUNDS_S: [f64; 11] =
+    [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
 
-#[derive(Debug)]
-struct Histogram {
+#[derive(Debug, Default)]
+pub struct Histogram {
     bounds: &'static [f64],
     /// Number of values in each interval between bounds. The last number counts values above all bounds.
     counts: Vec<u64>,
@@ -32,31 +31,20 @@ struct Histogram {
 }
 
 impl Histogram {
-    fn new(bounds: &'static [f64]) -> Self {
+    pub fn new(bounds: &'static [f64]) -> Self {
         Self { bounds, counts: vec![0; bounds.len() + 1], sum: 0.0 }
     }
 
-    fn observe(&mut self, value: f64) {
+    pub fn observe(&mut self, value: f64) {
         let at = self.bounds.iter().position(|&bound| value <= bound);
         self.counts[at.unwrap_or(self.bounds.len())] += 1;
         self.sum += value;
     }
 }
 
-#[derive(Debug)]
-pub struct Metrics {
-    scan_s: Histogram,
-    latency_s: Histogram,
-}
-
-impl Default for Metrics {
-    fn default() -> Self {
-        let (scan_s, latency_s) = (Histogram::new(&SCAN_S), Histogram::new(&LATENCY_S));
-        Self { scan_s, latency_s }
-    }
-}
-
-pub struct Elsewhere<'a> {
+pub struct Metrics<'a> {
+    pub scan_s: &'a Histogram,
+    pub latency_s: &'a Histogram,
     pub state: &'a State,
     pub meters: &'a [StreamMeter],
     pub traffic: &'a Traffic,
@@ -70,15 +58,10 @@ pub struct Elsewhere<'a> {
     pub precision: &'a [Precision],
 }
 
-impl Metrics {
-    pub fn scan(&mut self, scan_s: f64, latency_s: f64) {
-        self.scan_s.observe(scan_s);
-        self.latency_s.observe(latency_s);
-    }
-
-    pub fn text(&self, elsewhere: &Elsewhere<'_>) -> String {
+impl Metrics<'_> {
+    pub fn text(&self) -> String {
         let mut page = MetricsPage::default();
-        let Elsewhere { state, traffic, subscribers, dropped, missed, .. } = *elsewhere;
+        let Self { state, traffic, subscribers, dropped, missed, .. } = *self;
         let info = ("surfaced_info", "gauge", "The version of the program.");
         page.family([info], [(vec![("version", state.version)], [1])]);
         let heads = [
@@ -87,7 +70,7 @@ impl Metrics {
             ("surfaced_ring_fill", "gauge", "Frames in the ring now."),
             ("surfaced_ring_capacity", "gauge", "Frames that the ring can hold."),
         ];
-        let streams = elsewhere.meters.iter().map(|meter| {
+        let streams = self.meters.iter().map(|meter| {
             let labels = vec![("source", meter.id.as_str()), ("device", meter.device.as_str())];
             let Counts { received, lost, fill, capacity, .. } = meter.counts();
             (labels, [received, lost, fill, capacity])
@@ -132,14 +115,14 @@ impl Metrics {
             ("surfaced_output_dropped_total", "counter", "Answers that made room for newer ones."),
             ("surfaced_output_waiting", "gauge", "Answers that wait for an output."),
         ];
-        let outputs = elsewhere.outputs.iter();
+        let outputs = self.outputs.iter();
         let outputs = outputs.map(|output| {
             let OutputView { output, waiting, failures, dropped, .. } = output;
             (vec![("output", output.as_str())], [*failures, *dropped, *waiting])
         });
         page.family(heads, outputs);
         let help = "Scans of which somebody said what they were.";
-        let reviewed = elsewhere.precision.iter().flat_map(|of| {
+        let reviewed = self.precision.iter().flat_map(|of| {
             let answer = of.surface.as_deref().unwrap_or("unknown");
             [("true", of.right), ("false", of.corrected - of.right)]
                 .map(|(right, count)| (vec![("answer", answer), ("right", right)], [count as u64]))
@@ -147,14 +130,13 @@ impl Metrics {
         page.family([("surfaced_reviewed_scans", "gauge", help)], reviewed);
         let head = ("surfaced_readers", "gauge", "Subscribers to the stream of events.");
         page.family([head], [(vec![], [subscribers as u64])]);
-        page.histogram("surfaced_scan_seconds", "Duration of a scan.", &self.scan_s);
+        page.histogram("surfaced_scan_seconds", "Duration of a scan.", self.scan_s);
         let help = "From the end of a scan to its name.";
-        page.histogram("surfaced_answer_latency_seconds", help, &self.latency_s);
+        page.histogram("surfaced_answer_latency_seconds", help, self.latency_s);
         page.0
     }
 }
 
-/// The names and values of a line's labels.
 type Labels<'a> = Vec<(&'a str, &'a str)>;
 
 #[derive(Default)]
@@ -219,11 +201,15 @@ mod tests {
             state: DeviceState::Streaming,
             detail: String::new(),
         });
-        let mut metrics = Metrics::default();
-        for latency_s in [0.0005, 0.001, 0.003, 99.0] {
-            metrics.scan(1.0, latency_s);
+        let mut scan_s = Histogram::new(&SCAN_BOUNDS_S);
+        let mut latency_s = Histogram::new(&LATENCY_BOUNDS_S);
+        for latency in [0.0005, 0.001, 0.003, 99.0] {
+            scan_s.observe(1.0);
+            latency_s.observe(latency);
         }
-        let elsewhere = Elsewhere {
+        let metrics = Metrics {
+            scan_s: &scan_s,
+            latency_s: &latency_s,
             state: &state,
             meters: &[],
             traffic: &Traffic::default(),
@@ -239,7 +225,7 @@ mod tests {
                 problem: None,
             }],
         };
-        let text = metrics.text(&elsewhere);
+        let text = metrics.text();
         for line in [
             "surfaced_device_streaming{device=\"a \\\"b\\\"\\\\\\n\\\\u{202e}\"} 1",
             "surfaced_answer_latency_seconds_bucket{le=\"0.001\"} 2",

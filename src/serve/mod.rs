@@ -6,23 +6,22 @@
 //!
 //! ```text
 //! station ─► reporter ─► hub (state, history, metrics) ─► subscribers (a bounded queue each) ─► SSE
-//! station ◄─ orders ◄── api ◄── guard (rate, host, token, origin) ◄── accept (connections, timeouts)
+//! station ◄─ orders ◄── api ◄── guard (rate, host, token, origin) ◄── server (connections, timeouts)
 //! ```
 //!
 //! A subscriber that is slow misses events and is told how many. It never delays other subscribers.
 
-mod accept;
 pub(crate) mod api;
 mod guard;
 mod hub;
 mod library;
 mod metrics;
 pub(crate) mod request;
-mod scans;
+pub(crate) mod scans;
 mod server;
 mod settings;
 mod state;
-pub(crate) mod subscribers;
+mod subscribers;
 mod trace;
 
 pub(crate) use guard::Traffic;

@@ -1,17 +1,18 @@
-//! Helpers for handlers of requests, for bodies, labels, work on other threads, and refusals.
+//! Helpers for handlers of requests: bodies, labels, work on other threads, long answers and refusals.
 
-use axum::body::Bytes;
+use std::io::{self, BufWriter, Write};
+
+use axum::body::{Body, Bytes};
 use axum::extract::rejection::{BytesRejection, QueryRejection};
 use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Json, Response};
 use serde_json::json;
+use tokio::sync::mpsc::{Sender, channel};
 
 use super::settings::LARGEST_BODY;
-use crate::trial::normal;
-
-const LONGEST_LABEL: usize = 80;
-/// The characters that a label may contain besides letters, digits and spaces.
-const MARKS: &str = "_-.,()+'%#";
+use super::subscribers::EventStream;
+use crate::trial::checked_label;
 
 #[derive(Debug, thiserror::Error)]
 pub enum Problem {
@@ -98,6 +99,42 @@ pub async fn aside<T: Send + 'static>(
     done.unwrap_or_else(|_| Err(Problem::Failed("this failed; please report it".into())))
 }
 
+pub const CSV: &str = "text/csv; charset=utf-8";
+pub const JSON_LINES: &str = "application/jsonl";
+/// The text is sent in blocks of `PIECE` bytes, of which at most `PIECES` may wait for the client.
+const PIECE: usize = 64 << 10;
+const PIECES: usize = 4;
+
+/// A writer that sends blocks to a client, as fast as the client takes them.
+pub struct Pieces(Sender<io::Result<Bytes>>);
+
+impl Write for Pieces {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let sent = self.0.blocking_send(Ok(Bytes::copy_from_slice(bytes)));
+        sent.map(|()| bytes.len()).map_err(|_| io::ErrorKind::BrokenPipe.into())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// An answer that `write` writes on a thread of its own.
+pub fn exported(
+    content_type: &'static str,
+    write: impl FnOnce(BufWriter<Pieces>) -> io::Result<()> + Send + 'static,
+) -> Response {
+    let (send, pieces) = channel(PIECES);
+    tokio::task::spawn_blocking(move || {
+        let out = BufWriter::with_capacity(PIECE, Pieces(send.clone()));
+        if let Err(error) = write(out) {
+            // The client sees that the text is cut short. If the client is gone, sending fails.
+            let _ = send.blocking_send(Err(error));
+        }
+    });
+    ([(CONTENT_TYPE, content_type)], Body::from_stream(EventStream(pieces))).into_response()
+}
+
 /// The body of a request, or an error if it is too large.
 pub type Said = Result<Bytes, BytesRejection>;
 
@@ -109,56 +146,7 @@ pub fn body<T: serde::de::DeserializeOwned>(said: Said, expected: &str) -> Resul
         .map_err(|error| Problem::Bad(format!("{error}; expected {expected}")))
 }
 
-/// Returns a label of a surface or user in normal form, without outer spaces. Refuses labels that are
-/// unsafe in file names, pages or terminals. `what` names the field in the message.
+/// The checked label of a surface or user; messages call the field `what`.
 pub fn label(what: &str, label: &str) -> Result<String, Problem> {
-    let label = &*normal(label.trim());
-    let odd = label.chars().find(|&c| !(c.is_alphanumeric() || c == ' ' || MARKS.contains(c)));
-    Err(Problem::Bad(if label.is_empty() {
-        format!("`{what}` is empty; give it a name, such as \"oak\"")
-    } else if label.chars().count() > LONGEST_LABEL {
-        format!("`{what}` is longer than {LONGEST_LABEL} characters")
-    } else if label.starts_with('.') {
-        format!("`{what}` begins with a dot; begin it with a letter or digit")
-    } else if let Some(odd) = odd {
-        let marks = MARKS.chars().map(String::from).collect::<Vec<_>>().join(" ");
-        format!("`{what}` holds {odd:?}; use letters, digits, spaces and {marks}")
-    } else {
-        return Ok(label.into());
-    }))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn common_labels_are_taken_and_trimmed() {
-        for name in ["oak", "G1EpoxyRasterPlate", "Eiche, geölt (2)", "木 100%", " oak "] {
-            assert_eq!(label("surface", name).unwrap(), name.trim());
-        }
-        assert_eq!(label("surface", "e\u{301}rable").unwrap(), "\u{e9}rable");
-    }
-
-    #[test]
-    fn what_could_mean_something_to_a_file_system_a_page_or_a_terminal_is_refused() {
-        let long = "x".repeat(LONGEST_LABEL + 1);
-        for name in [
-            "",
-            "  ",
-            "../etc",
-            ".",
-            "a/b",
-            "a\\b",
-            "a\0b",
-            "<script>",
-            "a&b",
-            "\u{1b}[2J",
-            "a\nb",
-            &long,
-        ] {
-            let said = label("surface", name).unwrap_err().to_string();
-            assert!(said.contains("`surface`"), "{name:?}: {said}");
-        }
-    }
+    checked_label(label).map_err(|why| Problem::Bad(format!("`{what}` {why}")))
 }

@@ -1,5 +1,6 @@
 //! Past scans for programs and the page. Serves the list, single scans, their files and corrections.
 
+use std::io::Write;
 use std::sync::Arc;
 
 use axum::Router;
@@ -9,31 +10,29 @@ use axum::http::header::{ACCEPT_RANGES, CONTENT_RANGE, CONTENT_TYPE, RANGE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::{get, post};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::hub::{Hub, Shared};
-use super::request::{Problem, Said, aside, body, label};
+use super::request::{CSV, JSON_LINES, Problem, Said, aside, body, exported, label};
 use super::settings::LibraryFolder;
 use super::subscribers::EventKind;
 use crate::history::{
-    Correction, CsvWriter, Extent, History, HistoryError, HistoryRow, NOTES, Precision,
-    nearest_picture,
+    COLUMNS, Correction, HistoryError, HistoryRow, NOTES, nearest_picture, write_csv,
 };
 use crate::jpeg;
 use crate::library::{About, LibraryError, recording};
+use crate::printable::json_text;
 use crate::record::TrialOptions;
 use crate::record::edit::{self, Editor};
 use crate::scene::SourceId;
 use crate::station::Command;
 use crate::trial::{EXPERT, Trial, TrialKey};
 
-/// How many scans one answer holds by default.
-const USUAL: usize = 100;
-/// How many scans one answer may hold.
-const MOST: usize = 1000;
+/// How many scans one answer holds by default (`USUAL`) and at most (`MOST`).
+pub(crate) const USUAL: usize = 100;
+pub(crate) const MOST: usize = 1000;
 
-/// The routes of scans, below `/api/v1`.
 pub fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/scans", get(scans))
@@ -60,6 +59,12 @@ impl From<HistoryError> for Problem {
     }
 }
 
+impl From<PathRejection> for Problem {
+    fn from(rejection: PathRejection) -> Self {
+        Self::Bad(rejection.body_text())
+    }
+}
+
 impl From<LibraryError> for Problem {
     fn from(error: LibraryError) -> Self {
         Self::Failed(error.to_string())
@@ -80,59 +85,29 @@ async fn scans(
 ) -> Result<Json<Value>, Problem> {
     let Query(page) = page?;
     let most = page.limit.unwrap_or(USUAL).min(MOST);
-    let scans = aside(move || Ok(hub.history.newest(page.before.as_deref(), most)?)).await?;
+    let scans =
+        aside(move || Ok(hub.settings.history.newest(page.before.as_deref(), most)?)).await?;
     Ok(Json(json!({ "scans": scans })))
 }
 
-/// All past scans as one text, made on a separate thread.
-async fn all(
-    hub: Arc<Hub>,
-    content_type: &'static str,
-    write: impl FnOnce(&History) -> Result<Vec<u8>, Problem> + Send + 'static,
-) -> Result<Response, Problem> {
-    let text = aside(move || write(&hub.history)).await?;
-    Ok(([(CONTENT_TYPE, content_type)], text).into_response())
+async fn csv(State(hub): Shared) -> Response {
+    exported(CSV, move |out| write_csv(out, COLUMNS, hub.settings.history.values()))
 }
 
-impl From<std::io::Error> for Problem {
-    fn from(error: std::io::Error) -> Self {
-        Self::Failed(error.to_string())
-    }
-}
-
-async fn csv(State(hub): Shared) -> Result<Response, Problem> {
-    let write = |history: &History| {
-        let mut csv = CsvWriter::new(Vec::new())?;
-        for row in history.rows() {
-            csv.scan(&row?)?;
+async fn json_lines(State(hub): Shared) -> Response {
+    exported(JSON_LINES, move |mut out| {
+        for row in hub.settings.history.rows() {
+            writeln!(out, "{}", json_text(&row?))?;
         }
-        Ok(csv.finish()?)
-    };
-    all(hub, "text/csv; charset=utf-8", write).await
-}
-
-async fn json_lines(State(hub): Shared) -> Result<Response, Problem> {
-    let write = |history: &History| {
-        let mut text = Vec::new();
-        for row in history.rows() {
-            serde_json::to_writer(&mut text, &row?).map_err(std::io::Error::from)?;
-            text.push(b'\n');
-        }
-        Ok(text)
-    };
-    all(hub, "application/jsonl", write).await
+        out.flush()
+    })
 }
 
 type ScanPath = Result<Path<String>, PathRejection>;
 
-fn name(id: ScanPath) -> Result<String, Problem> {
-    let bad = |_| Problem::Bad("name the scan by its `id` or its number".into());
-    id.map(|Path(id)| id).map_err(bad)
-}
-
 async fn scan(State(hub): Shared, id: ScanPath) -> Result<Json<HistoryRow>, Problem> {
-    let id = name(id)?;
-    Ok(Json(aside(move || Ok(hub.history.answer(&id)?)).await?))
+    let Path(id) = id?;
+    Ok(Json(aside(move || Ok(hub.settings.history.answer(&id)?)).await?))
 }
 
 fn whole(path: &std::path::Path) -> Result<Vec<u8>, Problem> {
@@ -143,8 +118,8 @@ fn whole(path: &std::path::Path) -> Result<Vec<u8>, Problem> {
 }
 
 async fn why(State(hub): Shared, id: ScanPath) -> Result<Response, Problem> {
-    let id = name(id)?;
-    let text = aside(move || whole(&hub.history.folder(&id)?.join(NOTES))).await?;
+    let Path(id) = id?;
+    let text = aside(move || whole(&hub.settings.history.folder(&id)?.join(NOTES))).await?;
     Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
 }
 
@@ -189,15 +164,15 @@ async fn file(
     path: Result<Path<(String, String)>, PathRejection>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let Path((id, file)) = path.map_err(|rejection| Problem::Bad(rejection.body_text()))?;
+    let Path((id, file)) = path?;
     let (file, content_type) = on_disk(&file).ok_or(Problem::NotFound)?;
-    let bytes = aside(move || whole(&hub.history.folder(&id)?.join(file))).await?;
+    let bytes = aside(move || whole(&hub.settings.history.folder(&id)?.join(file))).await?;
     Ok(([(CONTENT_TYPE, content_type)], part(&headers, bytes)).into_response())
 }
 
 /// The latest picture of a camera, cut to the compared region, or whole for `whole-SOURCE.jpg`.
 async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Problem> {
-    let file = file.map(|Path(file)| file).map_err(|_| Problem::NotFound)?;
+    let Path(file) = file?;
     let stem = file.strip_suffix(".jpg").ok_or(Problem::NotFound)?;
     let whole = stem.strip_prefix("whole-");
     let source = SourceId::new(whole.unwrap_or(stem)).map_err(|_| Problem::NotFound)?;
@@ -215,15 +190,11 @@ async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Pr
     Ok(([(CONTENT_TYPE, "image/jpeg")], bytes).into_response())
 }
 
-#[derive(Serialize)]
-struct HistoryView {
-    #[serde(flatten)]
-    extent: Extent,
-    precision: Vec<Precision>,
-}
-
-async fn history(State(hub): Shared) -> Json<HistoryView> {
-    Json(HistoryView { extent: hub.history.extent(), precision: hub.history.precision() })
+async fn history(State(hub): Shared) -> Json<Value> {
+    let history = &hub.settings.history;
+    let mut view = json!(history.extent());
+    view["precision"] = json!(history.precision());
+    Json(view)
 }
 
 /// The truth about a scan, as a request states it. An empty request removes the correction.
@@ -237,29 +208,24 @@ struct Was {
     bad: bool,
 }
 
-impl Was {
-    fn correction(self) -> Result<Option<Correction>, Problem> {
-        match self {
-            Self { surface: None, unknown: false, bad: false } => Ok(None),
-            Self { surface: None, unknown: true, bad: false } => Ok(Some(Correction::Unknown)),
-            Self { surface: None, unknown: false, bad: true } => Ok(Some(Correction::Bad)),
-            Self { surface: Some(surface), unknown: false, bad: false } => {
-                Ok(Some(Correction::Surface { surface: label("surface", &surface)? }))
-            }
-            _ => Err(Problem::Bad("give only one of `surface`, `unknown` and `bad`".into())),
-        }
-    }
-}
-
 async fn correct(
     State(hub): Shared,
     id: ScanPath,
     said: Said,
 ) -> Result<Json<HistoryRow>, Problem> {
-    let id = name(id)?;
-    let was: Was = body(said, "{\"surface\": \"oak\"}, {\"unknown\": true} or {\"bad\": true}")?;
-    let correction = was.correction()?;
-    let (history, library) = (hub.history.clone(), hub.library.clone());
+    let Path(id) = id?;
+    let expected = "{\"surface\": \"oak\"}, {\"unknown\": true} or {\"bad\": true}";
+    let Was { surface, unknown, bad } = body(said, expected)?;
+    let correction = match (surface, unknown, bad) {
+        (None, false, false) => None,
+        (None, true, false) => Some(Correction::Unknown),
+        (None, false, true) => Some(Correction::Bad),
+        (Some(surface), false, false) => {
+            Some(Correction::Surface { surface: label("surface", &surface)? })
+        }
+        _ => return Err(Problem::Bad("give only one of `surface`, `unknown` and `bad`".into())),
+    };
+    let (history, library) = (hub.settings.history.clone(), hub.settings.library.clone());
     let scan = aside(move || {
         let _reviewing = history.reviewing();
         let scan = history.answer(&id)?;
@@ -311,11 +277,11 @@ struct KeepRequest {
 }
 
 async fn keep(State(hub): Shared, id: ScanPath, said: Said) -> Result<Json<HistoryRow>, Problem> {
-    let id = name(id)?;
+    let Path(id) = id?;
     let KeepRequest { user } = body(said, "{\"user\": \"anna\"}")?;
     let user = label("user", user.as_deref().unwrap_or(EXPERT))?;
-    let library = hub.library.clone().ok_or(Problem::NoLibrary)?;
-    let history = hub.history.clone();
+    let library = hub.settings.library.clone().ok_or(Problem::NoLibrary)?;
+    let history = hub.settings.history.clone();
     let scan = aside(move || {
         let _reviewing = history.reviewing();
         let scan = history.answer(&id)?;

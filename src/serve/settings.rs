@@ -137,7 +137,6 @@ impl Token {
         self.0.as_bytes().ct_eq(given.as_bytes()).into()
     }
 
-    /// The text of the token, for the cookie.
     pub(super) fn reveal(&self) -> &str {
         &self.0
     }

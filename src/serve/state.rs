@@ -11,19 +11,16 @@ use crate::record;
 use crate::scene::Phase;
 use crate::station::{Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent};
 
-/// How many warnings are kept.
-const WARNINGS: usize = 50;
+const MOST_WARNINGS: usize = 50;
 /// How many devices are listed, at most. Hardware chooses their names, so there could be many.
 const DEVICES: usize = 64;
 
-/// The present time, in milliseconds since 1970.
 pub fn unix_ms() -> u64 {
     record::unix_ms(SystemTime::now())
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Advice {
-    /// The advice as a word for programs.
     #[serde(rename = "do")]
     pub what: AdviceKind,
     /// How many seconds longer the drag should last; `None` if that is not known.
@@ -71,20 +68,16 @@ pub struct WarningView {
 pub struct SessionCounts {
     /// Number of scans that were named or called unknown.
     pub scans: u64,
-    /// Number of these scans that were called unknown.
     pub unknown: u64,
     /// Number of these scans that have the nearest surface as name, with reasons for doubt.
     pub unsure: u64,
     /// Number of these scans named by the nearest surface because unknown ones are not detected.
     pub nearest: u64,
     pub unnamed: u64,
-    /// Number of answered scans that are spoiled.
     pub spoiled: u64,
     /// Number of answered scans that are spoiled, or that have damaged sources.
     pub damaged: u64,
-    /// Number of scans that were kept as trials.
     pub enrolled: u64,
-    /// Number of frames and pictures lost within scans.
     pub lost_samples: u64,
     pub warnings: u64,
 }
@@ -95,22 +88,18 @@ pub struct State {
     pub version: &'static str,
     pub started_unix_ms: u64,
     pub scan: Option<u32>,
-    /// The phase that the scan in progress has reached.
     pub phase: Option<Phase>,
     pub advice: Advice,
-    /// The current guess about the scan in progress.
     pub guess: Option<Guess>,
     pub answer: Option<Arc<Answer>>,
     pub devices: Vec<DeviceView>,
     pub library: Option<LibraryState>,
     pub reading: bool,
-    /// The order to keep the next scan, if there is one.
     pub enrolling: Option<Enrolling>,
     pub counts: SessionCounts,
     /// The last warnings, the newest first.
     pub warnings: VecDeque<WarningView>,
     pub finished: bool,
-    /// How often each device was reconnected.
     #[serde(skip)]
     pub reconnects: BTreeMap<String, u64>,
 }
@@ -123,7 +112,6 @@ impl State {
         state
     }
 
-    /// Updates the state with an event of the station; traces and meters are ignored.
     pub fn take(&mut self, notice: &StationEvent) {
         match notice {
             StationEvent::Device { device, state, detail } => self.device(device, *state, detail),
@@ -146,9 +134,9 @@ impl State {
                 (self.library, self.reading) = (Some(library.clone()), false);
             }
             StationEvent::Warning(text) => self.warned(text),
-            StationEvent::Unnamed(unnamed) => {
+            StationEvent::Unnamed(answer) => {
                 self.counts.unnamed += 1;
-                self.warned(&unnamed.text);
+                self.warned(&answer.not_named());
             }
             StationEvent::Finished(_) => {
                 (self.finished, self.reading) = (true, false);
@@ -196,7 +184,7 @@ impl State {
     fn warned(&mut self, text: &str) {
         self.counts.warnings += 1;
         self.warnings.push_front(WarningView { unix_ms: unix_ms(), text: text.into() });
-        self.warnings.truncate(WARNINGS);
+        self.warnings.truncate(MOST_WARNINGS);
     }
 
     fn advise(&self) -> Advice {

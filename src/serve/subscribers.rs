@@ -4,6 +4,7 @@
 //! event of the same type replaces (such as traces) are skipped. If other events were missed, the
 //! subscriber is told how many, and receives the whole state again.
 
+use std::io;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
@@ -95,7 +96,7 @@ const KEEP_ALIVE: &[u8] = b":\n\n";
 
 #[derive(Debug)]
 struct Subscriber {
-    queue: Sender<Bytes>,
+    queue: Sender<io::Result<Bytes>>,
     filter: EventFilter,
     missed: u64,
 }
@@ -108,7 +109,6 @@ pub struct Subscribers {
 }
 
 impl Subscribers {
-    /// Adds a subscriber; the first event of its stream is `first`.
     pub fn subscribe(&mut self, filter: EventFilter, first: Bytes) -> EventStream {
         let (queue, events) = channel(QUEUE);
         let mut subscriber = Subscriber { queue, filter, missed: 0 };
@@ -121,13 +121,11 @@ impl Subscribers {
         self.subscribers.iter().filter(|subscriber| !subscriber.queue.is_closed()).count()
     }
 
-    /// Whether any subscriber wants events of this type.
     pub fn wanted(&self, kind: EventKind) -> bool {
         self.subscribers.iter().any(|subscriber| subscriber.filter.holds(kind))
     }
 
-    /// Sends an event to all subscribers that want it, and `state` to those that have room again
-    /// after missing events.
+    /// Sends an event to all that want it, and `state` to those that have room again after a gap.
     pub fn publish(&mut self, kind: EventKind, event: &Bytes, state: &mut dyn FnMut() -> Bytes) {
         let dropped = &mut self.dropped;
         self.subscribers.retain_mut(|subscriber| {
@@ -140,7 +138,7 @@ impl Subscribers {
     pub fn keep_alive(&mut self) {
         // A full queue is no reason to drop a subscriber, only a closed queue is.
         self.subscribers.retain(|subscriber| {
-            let sent = subscriber.queue.try_send(Bytes::from_static(KEEP_ALIVE));
+            let sent = subscriber.queue.try_send(Ok(Bytes::from_static(KEEP_ALIVE)));
             !matches!(sent, Err(TrySendError::Closed(_)))
         });
     }
@@ -158,7 +156,7 @@ impl Subscriber {
             return true;
         }
         let behind = kind.passes() && (self.missed > 0 || self.queue.capacity() <= KEPT_FREE);
-        let sent = !behind && self.queue.try_send(event.clone()).is_ok();
+        let sent = !behind && self.queue.try_send(Ok(event.clone())).is_ok();
         self.missed += u64::from(!sent && !kind.passes());
         sent
     }
@@ -176,15 +174,15 @@ impl Subscriber {
     }
 }
 
-/// The receiving end of a subscriber's queue, which is the body of the HTTP answer.
+/// The receiving end of a queue, as the body of an HTTP answer.
 #[derive(Debug)]
-pub struct EventStream(pub Receiver<Bytes>);
+pub struct EventStream(pub Receiver<io::Result<Bytes>>);
 
 impl Stream for EventStream {
-    type Item = Result<Bytes, std::convert::Infallible>;
+    type Item = io::Result<Bytes>;
 
     fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
-        self.0.poll_recv(cx).map(|event| event.map(Ok))
+        self.0.poll_recv(cx)
     }
 }
 
@@ -195,7 +193,7 @@ mod tests {
     fn text(reading: &mut EventStream) -> Vec<String> {
         let mut all = Vec::new();
         while let Ok(event) = reading.0.try_recv() {
-            all.push(String::from_utf8(event.to_vec()).unwrap());
+            all.push(String::from_utf8(event.unwrap().to_vec()).unwrap());
         }
         all
     }

@@ -4,16 +4,13 @@ use std::collections::{BTreeMap, VecDeque};
 
 use serde::Serialize;
 
-use crate::history::{Bands, bands, four_digits};
+use crate::history::{Bands, WINDOW, bands, four_digits};
 use crate::scan::{Fresh, Trace};
 use crate::scene::SourceId;
 
-/// Approximate number of bins a second.
 const BINS_A_SECOND: f64 = 200.0;
 /// How many bins of one stream an event may hold. If there are more, only the newest are sent.
 const MOST_BINS: usize = 400;
-/// How many frames of each stream are kept for its spectrum.
-pub const RECENT: usize = 4096;
 
 #[derive(Debug, PartialEq, Serialize)]
 pub struct TraceEvent {
@@ -30,7 +27,6 @@ pub struct Bins {
     pub start_s: f64,
     /// The smallest sample of each bin, in one list for each channel.
     pub min: Vec<Vec<f32>>,
-    /// The largest sample of each bin, in one list for each channel.
     pub max: Vec<Vec<f32>>,
     /// Indexes of the bins in which a channel is clipped.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -47,10 +43,9 @@ pub struct Tracer {
 pub struct TracedStream {
     pub rate_hz: f64,
     pub channels: usize,
-    /// The newest samples, interleaved; at most [`RECENT`] frames.
+    /// The newest samples, interleaved; at most [`WINDOW`] frames.
     pub recent: VecDeque<f32>,
-    /// Number of frames in a bin.
-    width: usize,
+    bin_frames: usize,
     /// Index of the next expected frame.
     next: u64,
     /// Number of frames in the bin being filled.
@@ -62,8 +57,7 @@ pub struct TracedStream {
     clipped: bool,
 }
 
-/// Detects where a channel is clipped, that is, where several successive samples equal the highest
-/// or lowest value so far.
+/// Detects clipping: several successive samples equal the highest or lowest value so far.
 #[derive(Clone, Debug)]
 struct ChannelLimits {
     low: f32,
@@ -129,7 +123,7 @@ impl TracedStream {
             rate_hz: fresh.rate_hz,
             channels: fresh.channels,
             recent: VecDeque::new(),
-            width: (fresh.rate_hz / BINS_A_SECOND).round().max(1.0) as usize,
+            bin_frames: (fresh.rate_hz / BINS_A_SECOND).round().max(1.0) as usize,
             next: fresh.start,
             filled: 0,
             extremes: vec![NONE_YET; fresh.channels],
@@ -138,16 +132,11 @@ impl TracedStream {
         }
     }
 
-    /// Whether new frames follow the last ones without a gap, in the same format.
-    fn continues(&self, fresh: &Fresh) -> bool {
-        (self.next, self.channels, self.rate_hz) == (fresh.start, fresh.channels, fresh.rate_hz)
-    }
-
     /// Adds new frames, and returns the bins that are now full.
     fn add(&mut self, fresh: &Fresh) -> Bins {
         let mut bins = Bins {
             source: fresh.source.clone(),
-            bin_s: self.width as f64 / self.rate_hz,
+            bin_s: self.bin_frames as f64 / self.rate_hz,
             start_s: (self.next - self.filled as u64) as f64 / self.rate_hz,
             min: vec![Vec::new(); self.channels],
             max: vec![Vec::new(); self.channels],
@@ -161,7 +150,7 @@ impl TracedStream {
                 self.clipped |= limits.add(sample);
             }
             self.filled += 1;
-            if self.filled == self.width {
+            if self.filled == self.bin_frames {
                 self.filled = 0;
                 if std::mem::take(&mut self.clipped) {
                     bins.clipped.push(bins.len());
@@ -175,12 +164,12 @@ impl TracedStream {
         }
         self.next += (fresh.samples.len() / self.channels) as u64;
         self.remember(&fresh.samples);
-        bins.newest(MOST_BINS);
+        bins.drop_old();
         bins
     }
 
     fn remember(&mut self, samples: &[f32]) {
-        let most = RECENT * self.channels;
+        let most = WINDOW * self.channels;
         let samples = &samples[samples.len().saturating_sub(most)..];
         let over = (self.recent.len() + samples.len()).saturating_sub(most);
         self.recent.drain(..over);
@@ -189,9 +178,8 @@ impl TracedStream {
 }
 
 impl Bins {
-    /// Drops all bins except the newest `most`.
-    fn newest(&mut self, most: usize) {
-        let over = self.len().saturating_sub(most);
+    fn drop_old(&mut self) {
+        let over = self.len().saturating_sub(MOST_BINS);
         self.start_s += over as f64 * self.bin_s;
         self.min.iter_mut().chain(&mut self.max).for_each(|values| drop(values.drain(..over)));
         self.clipped.retain(|bin| *bin >= over);
@@ -204,8 +192,7 @@ impl Bins {
 }
 
 impl Tracer {
-    /// Adds new data, and returns the bins and pictures to draw. After a gap or a change of rate, a
-    /// stream starts again.
+    /// Returns the bins and pictures to draw. After a gap or a change of rate, a stream starts again.
     pub fn add(&mut self, trace: &Trace) -> TraceEvent {
         let mut streams = Vec::new();
         for fresh in trace.fresh.iter().filter(|fresh| fresh.channels > 0) {
@@ -213,7 +200,8 @@ impl Tracer {
                 .streams
                 .entry(fresh.source.clone())
                 .or_insert_with(|| TracedStream::new(fresh));
-            if !stream.continues(fresh) {
+            let expected = (stream.next, stream.channels, stream.rate_hz);
+            if expected != (fresh.start, fresh.channels, fresh.rate_hz) {
                 *stream = TracedStream::new(fresh);
             }
             let bins = stream.add(fresh);
@@ -237,9 +225,9 @@ pub struct StreamBands {
 pub fn spectra(tracer: &Tracer) -> Vec<StreamBands> {
     let of = |(source, stream): (&SourceId, &TracedStream)| {
         let TracedStream { rate_hz, channels, recent, .. } = stream;
-        let full = recent.len() >= RECENT * channels;
+        let full = recent.len() >= WINDOW * channels;
         let samples: Vec<f32> = recent.iter().copied().collect();
-        let bands = full.then(|| bands(&samples, *channels, *rate_hz, RECENT))??;
+        let bands = full.then(|| bands(&samples, *channels, *rate_hz))??;
         Some(StreamBands { source: source.clone(), bands })
     };
     tracer.streams.iter().filter_map(of).collect()
@@ -298,13 +286,13 @@ mod tests {
         assert_eq!(event.streams[0].len(), MOST_BINS);
         assert!((event.streams[0].start_s - 998.0).abs() < 1e-9);
         let (_, stream) = tracer.streams.first_key_value().unwrap();
-        assert_eq!(stream.recent.len(), RECENT);
+        assert_eq!(stream.recent.len(), WINDOW);
         assert_eq!(stream.recent.back(), Some(&999_999.0));
     }
 
     #[test]
     fn a_stream_has_a_spectrum_once_it_has_enough_frames() {
-        for (frames, spectra_of) in [(RECENT - 1, 0), (RECENT, 1)] {
+        for (frames, spectra_of) in [(WINDOW - 1, 0), (WINDOW, 1)] {
             let mut tracer = Tracer::default();
             tracer.add(&fresh(0, vec![0.0; frames]));
             assert_eq!(spectra(&tracer).len(), spectra_of);

@@ -1,6 +1,5 @@
 //! The answer of a station to a scan.
 
-use std::sync::Arc;
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
@@ -9,7 +8,6 @@ use crate::recognise::RankedSurface;
 use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
 use crate::scene::SourceId;
-use crate::trial::Flaw;
 
 /// The answer to a scan that has ended; as JSON, it takes one line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -49,8 +47,7 @@ pub struct Answer {
     /// Time from the end of the scan to its answer, in milliseconds.
     pub latency_ms: f64,
     pub scan_s: f64,
-    /// Seconds of scan until the answer was settled (see [`super::Guess`]); `None` if it never was,
-    /// or if the scan was not followed.
+    /// Seconds of scan until the answer was settled (see [`super::Guess`]); `None` if it never was.
     pub settled_s: Option<f64>,
     /// Number of frames and pictures lost during the scan.
     pub lost_samples: u64,
@@ -62,6 +59,9 @@ pub struct Answer {
     /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
     pub remarks: Vec<Remark>,
+    /// Whether the scan held too little to be named: it is silent, or shorter than a frame.
+    #[serde(skip)]
+    pub too_little: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -80,7 +80,6 @@ pub enum AnswerState {
 }
 
 impl AnswerState {
-    /// The state as a word, the same in all outputs.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Named => "named",
@@ -92,9 +91,6 @@ impl AnswerState {
     }
 }
 
-/// If a channel is constant for at least this share of a scan, the whole channel is called dead.
-const DEAD: f64 = 0.9;
-
 /// A fault in the signals of a scan, such as a dead or clipped channel.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Damage {
@@ -104,70 +100,19 @@ pub struct Damage {
     pub text: String,
 }
 
-impl Damage {
-    /// Finds the worst damage of a source from its flaws; a dead channel is worse than a clipped one.
-    /// A constant channel counts only if it changes in the library (`moves` is true for its index).
-    pub(super) fn of_source(
-        source: &SourceId,
-        flaws: &[Flaw],
-        moves: impl Fn(usize) -> bool,
-    ) -> Option<Self> {
-        // Ranks a flaw by whether the channel is dead (not clipped), then by the affected share of time.
-        let weight = |flaw: &Flaw| match flaw {
-            Flaw::Constant { .. } => (true, 1.0),
-            Flaw::Stuck { share, .. } | Flaw::Saturated { value: 0.0, share, .. } => (true, *share),
-            Flaw::Saturated { share, .. } => (false, *share),
-        };
-        let found = flaws.iter().filter(|flaw| !weight(flaw).0 || moves(flaw.channel() - 1));
-        let order = |a: &&Flaw, b: &&Flaw| {
-            let ((a, of_a), (b, of_b)) = (weight(a), weight(b));
-            a.cmp(&b).then(of_a.total_cmp(&of_b))
-        };
-        let text = match weight(found.max_by(order)?) {
-            (true, DEAD..) => "dead, check the cable".into(),
-            (true, share) => {
-                format!("dead for {:.0} % of the scan, check the cable", 100.0 * share)
-            }
-            (false, share) => format!(
-                "clipped in {:.0} % of its samples, lower the gain or press less",
-                100.0 * share
-            ),
-        };
-        Some(Self { source: Some(source.clone()), text })
-    }
-}
-
 /// A flaw of a scan. Only its text is written as JSON.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "String")]
 pub struct Remark {
-    pub kind: RemarkKind,
-    /// The source that the flaw concerns; `None` if it concerns the whole scan.
+    /// The source whose signal is flawed; `None` if the drag is shorter than the library's scan time.
     pub source: Option<SourceId>,
     pub text: String,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum RemarkKind {
-    Flaw,
-    /// The drag is shorter than the scan time of the library.
-    Short,
 }
 
 impl From<Remark> for String {
     fn from(remark: Remark) -> Self {
         remark.text
     }
-}
-
-#[derive(Clone, Debug)]
-pub struct Unnamed {
-    /// The answer to the scan; its state is [`AnswerState::Unnamed`].
-    pub answer: Arc<Answer>,
-    /// A message with the number of the scan and the reason why it was not named.
-    pub text: String,
-    /// Whether the scan holds too little data: it is silent, or shorter than a frame.
-    pub too_little: bool,
 }
 
 impl Answer {
@@ -195,14 +140,18 @@ impl Answer {
         }
     }
 
+    /// The warning that the scan was not named, with the reasons.
+    pub(crate) fn not_named(&self) -> String {
+        format!("scan {} was not named: {}", self.scan, self.reasons.join("; "))
+    }
+
     /// How many seconds the drag was too short; `None` below 0.05 s, which would be printed as 0.0.
     pub(crate) fn more_s(&self) -> Option<f64> {
         self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s >= 0.05)
     }
 }
 
-/// The permanent id of an answer, such as `20260921-143000.123-07`, and its time in milliseconds
-/// since 1970.
+/// The id of an answer, such as `20260921-143000.123-07`, and its time in milliseconds since 1970.
 fn stamp(now: SystemTime, scan: u32) -> (String, u64) {
     let unix_ms = unix_ms(now);
     let date = utc(now).replace(['-', ':', 'Z'], "").replace('T', "-");
@@ -214,21 +163,6 @@ mod tests {
     use std::time::UNIX_EPOCH;
 
     use super::*;
-
-    #[test]
-    fn damage_says_what_to_do_about_the_worst_channel() {
-        let source = SourceId::new("ir").unwrap();
-        let of = |flaws: &[Flaw]| Damage::of_source(&source, flaws, |channel| channel != 2);
-        let text = |flaws: &[Flaw]| of(flaws).unwrap().text;
-        let dead = |channel| Flaw::Constant { channel, value: 0.0 };
-        let clipped = |channel, share| Flaw::Saturated { channel, value: 1.0, share };
-        assert_eq!(text(&[dead(1), clipped(2, 0.1)]), "dead, check the cable");
-        let loose = Flaw::Saturated { channel: 1, value: 0.0, share: 0.6 };
-        assert_eq!(text(&[loose]), "dead for 60 % of the scan, check the cable");
-        let texts = text(&[clipped(1, 0.1), clipped(2, 0.47)]);
-        assert_eq!(texts, "clipped in 47 % of its samples, lower the gain or press less");
-        assert_eq!(of(&[dead(3)]), None, "it rests in the library, too");
-    }
 
     #[test]
     fn an_answer_is_named_by_its_moment_and_scan() {

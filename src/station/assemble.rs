@@ -18,7 +18,6 @@ pub struct Assembled {
     pub device_of: BTreeMap<String, String>,
     /// Requests a picture with flash during each drag; `None` without a flash.
     pub flasher: Option<Flasher>,
-    /// Shows what the camera sees; `None` without a camera.
     pub viewfinder: Option<Viewfinder>,
 }
 

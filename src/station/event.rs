@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::Receiver;
 use serde::Serialize;
 
-use super::answer::{Answer, AnswerState, Damage, Unnamed};
+use super::answer::{Answer, AnswerState, Damage};
 use super::recogniser::{LibraryState, Recogniser};
 use crate::device::DeviceState;
 use crate::scan::{Scan, StreamMeter, Totals, Trace};
@@ -18,7 +18,6 @@ use crate::scene::Phase;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SurfaceProbability {
     pub surface: String,
-    /// From 0 to 1.
     pub probability: f64,
 }
 
@@ -26,14 +25,12 @@ pub struct SurfaceProbability {
 pub struct Guess {
     pub scan: u32,
     pub scan_s: f64,
-    /// The state of the answer if the scan ended now; `None` as long as it cannot be told whether
-    /// the surface is unknown.
+    /// The state of the answer if the scan ended now; `None` until unknown surfaces can be recognised.
     pub state: Option<AnswerState>,
     /// The most probable surfaces, at most five; empty while the scan cannot be compared yet.
     pub named: Vec<SurfaceProbability>,
     pub damage: Vec<Damage>,
-    /// Whether the answer is settled, so that a longer drag would give the same answer, except for a
-    /// stated loss of accuracy.
+    /// Whether a longer drag would give the same answer, except for a stated loss of accuracy.
     pub settled: bool,
     /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
@@ -69,7 +66,6 @@ pub struct Enrolling {
     pub wanted: Option<u32>,
     /// The number of trials that were ordered; `None` if every scan is kept.
     pub trials: Option<u32>,
-    /// The number of trials kept so far.
     pub kept: u32,
     pub refused: Option<RefusedScan>,
 }
@@ -78,7 +74,6 @@ pub struct Enrolling {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RefusedScan {
     pub scan: u32,
-    /// Reasons for the refusal, a line each.
     pub reasons: Vec<String>,
 }
 
@@ -111,10 +106,10 @@ pub enum StationEvent {
     },
     Guess(Guess),
     Answer(Arc<Answer>),
-    Unnamed(Unnamed),
+    /// A scan could not be named; the answer has the state [`AnswerState::Unnamed`].
+    Unnamed(Arc<Answer>),
     /// A scan with its signals, sent after the scan's `Answer` or `Unnamed` event.
     Scan(Arc<AnsweredScan>),
-    /// The outcome of a scan that was to be kept as a trial.
     Enrolled(Enrolled),
     /// The order for the next scan has changed; `None` if the next scan will only be named.
     Enrolling(Option<Enrolling>),
@@ -130,15 +125,6 @@ pub enum StationEvent {
     Ending(Instant),
     /// The station has ended; this is the last event.
     Finished(Arc<Totals>),
-}
-
-impl StationEvent {
-    pub fn warning(&self) -> Option<&str> {
-        match self {
-            Self::Warning(text) | Self::Unnamed(Unnamed { text, .. }) => Some(text),
-            _ => None,
-        }
-    }
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -161,8 +147,7 @@ pub enum Command {
     Ping,
     /// Read the library and the plan again, without dropping a sample.
     Reload,
-    /// End the scan in progress, name it, and stop the station within 5 s. If there is no time to
-    /// name a scan, a warning says so.
+    /// End and name the scan in progress, and stop within 5 s; a warning tells of unnamed scans.
     Quit,
 }
 

@@ -15,20 +15,17 @@ mod event;
 mod orders;
 mod recogniser;
 mod run;
-mod start;
 mod store;
 mod trial_need;
-mod why;
 mod worker;
 
-pub use answer::{Answer, AnswerState, Damage, Remark, RemarkKind, Unnamed};
+pub use answer::{Answer, AnswerState, Damage, Remark};
 pub use assemble::{Assembled, assemble};
 pub use event::{
     AnsweredScan, Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, RefusedScan,
     StationEvent, SurfaceProbability,
 };
 pub use orders::Keep;
-pub use recogniser::{LibraryState, Load, Recogniser};
-pub use start::Station;
+pub use recogniser::{LibraryState, Load, Recogniser, SourceSays, Why};
+pub use run::Station;
 pub use store::ScanStore;
-pub use why::{SourceSays, Why};

@@ -18,20 +18,17 @@ pub struct Keep {
 /// The order under which a scan is kept as a trial.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Enrolment {
-    /// Number of the order.
     pub order: u64,
     pub keep: Keep,
 }
 
-/// An order, and its progress.
 #[derive(Debug)]
 struct Order {
     enrolment: Enrolment,
     kept: u32,
     /// The order's last scan, if it was refused.
     refused: Option<RefusedScan>,
-    /// Number of scans that are being written.
-    under_way: u32,
+    being_written: u32,
     /// Number of the first scan that the order covers.
     from: u32,
     /// Number of the first scan that the order no longer covers; `None` while it is in force.
@@ -41,7 +38,7 @@ struct Order {
 impl Order {
     fn new(order: u64, keep: Keep, from: u32) -> Self {
         let enrolment = Enrolment { order, keep };
-        Self { enrolment, kept: 0, refused: None, under_way: 0, from, until: None }
+        Self { enrolment, kept: 0, refused: None, being_written: 0, from, until: None }
     }
 
     /// Number of trials still to be kept; `None` if every scan is kept.
@@ -51,10 +48,9 @@ impl Order {
 
     /// Number of scans still to come; `None` if every scan is kept.
     fn to_come(&self) -> Option<u32> {
-        self.wanted().map(|wanted| wanted.saturating_sub(self.under_way))
+        self.wanted().map(|wanted| wanted.saturating_sub(self.being_written))
     }
 
-    /// Whether the order keeps the scan with this number.
     fn keeps(&self, scan: u32) -> bool {
         let covers = self.from <= scan && self.until.is_none_or(|until| scan < until);
         covers && self.to_come() != Some(0)
@@ -63,11 +59,10 @@ impl Order {
     /// Whether the order has all its trials, or covers no scan to come while no scan is being written.
     fn is_over(&self) -> bool {
         let covers_none = self.until.is_some_and(|until| until <= self.from);
-        self.wanted() == Some(0) || covers_none && self.under_way == 0
+        self.wanted() == Some(0) || covers_none && self.being_written == 0
     }
 }
 
-/// All orders of a station that are not finished.
 #[derive(Debug, Default)]
 pub(super) struct Orders {
     own: Option<Order>,
@@ -113,7 +108,7 @@ impl Orders {
         }
         let mut all = self.given.iter_mut().rev().chain(&mut self.own);
         let enrolment = all.find(|order| order.keeps(number)).map(|order| {
-            order.under_way += 1;
+            order.being_written += 1;
             order.enrolment.clone()
         });
         self.forget();
@@ -125,7 +120,7 @@ impl Orders {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         if let Some(order) = all.find(|order| order.enrolment.order == of.order) {
             let ended = enrolled.outcome != EnrolledOutcome::Waiting;
-            order.under_way = order.under_way.saturating_sub(u32::from(ended));
+            order.being_written = order.being_written.saturating_sub(u32::from(ended));
             order.kept += u32::from(enrolled.outcome == EnrolledOutcome::Kept);
             let (scan, reasons) = (enrolled.scan, &enrolled.remarks);
             order.refused = (enrolled.outcome == EnrolledOutcome::Refused)
@@ -144,7 +139,7 @@ impl Orders {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         let order = all.find(|o| o.refused.as_ref().is_some_and(|last| last.scan == scan))?;
         order.refused = None;
-        order.under_way += 1;
+        order.being_written += 1;
         Some(order.enrolment.clone())
     }
 

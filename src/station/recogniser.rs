@@ -5,17 +5,16 @@ use std::sync::Arc;
 
 use serde::{Serialize, Serializer};
 
-use super::answer::{Answer, AnswerState, Damage, Remark, RemarkKind};
+use super::answer::{Answer, AnswerState, Damage, Remark};
 use super::certainty::{judge, so_far, unknown_share};
-use super::why::Why;
 use crate::library::Entry;
 use crate::recognise::{
-    FollowOptions, Follower, GuessSoFar, LOOK_S, Model, Prepared, Ranking, RecogniseError,
-    Rejection, RejectionError, Settling, without_flawed,
+    Evidence, FollowOptions, Follower, GuessSoFar, LOOK_S, Model, Prepared, RankedSurface, Ranking,
+    RecogniseError, Rejection, RejectionError, Settling, SourceEvidence, without_flawed,
 };
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Flaw, Signal, TrialKey, flaws};
+use crate::trial::{Flaw, Signal, TrialKey, flaws, worst_damage};
 
 pub type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
 
@@ -27,10 +26,12 @@ pub struct Recogniser {
     models: Vec<Arc<dyn Model>>,
     model_of: BTreeMap<TrialKey, usize>,
     following: Vec<FollowOptions>,
-    needed_s: Option<f64>,
+    /// How long a drag should last, in seconds; `None` if that is not known.
+    pub needed_s: Option<f64>,
     scene: Scene,
-    library: LibraryState,
-    trials: BTreeMap<TrialKey, Entry>,
+    pub library: LibraryState,
+    /// Where the library's trials are, so that the trial nearest to a scan can be shown.
+    pub(crate) trials: BTreeMap<TrialKey, Entry>,
 }
 
 impl Recogniser {
@@ -55,11 +56,6 @@ impl Recogniser {
         Self { models, model_of, following, needed_s, scene, library, trials }
     }
 
-    pub fn lasting(self, needed_s: Option<f64>) -> Self {
-        Self { needed_s, ..self }
-    }
-
-    /// Stores where the library's trials are, so that the trial nearest to a scan can be shown.
     pub fn with_trials(mut self, entries: &[Entry]) -> Self {
         self.trials = entries.iter().map(|entry| (entry.key.clone(), entry.clone())).collect();
         self
@@ -93,13 +89,7 @@ impl Recogniser {
         settling.collect()
     }
 
-    /// Adds remarks about what answers are based on to the remarks of the library.
-    pub(crate) fn add_remarks(&mut self, remarks: &[String]) {
-        self.library.remarks.extend_from_slice(remarks);
-    }
-
-    /// A scan's model, and the options for following the scan. `truth` only picks the model that was made
-    /// without that scan.
+    /// A scan's model, made without the scan if `truth` names a trial, and the options to follow it.
     fn model(&self, truth: Option<&TrialKey>) -> (&Arc<dyn Model>, &FollowOptions) {
         let at = truth.and_then(|key| self.model_of.get(key)).copied().unwrap_or(0);
         (&self.models[at], &self.following[at])
@@ -124,13 +114,13 @@ impl Recogniser {
     /// Finds the damage of each source from its flaws; `truth` is the scan's [`Scan::truth`].
     fn damage(&self, truth: Option<&TrialKey>, flaws: &FlawsBySource) -> Vec<Damage> {
         let of = |(id, found): (&SourceId, &Vec<Flaw>)| {
-            Damage::of_source(id, found, |channel| self.moves(truth, id, channel))
+            let text = worst_damage(found, |channel| self.moves(truth, id, channel))?;
+            Some(Damage { source: Some(id.clone()), text })
         };
         flaws.iter().filter_map(of).collect()
     }
 
-    /// Whether a channel (counted from 0) ever changes in the library; `truth` is the scan's
-    /// [`Scan::truth`].
+    /// Whether a channel (counted from 0) changes in the library that names a scan of this `truth`.
     pub(super) fn moves(&self, truth: Option<&TrialKey>, id: &SourceId, channel: usize) -> bool {
         let embedding = self.model(truth).0.clone().embedding();
         embedding.is_none_or(|embedding| embedding.moves(id, channel))
@@ -146,8 +136,7 @@ impl Recogniser {
         self.damage(truth, &found)
     }
 
-    /// The state of the answer if the scan in progress ended now; `None` as long as it cannot be
-    /// told whether the surface is unknown.
+    /// The state of the answer if the scan ended now; `None` until unknown surfaces can be recognised.
     pub(super) fn state_so_far(
         &self,
         truth: Option<&TrialKey>,
@@ -164,14 +153,13 @@ impl Recogniser {
             let left_out =
                 if ranking.sources.contains(id) { "" } else { "; the source is left out" };
             let text = |flaw: &Flaw| format!("{id}: {flaw}{left_out}");
-            let (kind, source) = (RemarkKind::Flaw, Some(id.clone()));
-            let remark = |flaw: &Flaw| Remark { kind, source: source.clone(), text: text(flaw) };
+            let remark = |flaw: &Flaw| Remark { source: Some(id.clone()), text: text(flaw) };
             remarks.extend(found.iter().map(remark));
         }
         if let Some(needed_s) = self.needed_s.filter(|s| scan.scan_s < s - 0.5 * LOOK_S) {
             let so_long = format!("{:.1} s, and this library needs {needed_s:.1} s", scan.scan_s);
             let text = format!("the drag was short: {so_long}");
-            remarks.push(Remark { kind: RemarkKind::Short, source: None, text });
+            remarks.push(Remark { source: None, text });
         }
         remarks
     }
@@ -210,10 +198,6 @@ impl Recogniser {
     /// The sources of the library that a scan does not have.
     fn lacking(&self, scan: &Scan) -> impl Iterator<Item = &SourceId> {
         self.library.sources.iter().filter(|id| !scan.trial.signals.contains_key(*id))
-    }
-
-    pub fn trial(&self, key: &TrialKey) -> Option<&Entry> {
-        self.trials.get(key)
     }
 
     /// The answer to a scan with this ranking; `known` are the flaws found while the scan was followed,
@@ -266,17 +250,8 @@ impl Recogniser {
         let (model, following) = self.model(truth);
         Some(model.clone().embedding()?.follow(following))
     }
-
-    pub fn needed_s(&self) -> Option<f64> {
-        self.needed_s
-    }
-
-    pub fn library(&self) -> LibraryState {
-        self.library.clone()
-    }
 }
 
-/// Serialises each surface as a JSON object.
 fn as_rows<S: Serializer>(surfaces: &[(String, usize)], to: S) -> Result<S::Ok, S::Error> {
     let row = |(surface, trials): &_| serde_json::json!({ "surface": surface, "trials": trials });
     to.collect_seq(surfaces.iter().map(row))
@@ -311,5 +286,120 @@ impl LibraryState {
             synthetic,
             ..Self::default()
         }
+    }
+}
+
+/// Explains the name of a scan by the vote of each source, the threshold, and the nearest trial.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Why {
+    pub winner: String,
+    pub runner_up: Option<String>,
+    /// The sources, those that favour the winner most first; empty if the method cannot separate them.
+    pub sources: Vec<SourceSays>,
+    /// Sources that were not compared, and the reasons, a line each.
+    pub left_out: Vec<String>,
+    pub p_value: Option<f64>,
+    /// The p-value at or below which a scan is unknown; `None` if unknown surfaces are not detected.
+    pub threshold: Option<f64>,
+    /// Number of left-out trials from which the threshold was computed.
+    pub threshold_trials: Option<usize>,
+    pub surfaces: usize,
+    pub nearest: TrialKey,
+    pub ranked: Vec<RankedSurface>,
+}
+
+/// How one source judges the winner and the runner-up (the second surface).
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SourceSays {
+    pub source: SourceId,
+    /// Natural logarithm of the odds for the winner against the runner-up, by this source alone;
+    /// negative if it favours the runner-up. `None` if either surface lacks the source.
+    pub for_winner: Option<f64>,
+    /// The surface that this source alone would name.
+    pub alone: Option<String>,
+}
+
+impl Why {
+    pub(crate) fn new(
+        ranking: Ranking,
+        evidence: Option<&Evidence>,
+        rejection: Option<&Rejection>,
+        left_out: Vec<String>,
+    ) -> Self {
+        let winner = ranking.surface().to_string();
+        let runner_up = ranking.ranked.get(1).map(|second| second.surface.clone());
+        let mut sources: Vec<SourceSays> =
+            evidence.map_or_else(Vec::new, |all| says(all, &winner, runner_up.as_deref()));
+        sources.sort_by(|a, b| {
+            let order = |says: &SourceSays| says.for_winner.unwrap_or(f64::NEG_INFINITY);
+            order(b).total_cmp(&order(a))
+        });
+        Self {
+            winner,
+            runner_up,
+            sources,
+            left_out,
+            p_value: ranking.p_value,
+            threshold: rejection.map(|rejection| rejection.rate),
+            threshold_trials: rejection.map(|rejection| rejection.trials),
+            surfaces: ranking.ranked.len(),
+            nearest: ranking.nearest,
+            ranked: ranking.ranked,
+        }
+    }
+}
+
+fn says(evidence: &Evidence, winner: &str, runner_up: Option<&str>) -> Vec<SourceSays> {
+    let Evidence { surfaces, sources } = evidence;
+    let at = |surface: &str| surfaces.iter().position(|other| other == surface);
+    let (first, second) = (at(winner), runner_up.and_then(at));
+    let of = |source: &SourceEvidence| {
+        let term = |index: Option<usize>| index.map(|i| source.terms[i]).filter(|t| t.is_finite());
+        let finite = (0..surfaces.len()).filter(|&i| source.terms[i].is_finite());
+        let alone = finite.min_by(|&a, &b| source.terms[a].total_cmp(&source.terms[b]));
+        SourceSays {
+            source: source.source.clone(),
+            for_winner: term(second).zip(term(first)).map(|(second, first)| second - first),
+            alone: alone.map(|i| surfaces[i].clone()),
+        }
+    };
+    sources.iter().map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sources_speak_for_the_winner_or_the_runner_up() {
+        let source = |id: &str, terms: [f64; 3]| SourceEvidence {
+            source: SourceId::new(id).unwrap(),
+            terms: terms.into(),
+        };
+        let evidence = Evidence {
+            surfaces: ["ash", "elm", "oak"].map(String::from).into(),
+            sources: vec![
+                source("ir", [1.0, f64::INFINITY, 2.0]),
+                source("mi2", [7.0, 0.5, 1.0]),
+                source("ac", [9.0, f64::INFINITY, f64::INFINITY]),
+            ],
+        };
+        let ranked = ["oak", "ash"].map(|s| RankedSurface { surface: s.into(), score: 1.0 });
+        let ranking = Ranking {
+            ranked: ranked.into(),
+            margin: 1.0,
+            sources: Vec::new(),
+            nearest: TrialKey::new("oak", "expert", 1),
+            confidence: None,
+            p_value: None,
+        };
+        let why = Why::new(ranking, Some(&evidence), None, Vec::new());
+        let said: Vec<_> = why
+            .sources
+            .iter()
+            .map(|s| (s.source.as_str(), s.for_winner, s.alone.as_deref().unwrap()))
+            .collect();
+        let expected = [("mi2", Some(6.0), "elm"), ("ir", Some(-1.0), "ash"), ("ac", None, "ash")];
+        assert_eq!(said, expected);
     }
 }

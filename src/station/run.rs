@@ -1,19 +1,21 @@
-//! The loop of a station: it takes session events, answers and commands, and emits station events.
+//! A station and its loop, which takes session events, answers and commands, and emits station events.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, at, never, select};
+use crossbeam_channel::{Receiver, Sender, at, never, select};
 
-use super::event::{Command, Enrolled, EnrolledOutcome, Enrolling, Listener, StationEvent};
+use super::answer::AnswerState;
+use super::event::{
+    AnsweredScan, Command, Enrolled, EnrolledOutcome, Enrolling, Listener, StationEvent,
+};
 use super::orders::{Enrolment, Keep, Orders};
 use super::recogniser::{LibraryState, Load, Recogniser};
-use super::start::Station;
-use super::store::{RecordingThread, StoredScan};
-use super::trial_need::Purpose;
-use super::worker::{Job, ScanAnswer, Work, Worker, WorkerEvent, unnamed};
-use crate::scan::{Event, Progress, Scan, ScanCommand, Session, SessionError, Totals};
+use super::store::{RecordingThread, ScanStore, StoredScan};
+use super::worker::{Job, Work, Worker, WorkerEvent, unnamed};
+use crate::device::Device;
+use crate::scan::{Event, Options, Progress, Scan, ScanCommand, Session, SessionError, Totals};
 use crate::scene::SourceId;
 
 /// Time after [`Command::Quit`] for naming the last scans. Devices have 2 s of this time to stop.
@@ -29,26 +31,20 @@ type LoadedRecogniser = Result<Arc<Recogniser>, String>;
 /// How many scans may wait to be named if devices cannot be paused; they span some 15 minutes.
 const BACKLOG: usize = 64;
 
-/// The part of a job that must be reported if its result does not come in time.
-enum Awaited {
-    Scan(u32),
-    Progress,
-    Kept(Box<(Enrolment, Enrolled)>),
+pub struct Station<'a> {
+    pub devices: Vec<Box<dyn Device>>,
+    pub options: Options,
+    pub recogniser: Option<Arc<Recogniser>>,
+    /// Reads the library, at each [`Command::Reload`], and at the start unless there is a recogniser.
+    pub load: Option<Load>,
+    pub store: Option<ScanStore>,
+    /// Keeps every scan as a trial in `store` while no [`Command::Enroll`] is in force.
+    pub keep: Option<Keep>,
+    pub listeners: Vec<Box<dyn Listener + 'a>>,
+    commands: (Sender<Command>, Receiver<Command>),
 }
 
-impl Awaited {
-    fn of(job: &Job) -> Self {
-        match job {
-            Job::Scan(scan) => Self::Scan(scan.number),
-            Job::Progress(_) => Self::Progress,
-            Job::Kept(kept) => {
-                Self::Kept(Box::new((kept.enrolment.clone(), kept.enrolled.clone())))
-            }
-        }
-    }
-}
-
-pub(super) struct StationRun<'a> {
+struct StationRun<'a> {
     session: Session,
     worker: Worker,
     recording: Option<RecordingThread>,
@@ -56,23 +52,50 @@ pub(super) struct StationRun<'a> {
     /// Whether the station may pause all devices; true for recordings.
     waits: bool,
     load: Option<Load>,
-    /// `None` while the first library is read; then scans wait.
-    naming: Option<LoadedRecogniser>,
+    naming: LoadedRecogniser,
+    /// The library that is being read. Scans wait for it if there is no recogniser yet.
     loading: Option<Receiver<LoadedRecogniser>>,
     /// Whether to read the library once more, since it may have changed after `loading` began.
     load_again: bool,
-    /// Jobs that the worker has not taken yet.
-    pending: VecDeque<Job>,
-    in_hand: VecDeque<Awaited>,
+    to_do: VecDeque<Job>,
+    /// Numbers of the scans that the worker is to name.
+    in_hand: VecDeque<u32>,
+    /// Trials that the worker is to find the nearest surface of, in the order of their jobs.
+    kept: VecDeque<(Enrolment, Enrolled)>,
     orders: Orders,
     /// The order for the next scan, as it was last reported.
     enrolling: Option<Enrolling>,
-    /// When [`Command::Quit`] was given.
-    ordered: Option<Instant>,
+    quit_at: Option<Instant>,
     listeners: Vec<Box<dyn Listener + 'a>>,
 }
 
-impl Station<'_> {
+impl<'a> Station<'a> {
+    pub fn new(devices: Vec<Box<dyn Device>>, options: Options) -> Self {
+        Self {
+            devices,
+            options,
+            recogniser: None,
+            load: None,
+            store: None,
+            keep: None,
+            listeners: Vec::new(),
+            commands: crossbeam_channel::unbounded(),
+        }
+    }
+
+    pub fn listener(mut self, listener: impl Listener + 'a) -> Self {
+        self.listeners.push(Box::new(listener));
+        self
+    }
+
+    pub fn emit(&mut self, event: &StationEvent) {
+        self.listeners.iter_mut().for_each(|listener| listener.on_event(event));
+    }
+
+    pub fn commands(&self) -> Sender<Command> {
+        self.commands.0.clone()
+    }
+
     /// Runs until all devices have ended, or until [`Command::Quit`].
     ///
     /// # Errors
@@ -88,8 +111,7 @@ impl Station<'_> {
 }
 
 impl<'a> StationRun<'a> {
-    /// Starts the devices and threads of a station. Commands are passed to `until_finished`.
-    pub fn start(station: Station<'a>) -> Result<Self, SessionError> {
+    fn start(station: Station<'a>) -> Result<Self, SessionError> {
         let Station { devices, options, recogniser, load, store, keep, listeners, .. } = station;
         let thread = |name: &str| {
             let name = name.to_string();
@@ -107,14 +129,15 @@ impl<'a> StationRun<'a> {
             by_t_star,
             waits,
             load,
-            naming: Some(Err("no library is set".into())),
+            naming: Err("no library is set".into()),
             loading: None,
             load_again: false,
-            pending: VecDeque::new(),
+            to_do: VecDeque::new(),
             in_hand: VecDeque::new(),
+            kept: VecDeque::new(),
             orders: Orders::default(),
             enrolling: None,
-            ordered: None,
+            quit_at: None,
             listeners,
         };
         keep.into_iter().for_each(|keep| run.orders.set_own(keep));
@@ -137,25 +160,25 @@ impl<'a> StationRun<'a> {
     }
 
     /// Works until the session has ended and its scans are named, or until time is up.
-    pub fn until_finished(&mut self, commands: &Receiver<Command>) {
+    fn until_finished(&mut self, commands: &Receiver<Command>) {
         let mut finished = false;
         loop {
-            let deadline = self.ordered.map(|ordered| ordered + NAMED);
+            let deadline = self.quit_at.map(|quit_at| quit_at + NAMED);
             match deadline.is_some_and(|deadline| deadline <= Instant::now()) {
                 true => self.give_up_naming(),
                 false => self.hand_on(),
             }
-            if finished && self.pending.is_empty() && self.in_hand.is_empty() {
+            let is_idle = self.to_do.is_empty() && self.in_hand.is_empty() && self.kept.is_empty();
+            if finished && is_idle {
                 return;
             }
             // A recording is paused until its scans are named; live devices cannot be paused.
-            let reads = !finished && (!self.waits || self.pending.is_empty());
+            let reads = !finished && (!self.waits || self.to_do.is_empty());
             let events = if reads { self.session.events().clone() } else { never() };
             let done = self.worker.done.clone();
             let stored = self.recording.as_ref().map_or_else(never, |thread| thread.stored.clone());
             let loaded = self.loading.clone().unwrap_or_else(never);
-            let waiting = !(self.pending.is_empty() && self.in_hand.is_empty());
-            let deadline = deadline.filter(|_| waiting).map_or_else(never, at);
+            let deadline = deadline.filter(|_| !is_idle).map_or_else(never, at);
             select! {
                 recv(events) -> event => match event {
                     // A channel closed without this event means a panic; `finish` reports it.
@@ -183,8 +206,8 @@ impl<'a> StationRun<'a> {
     }
 
     /// Waits until scans are written to disk, and reports the end.
-    pub fn finish(mut self) -> Result<Totals, SessionError> {
-        let until = self.ordered.map(|ordered| ordered + WRITTEN);
+    fn finish(mut self) -> Result<Totals, SessionError> {
+        let until = self.quit_at.map(|quit_at| quit_at + WRITTEN);
         let written = self.recording.take().into_iter().flat_map(|thread| thread.finish(until));
         written.for_each(|stored| self.enrolled(&stored.enrolment, stored.enrolled));
         let Self { session, mut listeners, .. } = self;
@@ -215,9 +238,14 @@ impl<'a> StationRun<'a> {
         if let Some(recording) = &mut self.recording {
             recording.settle(&stored.enrolled);
         }
-        match stored.kept {
-            Some(_) => self.pending.push_back(Job::Kept(Box::new(stored))),
-            None => self.enrolled(&stored.enrolment, stored.enrolled),
+        let StoredScan { enrolment, enrolled, kept } = stored;
+        // If too many scans wait, the trial is reported without its nearest surface.
+        match kept.filter(|_| self.waits || self.kept.len() < BACKLOG) {
+            Some((scan, by)) => {
+                self.to_do.push_back(Job::Nearest(scan, by));
+                self.kept.push_back((enrolment, enrolled));
+            }
+            None => self.enrolled(&enrolment, enrolled),
         }
     }
 
@@ -235,7 +263,6 @@ impl<'a> StationRun<'a> {
         self.report_order();
     }
 
-    /// Reports the order for the next scan if it has changed.
     fn report_order(&mut self) {
         let now = self.orders.in_force();
         if now != self.enrolling {
@@ -274,34 +301,30 @@ impl<'a> StationRun<'a> {
             Command::Reload => self.reload(),
             Command::Quit => {
                 self.session.request_stop();
-                if self.ordered.is_none() {
+                if self.quit_at.is_none() {
                     let now = Instant::now();
-                    self.ordered = Some(now);
+                    self.quit_at = Some(now);
                     self.emit(StationEvent::Ending(now + PASSED_ON));
                 }
             }
         }
     }
-}
 
-impl StationRun<'_> {
     /// Uses the new library from now on, if it could be read.
     fn loaded(&mut self, loaded: LoadedRecogniser) {
         match loaded {
             Ok(recogniser) => {
-                self.emit(StationEvent::Library(recogniser.library()));
-                self.naming = Some(Ok(recogniser));
+                self.emit(StationEvent::Library(recogniser.library.clone()));
+                self.naming = Ok(recogniser);
             }
             Err(problem) => {
                 // The previous library stays in use, so the event names that library and the problem.
-                let mut state = match &self.naming {
-                    Some(Ok(recogniser)) => recogniser.library(),
-                    _ => {
-                        self.naming = Some(Err(problem.clone()));
-                        LibraryState::default()
-                    }
-                };
+                let by = self.naming.as_ref().ok();
+                let mut state = by.map_or_else(LibraryState::default, |by| by.library.clone());
                 state.problem = Some(problem.clone());
+                if let Err(why) = &mut self.naming {
+                    why.clone_from(&problem);
+                }
                 self.emit(StationEvent::Library(state));
                 self.warn(problem);
             }
@@ -318,7 +341,6 @@ impl StationRun<'_> {
             self.load_again = true;
             return;
         }
-        self.naming.take_if(|naming| naming.is_err());
         self.emit(StationEvent::Reading);
         let (send, loaded) = crossbeam_channel::bounded(1);
         let work = move || {
@@ -336,105 +358,92 @@ impl StationRun<'_> {
         if let Some(recording) = &mut self.recording
             && let Some(enrolment) = self.orders.claim(scan.number)
         {
-            recording.store(scan, enrolment, self.naming.clone().and_then(Result::ok));
+            recording.store(scan, enrolment, self.naming.clone().ok());
             return self.report_order();
         }
-        self.pending.push_back(Job::Scan(scan));
-        self.limit_backlog();
-    }
-
-    /// Drops the oldest scan, and the progress before it, if too many scans wait.
-    fn limit_backlog(&mut self) {
-        let waiting = self.pending.iter().filter(|job| !matches!(job, Job::Progress(_))).count();
-        if waiting <= BACKLOG || self.waits {
-            return;
+        let waiting = self.to_do.iter().filter(|job| matches!(job, Job::Scan(_))).count();
+        if waiting >= BACKLOG && !self.waits {
+            let from = scan.ended_at;
+            return self.answered(unnamed(scan, "too many scans are waiting", false, from));
         }
-        while let Some(job) = self.pending.pop_front() {
-            match job {
-                Job::Progress(_) => {}
-                Job::Kept(kept) => return self.enrolled(&kept.enrolment, kept.enrolled),
-                Job::Scan(scan) => return self.unnamed(scan, "too many scans were waiting"),
-            }
-        }
+        self.to_do.push_back(Job::Scan(scan));
     }
 
     /// Queues progress of a scan. It is joined to the newest job if that job is progress of this scan.
     fn progress(&mut self, progress: Progress) {
-        match self.pending.back_mut() {
+        match self.to_do.back_mut() {
             Some(Job::Progress(last)) if last.number == progress.number => last.append(progress),
-            _ => self.pending.push_back(Job::Progress(progress)),
+            _ => self.to_do.push_back(Job::Progress(progress)),
         }
     }
 
-    /// Hands jobs to the worker until it accepts no more.
     fn hand_on(&mut self) {
-        while let Some(job) = self.pending.pop_front() {
-            let Some(by) = self.naming.clone() else {
-                return self.pending.push_front(job);
-            };
-            let purpose = match &job {
-                Job::Progress(progress) => self.purpose(progress.number),
-                Job::Scan(_) | Job::Kept(_) => Purpose::Name,
-            };
-            let awaited = Awaited::of(&job);
-            if let Err(back) = self.worker.work.try_send(Work { job, purpose, by }) {
-                return self.pending.push_front(back.into_inner().job);
+        while let Some(job) = self.to_do.pop_front() {
+            if self.naming.is_err() && self.loading.is_some() {
+                return self.to_do.push_front(job);
             }
-            self.in_hand.push_back(awaited);
+            let (trial, number) = match &job {
+                Job::Progress(progress) => (self.sources_of_trial(progress.number), None),
+                Job::Scan(scan) => (None, Some(scan.number)),
+                Job::Nearest(..) => (None, None),
+            };
+            let work = Work { job, trial, by: self.naming.clone() };
+            if let Err(back) = self.worker.work.try_send(work) {
+                return self.to_do.push_front(back.into_inner().job);
+            }
+            self.in_hand.extend(number);
         }
     }
 
-    fn purpose(&self, number: u32) -> Purpose {
-        match self.orders.covering(number) {
-            Some(enrolment) if enrolment.keep.good_only => Purpose::Keep(self.by_t_star.clone()),
-            Some(_) => Purpose::Keep(Vec::new()),
-            None => Purpose::Name,
-        }
+    /// The sources judged by T* if the scan with this number is to be a trial.
+    fn sources_of_trial(&self, number: u32) -> Option<Vec<SourceId>> {
+        let good_only = self.orders.covering(number)?.keep.good_only;
+        Some(if good_only { self.by_t_star.clone() } else { Vec::new() })
     }
 
     fn done(&mut self, done: WorkerEvent) {
-        self.in_hand.pop_front();
         match done {
-            WorkerEvent::Scan(answered) => self.answered(answered),
+            WorkerEvent::Scan(answered) => {
+                self.in_hand.pop_front();
+                self.answered(answered);
+            }
             WorkerEvent::Progress(guess) => self.emit(StationEvent::Guess(guess)),
-            WorkerEvent::Kept(kept, nearest) => {
-                let StoredScan { enrolment, enrolled, .. } = *kept;
-                self.enrolled(&enrolment, Enrolled { nearest, ..enrolled });
+            WorkerEvent::Nearest(nearest) => {
+                if let Some((enrolment, enrolled)) = self.kept.pop_front() {
+                    self.enrolled(&enrolment, Enrolled { nearest, ..enrolled });
+                }
             }
         }
     }
 
-    fn answered(&mut self, (scan, unnamed): ScanAnswer) {
-        self.emit(match unnamed {
-            Some(unnamed) => StationEvent::Unnamed(unnamed),
-            None => StationEvent::Answer(scan.answer.clone()),
+    fn answered(&mut self, scan: AnsweredScan) {
+        let answer = scan.answer.clone();
+        self.emit(match answer.state {
+            AnswerState::Unnamed => StationEvent::Unnamed(answer),
+            _ => StationEvent::Answer(answer),
         });
-        self.emit(StationEvent::Scan(scan));
-    }
-
-    fn unnamed(&mut self, scan: Box<Scan>, why: &str) {
-        let latency_ms = scan.ended_at.elapsed().as_secs_f64() * 1e3;
-        self.answered(unnamed(scan, why, latency_ms, false));
+        self.emit(StationEvent::Scan(Arc::new(scan)));
     }
 
     /// Reports all scans that are still unnamed when the time after [`Command::Quit`] is over.
     fn give_up_naming(&mut self) {
         // From now on, no results come from the worker, since all these scans are reported here.
         self.worker.done = never();
-        let mut awaited = std::mem::take(&mut self.in_hand);
-        awaited.extend(self.pending.drain(..).map(|job| Awaited::of(&job)));
-        let busy = match &self.naming {
-            None => "the library was still being read",
-            Some(_) => "time had run out",
-        };
-        for job in awaited {
-            match job {
-                Awaited::Scan(number) => self.warn(format!(
-                    "scan {number} was not named: {busy} when the station was ended"
-                )),
-                Awaited::Kept(kept) => self.enrolled(&kept.0, kept.1),
-                Awaited::Progress => {}
+        let mut unnamed = std::mem::take(&mut self.in_hand);
+        for job in self.to_do.drain(..) {
+            if let Job::Scan(scan) = job {
+                unnamed.push_back(scan.number);
             }
+        }
+        let busy = match self.naming.is_err() && self.loading.is_some() {
+            true => "the library was still being read",
+            false => "time had run out",
+        };
+        for number in unnamed {
+            self.warn(format!("scan {number} was not named: {busy} when the station was ended"));
+        }
+        for (enrolment, enrolled) in std::mem::take(&mut self.kept) {
+            self.enrolled(&enrolment, enrolled);
         }
     }
 }

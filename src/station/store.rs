@@ -23,12 +23,10 @@ use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Trial, TrialKey, normal};
 
-/// Time between two attempts to write a scan.
 const RETRY: Duration = Duration::from_secs(2);
 /// How many scans may wait to be written. Scans of 10 s then take 200 MB.
 const MAX_WAITING: usize = 64;
 
-/// The library in which scans are stored, and the data written beside them.
 #[derive(Clone, Debug)]
 pub struct ScanStore {
     /// The folder of the library; it need not exist yet.
@@ -45,7 +43,6 @@ impl ScanStore {
     }
 }
 
-/// The outcome of storing a scan, and the enrolment of the scan.
 pub(super) struct StoredScan {
     pub enrolment: Enrolment,
     pub enrolled: Enrolled,
@@ -59,7 +56,6 @@ enum Task {
     KeepRefused(u32),
 }
 
-/// The channels to and from the thread that writes scans.
 pub(super) struct RecordingThread {
     scans: Sender<Task>,
     pub stored: Receiver<StoredScan>,
@@ -100,8 +96,7 @@ impl RecordingThread {
         settle(&mut self.under_way, enrolled);
     }
 
-    /// Tries a last time to write the waiting scans, and returns the last outcomes. Data not
-    /// written by `until` is lost.
+    /// Tries a last time to write the waiting scans. Data not written by `until` is lost.
     pub fn finish(self, until: Option<Instant>) -> Vec<StoredScan> {
         let Self { scans, stored, working, mut under_way } = self;
         drop((scans, working));
@@ -173,14 +168,8 @@ impl StoreWriter {
             }
         }
         self.current = false;
-        while let Some(mut last) = self.waiting.pop_front() {
-            match self.write(&last) {
-                Ok(stored) => self.kept(last, stored),
-                Err(error) => {
-                    last.remarks.push(error.to_string());
-                    self.report(&last, EnrolledOutcome::Lost);
-                }
-            }
+        while let Some(last) = self.waiting.pop_front() {
+            self.try_write(last, false);
         }
     }
 
@@ -195,20 +184,23 @@ impl StoreWriter {
         }
     }
 
-    fn keep(&mut self, mut new: WaitingScan) {
+    fn keep(&mut self, new: WaitingScan) {
         // The numbers are read for each scan, since other programs may write into the same library.
         self.read_numbers();
+        self.try_write(new, self.waiting.len() < MAX_WAITING);
+    }
+
+    /// Writes a scan. If that fails, the scan waits if it `may_wait`, and is lost otherwise.
+    fn try_write(&mut self, mut new: WaitingScan, may_wait: bool) {
         match self.write(&new) {
             Ok(stored) => self.kept(new, stored),
             Err(error) => {
-                let full = self.waiting.len() >= MAX_WAITING;
-                let outcome = if full { EnrolledOutcome::Lost } else { EnrolledOutcome::Waiting };
+                let outcome =
+                    if may_wait { EnrolledOutcome::Waiting } else { EnrolledOutcome::Lost };
                 new.remarks.push(error.to_string());
                 self.report(&new, outcome);
                 new.remarks.pop();
-                if !full {
-                    self.waiting.push_back(new);
-                }
+                self.waiting.extend(may_wait.then_some(new));
             }
         }
     }

@@ -3,27 +3,19 @@
 
 use std::collections::BTreeMap;
 
-use super::answer::Damage;
 use super::recogniser::Recogniser;
 use crate::duration::{OnlineDuration, SAMPLES, of_recording, scan_s};
 use crate::recognise::LOOK_S;
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::{Scene, SourceId};
 use crate::station::event::Guess;
-use crate::trial::{Series, Signal, flaws};
+use crate::trial::{Series, Signal, flaws, worst_damage};
 
 /// A source is not judged if it has not changed after this many seconds of drag.
 const RESTS_S: f64 = 1.0;
 
 /// The shortest drag of a trial, in seconds: ten times the interval of looks.
 const LEAST_S: f64 = 10.0 * LOOK_S;
-
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Purpose {
-    Name,
-    /// The scan is to be a trial, which must hold enough independent samples of these sources.
-    Keep(Vec<SourceId>),
-}
 
 /// How long a drag must last, by the current estimate of T* for each judged source.
 #[derive(Default)]
@@ -40,18 +32,19 @@ struct SourceNeed {
 }
 
 impl TrialNeed {
-    /// Sets in `news` the drag that is needed for the purpose, and whether the drag may end. On
-    /// entry, `news` holds the drag needed for a name. A settled answer may end the drag only if
-    /// its rule is `supported` by enough trials.
+    /// Sets in `news` the drag that is needed, and whether the drag may end. On entry, `news` holds
+    /// the drag needed for a name. A scan that is to be a trial needs enough independent samples of
+    /// the sources in `trial`. A settled answer may end the drag only if its rule is `supported` by
+    /// enough trials.
     pub fn judge(
         &mut self,
         news: &mut Guess,
         progress: &Progress,
-        purpose: &Purpose,
+        trial: Option<&[SourceId]>,
         supported: bool,
     ) {
         let mut settled = news.settled && supported;
-        if let Purpose::Keep(by_t_star) = purpose {
+        if let Some(by_t_star) = trial {
             let judged = |fresh: &&Fresh| by_t_star.contains(&fresh.source);
             progress.fresh.iter().filter(judged).for_each(|fresh| self.add(fresh));
             let least_s = news.needed_s.unwrap_or(LEAST_S).max(LEAST_S);
@@ -106,7 +99,7 @@ pub(super) fn faults(
     if scan.lost_samples > 0 && faults.is_empty() {
         faults.push(format!("{} samples were lost in it", scan.lost_samples));
     }
-    let needed_s = by.and_then(|by| by.needed_s()).unwrap_or(LEAST_S).max(LEAST_S);
+    let needed_s = by.and_then(|by| by.needed_s).unwrap_or(LEAST_S).max(LEAST_S);
     if scan.scan_s < needed_s - 0.5 * LOOK_S {
         faults.push(format!("{:.1} s is too short, drag for {needed_s:.1} s", scan.scan_s));
     }
@@ -117,8 +110,8 @@ pub(super) fn faults(
             // Without a library, any channel may rest, so a constant channel is no damage.
             let moves =
                 |channel: usize| by.is_some_and(|by| by.moves(scan.truth.as_ref(), id, channel));
-            let damage = Damage::of_source(id, &flaws(series), moves);
-            faults.extend(damage.map(|damage| format!("{id}: {}", damage.text)));
+            let damage = worst_damage(&flaws(series), moves);
+            faults.extend(damage.map(|damage| format!("{id}: {damage}")));
         }
         if by_t_star.contains(id) {
             faults.extend(too_short(id, series));

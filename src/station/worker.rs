@@ -6,11 +6,10 @@ use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::answer::{Answer, Unnamed};
+use super::answer::Answer;
 use super::event::{AnsweredScan, Guess, SurfaceProbability};
 use super::recogniser::{FlawsBySource, Recogniser};
-use super::store::StoredScan;
-use super::trial_need::{Purpose, TrialNeed};
+use super::trial_need::TrialNeed;
 use crate::recognise::{Follower, FreshFrames, GuessSoFar, Ranking, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::SourceId;
@@ -18,32 +17,32 @@ use crate::scene::SourceId;
 pub(super) enum Job {
     Scan(Box<Scan>),
     Progress(Progress),
-    /// A scan that was kept as a trial; the worker finds its nearest surface.
-    Kept(Box<StoredScan>),
+    /// A scan that was kept as a trial; the recogniser finds its nearest surface.
+    Nearest(Box<Scan>, Arc<Recogniser>),
 }
 
 pub(super) struct Work {
     pub job: Job,
-    pub purpose: Purpose,
-    /// The recogniser, or the reason why there is none.
+    /// The sources whose independent samples count, if the scan in progress is to be a trial.
+    pub trial: Option<Vec<SourceId>>,
     pub by: Result<Arc<Recogniser>, String>,
 }
 
 pub(super) enum WorkerEvent {
-    Scan(ScanAnswer),
+    Scan(AnsweredScan),
     Progress(Guess),
-    /// A scan that was kept, and its nearest surface, if there is one.
-    Kept(Box<StoredScan>, Option<String>),
+    /// The nearest surface of a scan that was kept, if there is one.
+    Nearest(Option<String>),
 }
 
-/// A scan with its answer. If the scan could not be named, the second value has the reason.
-pub(super) type ScanAnswer = (Arc<AnsweredScan>, Option<Unnamed>);
+pub(super) fn unnamed(scan: Box<Scan>, why: &str, too_little: bool, from: Instant) -> AnsweredScan {
+    let reasons = vec![why.into()];
+    let answer = Answer { reasons, too_little, ..Answer::of(&scan, since_ms(from)) };
+    AnsweredScan { scan, answer: Arc::new(answer), by: None }
+}
 
-pub(super) fn unnamed(scan: Box<Scan>, why: &str, latency_ms: f64, too_little: bool) -> ScanAnswer {
-    let answer = Arc::new(Answer { reasons: vec![why.into()], ..Answer::of(&scan, latency_ms) });
-    let text = format!("scan {} was not named: {why}", scan.number);
-    let unnamed = Unnamed { answer: answer.clone(), text, too_little };
-    (Arc::new(AnsweredScan { scan, answer, by: None }), Some(unnamed))
+fn since_ms(from: Instant) -> f64 {
+    from.elapsed().as_secs_f64() * 1e3
 }
 
 /// The channels to and from the worker thread. It returns one event for each job, in order. After
@@ -62,7 +61,7 @@ impl Worker {
         let run = move || {
             let mut free_since = Instant::now();
             let mut followed = Followed::default();
-            for Work { job, purpose, by } in to_do {
+            for Work { job, trial, by } in to_do {
                 let event = match job {
                     Job::Scan(scan) => {
                         let from =
@@ -71,12 +70,9 @@ impl Worker {
                     }
                     Job::Progress(progress) => {
                         let by = by.as_ref().ok();
-                        WorkerEvent::Progress(followed.guess(&progress, &purpose, by))
+                        WorkerEvent::Progress(followed.guess(&progress, trial.as_deref(), by))
                     }
-                    Job::Kept(stored) => {
-                        let nearest = nearest(&stored);
-                        WorkerEvent::Kept(stored, nearest)
-                    }
+                    Job::Nearest(scan, by) => WorkerEvent::Nearest(nearest(&scan, &by)),
                 };
                 if send.send(event).is_err() {
                     return;
@@ -94,11 +90,10 @@ fn name(
     by: Result<Arc<Recogniser>, String>,
     followed: &mut Followed,
     from: Instant,
-) -> ScanAnswer {
-    let latency_ms = || from.elapsed().as_secs_f64() * 1e3;
+) -> AnsweredScan {
     let by = match by {
         Ok(by) => by,
-        Err(why) => return unnamed(scan, &why, latency_ms(), false),
+        Err(why) => return unnamed(scan, &why, false, from),
     };
     let ranked = followed.finish(&scan, &by);
     let settled_s = followed.settled_s(scan.number);
@@ -109,35 +104,32 @@ fn name(
         };
         Ok(by.answer(&scan, ranking, flaws, settled_s))
     });
-    let latency_ms = latency_ms();
-    let (why, too_little) = match answer {
+    match answer {
         Some(Ok(answer)) => {
-            let answer = Arc::new(Answer { latency_ms, ..answer });
-            return (Arc::new(AnsweredScan { scan, answer, by: Some(by) }), None);
+            let answer = Arc::new(Answer { latency_ms: since_ms(from), ..answer });
+            AnsweredScan { scan, answer, by: Some(by) }
         }
-        Some(Err(error)) => (error.to_string(), matches!(error, RecogniseError::TooLittle)),
-        None => ("the method panicked; please report this".into(), false),
-    };
-    unnamed(scan, &why, latency_ms, too_little)
+        Some(Err(error)) => {
+            let too_little = matches!(error, RecogniseError::TooLittle);
+            unnamed(scan, &error.to_string(), too_little, from)
+        }
+        None => unnamed(scan, "the method panicked; please report this", false, from),
+    }
 }
 
-/// The surface that the recogniser names for a scan kept as a trial.
-fn nearest(stored: &StoredScan) -> Option<String> {
-    let (scan, by) = stored.kept.as_ref()?;
+fn nearest(scan: &Scan, by: &Recogniser) -> Option<String> {
     caught(|| by.answer(scan, by.rank(scan).ok()?, FlawsBySource::new(), None).surface)?
 }
 
 /// Damage is reported only after a drag of this many seconds.
 const DAMAGE_AFTER_S: f64 = 0.5;
 
-/// Data about the scan in progress.
 #[derive(Default)]
 struct Followed {
     scan: u32,
-    /// The follower, and the recogniser that created it.
     follower: Option<(Arc<Recogniser>, Follower)>,
     last: Option<GuessSoFar>,
-    trial: TrialNeed,
+    need: TrialNeed,
 }
 
 impl Followed {
@@ -145,7 +137,7 @@ impl Followed {
     fn guess(
         &mut self,
         progress: &Progress,
-        purpose: &Purpose,
+        trial: Option<&[SourceId]>,
         by: Option<&Arc<Recogniser>>,
     ) -> Guess {
         let truth = progress.truth.as_ref();
@@ -178,9 +170,9 @@ impl Followed {
         {
             news.damage = by.damage_so_far(truth, follower);
         }
-        news.needed_s = by.and_then(|by| by.needed_s());
+        news.needed_s = by.and_then(|by| by.needed_s);
         let supported = self.follower.as_ref().is_some_and(|(_, f)| f.settling().shown);
-        self.trial.judge(&mut news, progress, purpose, supported);
+        self.need.judge(&mut news, progress, trial, supported);
         news
     }
 
@@ -198,7 +190,6 @@ impl Followed {
         Some((ranking, scan.trial.signals.keys().filter_map(flaws_of).collect()))
     }
 
-    /// The scan time, in seconds, at which the answer to a scan was settled.
     fn settled_s(&self, scan: u32) -> Option<f64> {
         let last = self.last.as_ref().filter(|_| self.scan == scan)?;
         last.settled.as_ref().map(|(_, at)| *at)
@@ -288,23 +279,21 @@ mod tests {
                 let (fresh, images) = (Vec::new(), Vec::new());
                 let progress = Progress { number, truth: None, scan_s: 0.5, fresh, images };
                 for job in [Job::Progress(progress), Job::Scan(Box::new(scan(number)))] {
-                    let (purpose, by) = (Purpose::Name, Ok(by.clone()));
-                    worker.work.send(Work { job, purpose, by }).unwrap();
+                    let work = Work { job, trial: None, by: Ok(by.clone()) };
+                    worker.work.send(work).unwrap();
                 }
                 let Ok(WorkerEvent::Progress(guess)) = worker.done.recv() else {
                     panic!("{part}: no guess")
                 };
                 assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
                 assert!(guess.named.is_empty() && !guess.settled && !guess.enough, "{part}");
-                let Ok(WorkerEvent::Scan((whole, unnamed))) = worker.done.recv() else {
+                let Ok(WorkerEvent::Scan(AnsweredScan { answer, .. })) = worker.done.recv() else {
                     panic!("{part}: no answer")
                 };
-                assert_eq!((whole.answer.scan, unnamed.is_none()), (number, names), "{part}");
-                if let Some(Unnamed { answer, text, too_little }) = unnamed {
-                    assert!(!too_little && text.contains("panicked"), "{part}: {text}");
-                    assert_eq!(answer.state, AnswerState::Unnamed, "{part}");
-                    assert_eq!(whole.answer.id, answer.id, "{part}");
-                }
+                let is_named = answer.state != AnswerState::Unnamed;
+                assert_eq!((answer.scan, is_named), (number, names), "{part}");
+                let text = answer.not_named();
+                assert!(!answer.too_little && is_named != text.contains("panicked"), "{part}");
             }
             drop(worker.work);
             assert_eq!(worker.done.iter().count(), 0);

@@ -69,6 +69,31 @@ impl std::fmt::Display for Flaw {
     }
 }
 
+/// If a channel is constant for at least this share of a scan, the whole channel is called dead.
+const DEAD: f64 = 0.9;
+
+/// The worst damage of a source, and the remedy; a dead channel is worse than a clipped one.
+/// A constant channel counts only if it changes in the library (`moves` is true for its index).
+pub(crate) fn worst_damage(flaws: &[Flaw], moves: impl Fn(usize) -> bool) -> Option<String> {
+    // Ranks a flaw by whether the channel is dead (not clipped), then by the affected share of time.
+    let weight = |flaw: &Flaw| match flaw {
+        Flaw::Constant { .. } => (true, 1.0),
+        Flaw::Stuck { share, .. } | Flaw::Saturated { value: 0.0, share, .. } => (true, *share),
+        Flaw::Saturated { share, .. } => (false, *share),
+    };
+    let found =
+        flaws.iter().filter(|flaw| !weight(flaw).0 || moves(flaw.channel() - 1)).map(weight);
+    let worst = found.max_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)))?;
+    let percent = 100.0 * worst.1;
+    Some(match worst {
+        (true, DEAD..) => "dead, check the cable".into(),
+        (true, _) => format!("dead for {percent:.0} % of the scan, check the cable"),
+        (false, _) => {
+            format!("clipped in {percent:.0} % of its samples, lower the gain or press less")
+        }
+    })
+}
+
 /// A channel with fewer distinct values is a switch or a coarse converter, and may rest at its limits.
 const FEWEST_VALUES: usize = 16;
 /// Samples rest at a value if at least this many of them in a row have it.
@@ -198,4 +223,23 @@ pub fn flaws(series: &Series) -> Vec<Flaw> {
     let mut found = SeriesFlaws::new(series.channels());
     found.add(series.samples());
     found.flaws()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn damage_says_what_to_do_about_the_worst_channel() {
+        let of = |flaws: &[Flaw]| worst_damage(flaws, |channel| channel != 2);
+        let text = |flaws: &[Flaw]| of(flaws).unwrap();
+        let dead = |channel| Flaw::Constant { channel, value: 0.0 };
+        let clipped = |channel, share| Flaw::Saturated { channel, value: 1.0, share };
+        assert_eq!(text(&[dead(1), clipped(2, 0.1)]), "dead, check the cable");
+        let loose = Flaw::Saturated { channel: 1, value: 0.0, share: 0.6 };
+        assert_eq!(text(&[loose]), "dead for 60 % of the scan, check the cable");
+        let texts = text(&[clipped(1, 0.1), clipped(2, 0.47)]);
+        assert_eq!(texts, "clipped in 47 % of its samples, lower the gain or press less");
+        assert_eq!(of(&[dead(3)]), None, "it rests in the library, too");
+    }
 }

@@ -3,9 +3,11 @@
 #![allow(missing_docs)] // Names that say everything need no comment.
 
 mod channel_flaws;
+mod label;
 
-pub(crate) use channel_flaws::is_plain;
 pub use channel_flaws::{Flaw, SeriesFlaws, flaws};
+pub(crate) use channel_flaws::{is_plain, worst_damage};
+pub(crate) use label::{checked_label, normal};
 
 use std::collections::BTreeMap;
 
@@ -53,12 +55,6 @@ pub const EXPERT: &str = "expert";
 
 /// The surface of a trial if its label is unknown.
 pub const UNLABELLED: &str = "unlabelled";
-
-/// A label in Unicode's normal form C, so that an é is the same however it was typed.
-pub(crate) fn normal(label: &str) -> String {
-    use unicode_normalization::UnicodeNormalization;
-    label.nfc().collect()
-}
 
 /// Names one trial. Keys are ordered, and ties of rankings broken, by surface, user and number.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]

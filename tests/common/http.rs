@@ -238,6 +238,7 @@ pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
         damage: vec![],
         needed_s: Some(2.7),
         remarks: vec![],
+        too_little: false,
     }
 }
 

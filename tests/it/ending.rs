@@ -117,7 +117,11 @@ fn of_a_station_whose_library_is_still_being_read() {
         Err("no library".to_string())
     };
     let store = ScanStore::new(folder.path().to_path_buf(), Scene::lmt108());
-    let left = unnamed(|station| station.load(Arc::new(load)).store(store).keep(keep));
+    let left = unnamed(|mut station| {
+        station.load = Some(Arc::new(load));
+        (station.store, station.keep) = (Some(store), Some(keep));
+        station
+    });
     assert_eq!(left, [2, 3]);
     let kept = dataset::open(folder.path(), &Scene::lmt108()).unwrap();
     assert_eq!(kept.entries.len(), 1);
@@ -133,7 +137,11 @@ fn of_a_station_whose_disk_takes_no_scan() {
     let keep = Keep { surface: "oak".into(), user: "anna".into(), trials: None, good_only: false };
     let (lost, listener) = Became::new(EnrolledOutcome::Lost);
     let store = ScanStore::new(folder, Scene::lmt108());
-    assert_eq!(unnamed(|s| s.store(store).keep(keep).listener(listener)), Vec::<u32>::new());
+    let station = |mut station: Station<'static>| {
+        (station.store, station.keep) = (Some(store), Some(keep));
+        station.listener(listener)
+    };
+    assert_eq!(unnamed(station), Vec::<u32>::new());
     assert_eq!(*lost.lock().unwrap(), [1, 2, 3]);
 }
 
@@ -203,14 +211,15 @@ impl Model for Slow {
 #[test]
 fn of_a_station_that_classifies_or_calibrates() {
     for part in ["prepare", "rank", "follow"] {
-        let by = Recogniser::new(Arc::new(Slow(part)), Scene::lmt108(), LibraryState::default());
-        assert_eq!(unnamed(|station| station.recogniser(Arc::new(by))), [1, 2, 3], "{part}");
+        assert_eq!(unnamed(|station| named_by(station, part)), [1, 2, 3], "{part}");
     }
 }
 
-fn by(slow_part: &'static str) -> Arc<Recogniser> {
+fn named_by<'a>(mut station: Station<'a>, slow_part: &'static str) -> Station<'a> {
     let model = Arc::new(Slow(slow_part));
-    Arc::new(Recogniser::new(model, Scene::lmt108(), LibraryState::default()))
+    let by = Recogniser::new(model, Scene::lmt108(), LibraryState::default());
+    station.recogniser = Some(Arc::new(by));
+    station
 }
 
 #[test]
@@ -219,8 +228,9 @@ fn of_a_station_that_keeps_scans_and_cannot_say_what_they_are_like() {
     let keep = Keep { surface: "oak".into(), user: "anna".into(), trials: None, good_only: false };
     let (kept, listener) = Became::new(EnrolledOutcome::Kept);
     let store = ScanStore::new(folder.path().to_path_buf(), Scene::lmt108());
-    let station = |station: Station<'static>| {
-        station.recogniser(by("rank")).store(store).keep(keep).listener(listener)
+    let station = |mut station: Station<'static>| {
+        (station.store, station.keep) = (Some(store), Some(keep));
+        named_by(station, "rank").listener(listener)
     };
     assert_eq!(unnamed(station), Vec::<u32>::new());
     assert_eq!(*kept.lock().unwrap(), [1, 2, 3]);
@@ -233,7 +243,7 @@ fn of_a_station_whose_history_cannot_say_why() {
     let folder = tempfile::tempdir().unwrap();
     let history = Arc::new(History::open(folder.path(), 1 << 30).unwrap());
     let keeper = Keeper::start(history, Scene::lmt108(), BTreeMap::new()).unwrap();
-    let station = |station: Station<'static>| station.recogniser(by("explain")).listener(keeper);
+    let station = |station: Station<'static>| named_by(station, "explain").listener(keeper);
     assert_eq!(unnamed(station), Vec::<u32>::new());
     // As it is on disk, with the signals of every scan.
     let extent = History::read(folder.path()).unwrap().extent();
@@ -297,7 +307,7 @@ fn of_a_station_in_which_everything_hangs_at_once() {
     .unwrap();
     let (ordered, events) = (Arc::default(), Arc::default());
     let ends = Ends { commands: station.commands(), ordered: Arc::clone(&ordered), events };
-    let station = station.recogniser(by("explain")).listener(reporter).listener(keeper);
+    let station = named_by(station, "explain").listener(reporter).listener(keeper);
     let station = outputs.into_iter().fold(station, Station::listener);
     station.listener(ends).run().unwrap();
     drop(server);

@@ -60,7 +60,8 @@ fn a_storm_of_reloads_reads_once_at_a_time_and_once_more_at_its_end() {
             Err("no library".to_string())
         }
     };
-    let station = Station::new(vec![Box::new(AtRest)], Options::default()).load(Arc::new(load));
+    let mut station = Station::new(vec![Box::new(AtRest)], Options::default());
+    station.load = Some(Arc::new(load));
     let commands = station.commands();
     let quit = station.commands();
     let mut libraries = 0;

@@ -13,7 +13,7 @@ use surfaced::record::{TrialOptions, write_trial};
 use surfaced::scan::Scan;
 use surfaced::scene::Scene;
 use surfaced::serve::LibraryFolder;
-use surfaced::station::{Answer, AnswerState, AnsweredScan, Listener, StationEvent, Unnamed};
+use surfaced::station::{Answer, AnswerState, AnsweredScan, Listener, StationEvent};
 use surfaced::trial::{Series, Signal, Trial, TrialKey};
 
 #[test]
@@ -30,8 +30,7 @@ fn a_scan_that_cannot_be_named_is_among_the_past_scans_with_its_reason() {
         ..answer(4, None)
     });
     let text = format!("scan 4 was not named: {why}");
-    let unnamed = Unnamed { answer, text: text.clone(), too_little: true };
-    served.report([StationEvent::Unnamed(unnamed)]);
+    served.report([StationEvent::Unnamed(answer)]);
     let row = served.until("/api/v1/scans/4", |scan| scan["state"] == "unnamed");
     assert_eq!((&row["reasons"], &row["surface"]), (&json!([why]), &Value::Null));
     let state = served.until("/api/v1/state", |state| state["counts"]["unnamed"] == 1);

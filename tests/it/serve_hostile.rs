@@ -279,7 +279,7 @@ fn after_all_of_it_the_server_ends_at_once() {
     let state: Value = served.until("/api/v1/state", |state| state["guess"].is_object());
     assert_eq!(state["scan"], 3);
     let begin = Instant::now();
-    served.server.stop();
+    drop(served.server);
     assert!(begin.elapsed() < SOON);
 }
 

@@ -1,4 +1,5 @@
-//! Leaves out sources of a query if their sensor is dead or stuck.
+//! Leaves out sources of a query if their sensor is dead or stuck. `trial/channel_flaws.rs` finds and
+//! words the flaws.
 
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, Trial, flaws, is_plain};

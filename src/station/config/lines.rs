@@ -3,8 +3,9 @@
 use toml::Spanned;
 
 use super::LinesConfig;
-use super::file::{LinesBlock, StationFile};
-use super::mistake::{Mistake, mistake, no_stray, parsed, positive, source_of};
+use super::file::{
+    LinesBlock, Mistake, StationFile, mistake, no_stray, parsed, positive, source_of,
+};
 use crate::device::lines::{Column, Count, LinesAddress, LinesStream, Survey};
 use crate::scene::{Scene, SourceId};
 
@@ -37,8 +38,8 @@ pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mi
     let mut streams = Vec::new();
     for (name, columns) in sources {
         let id = source_of(name, "columns", columns, scene)?;
-        for column in columns.get_ref() {
-            place(column).or_else(|problem| mistake(columns, format!("{name}: {problem}")))?;
+        if columns.get_ref().contains(&Column::Place(0)) {
+            return mistake(columns, format!("{name}: {NO_COLUMN}"));
         }
         let scale = scale.get(name).map(|scale| positive("scale", scale)).transpose()?;
         streams.push(LinesStream { id, columns: columns.get_ref().clone(), scale });
@@ -46,25 +47,20 @@ pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mi
     Ok(LinesConfig { address, rate_hz, count, streams })
 }
 
-fn place(column: &Column) -> Result<(), String> {
-    match column {
-        Column::Place(0) => Err("column 0; columns are counted from 1".into()),
-        _ => Ok(()),
-    }
-}
+const NO_COLUMN: &str = "column 0; columns are counted from 1";
 
 fn checked(column: &Spanned<Column>) -> Result<&Column, Mistake> {
-    place(column.get_ref()).or_else(|problem| mistake(column, problem))?;
-    Ok(column.get_ref())
+    match column.get_ref() {
+        Column::Place(0) => mistake(column, NO_COLUMN),
+        column => Ok(column),
+    }
 }
 
 /// The name given to the source of all measuring columns, if the user named no source.
 const SENSOR: &str = "sensor";
 
 /// The configuration text for a station with only this sensor, from a survey of its lines.
-///
-/// # Errors
-/// If the sensor's rate cannot be measured, or no column measures. The text says what to do.
+/// Fails if the sensor's rate cannot be measured, or no column measures.
 pub fn fitting(address: &LinesAddress, survey: &Survey) -> Result<String, String> {
     // The name consists of letters only, so it is a valid id.
     let id = SourceId::new(SENSOR).expect("letters name a source");

@@ -3,7 +3,6 @@
 
 mod file;
 mod lines;
-mod mistake;
 mod output_address;
 mod resolve;
 

@@ -16,7 +16,6 @@ pub struct OutputsConfig {
     pub mqtt: Option<MqttAddress>,
 }
 
-/// An address for HTTP POST.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HttpAddress {
     /// The host and the port; the default port is 80.
@@ -24,7 +23,6 @@ pub struct HttpAddress {
     pub path: String,
 }
 
-/// An MQTT broker, and the prefix of the station's topics.
 #[derive(Clone, PartialEq, Eq)]
 pub struct MqttAddress {
     /// The host and the port; the default port is 1883, or 8883 with TLS.

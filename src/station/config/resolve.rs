@@ -1,6 +1,6 @@
 //! Turns a merged file into the objects that the program works with.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -8,13 +8,13 @@ use std::time::Duration;
 use toml::Spanned;
 
 use super::file::{
-    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, OutputsBlock, StationFile,
-    StylusBlock, is_default, merged,
+    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, Mistake, OutputsBlock,
+    StationFile, StylusBlock, is_default, known, merged, mistake, no_stray, parsed, positive,
+    source_of,
 };
-use super::mistake::{Mistake, known, mistake, no_stray, parsed, positive, source_of};
 use super::output_address::{is_segment, machine_name};
 use super::{
-    CameraConfig, ConfigError, FlashConfig, LinesConfig, MicrophoneConfig, MqttAddress,
+    CameraConfig, ConfigError, DevicePart, FlashConfig, MicrophoneConfig, MqttAddress,
     OutputsConfig, StationConfig, StylusConfig, TlsFiles, lines,
 };
 use crate::device::camera::Turn;
@@ -80,19 +80,13 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     if let Some(twice) = cuts.iter().find(|cut| !seen.insert(&cut.source)) {
         return mistake(&file.format, format!("two devices make the source {}", twice.source));
     }
-    let detection = detection(&file.detection, (stylus.as_ref(), &lines), cuts, &scene)?;
-    let by_t_star = file
-        .enroll
-        .t_star
-        .iter()
-        .map(|name| known(name.get_ref(), name, &scene))
-        .collect::<Result<_, _>>()?;
-    let library = file.library.map(|library| match path.parent() {
-        Some(folder) => folder.join(library),
-        None => library,
-    });
+    let detector = detector(&file.detection)?;
+    let by_t_star = file.enroll.t_star.iter().map(|name| known(name.get_ref(), name, &scene));
+    let by_t_star = by_t_star.collect::<Result<_, _>>()?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let library = file.library.map(|library| folder.join(library));
     let trials = positive("trials", &file.enroll.trials)?;
-    Ok(StationConfig {
+    let mut config = StationConfig {
         library,
         serve,
         scene,
@@ -100,16 +94,18 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         lines,
         microphone,
         camera,
-        detection,
+        detection: Detection { detector, groups: Vec::new(), cuts },
         by_t_star,
         trials,
         keep_mb: file.history.keep_mb,
-        outputs: outputs(file.outputs, path)?,
-    })
+        outputs: outputs(file.outputs, folder)?,
+    };
+    config.detection.groups = groups(&file.detection.listen, &config)?;
+    Ok(config)
 }
 
 /// Resolves the outputs. Paths of certificates are relative to the configuration's folder.
-fn outputs(block: OutputsBlock, path: &Path) -> Result<OutputsConfig, Mistake> {
+fn outputs(block: OutputsBlock, folder: &Path) -> Result<OutputsConfig, Mistake> {
     let OutputsBlock { http, mqtt, station, ca, certificate, key } = block;
     let name = match &station {
         Some(name) if is_segment(name.get_ref()) => name.get_ref().clone(),
@@ -119,8 +115,7 @@ fn outputs(block: OutputsBlock, path: &Path) -> Result<OutputsConfig, Mistake> {
         }
         None => machine_name(),
     };
-    let file =
-        |path_in: &Spanned<PathBuf>| path.parent().unwrap_or(Path::new("")).join(path_in.get_ref());
+    let file = |path: &Spanned<PathBuf>| folder.join(path.get_ref());
     let mqtt = mqtt.as_ref().map(|mqtt| parsed::<MqttAddress>("mqtt", mqtt));
     let mut address = mqtt.transpose()?;
     let client = match (&certificate, &key) {
@@ -206,41 +201,37 @@ fn cut(source: &SourceId, stream: &SourceId, scene: &Scene) -> CutFrom {
     CutFrom { source: source.clone(), stream: stream.clone(), phase, channels }
 }
 
-fn detection(
-    block: &DetectionBlock,
-    (stylus, lines): (Option<&StylusConfig>, &[LinesConfig]),
-    cuts: Vec<CutFrom>,
-    scene: &Scene,
-) -> Result<Detection, Mistake> {
-    // Lists groups of streams that show contact. The stylus is preferred, then each sensor
-    // of lines by itself, and then all others.
-    let in_lines = |id: &SourceId| lines.iter().position(|l| l.streams.iter().any(|s| s.id == *id));
-    let in_stylus =
-        |id: &SourceId| stylus.is_some_and(|stylus| stylus.streams.iter().any(|w| w.id == *id));
-    let mut groups = vec![Vec::<(SourceId, SensorKind)>::new(); lines.len() + 2];
-    for (name, kind) in &block.listen {
-        let Some(cut) = cuts.iter().find(|cut| cut.source.as_str() == name) else {
+/// The streams that show contact, in groups: stylus, then each sensor of lines, then microphone.
+fn groups(
+    listen: &BTreeMap<String, Spanned<SensorKind>>,
+    config: &StationConfig,
+) -> Result<Vec<Vec<(SourceId, SensorKind)>>, Mistake> {
+    let mut groups = BTreeMap::<DevicePart, Vec<(SourceId, SensorKind)>>::new();
+    for (name, kind) in listen {
+        let cut = config.detection.cuts.iter().find(|cut| cut.source.as_str() == name);
+        let Some((cut, part)) = cut.and_then(|cut| Some((cut, config.part_of(&cut.stream)?)))
+        else {
             // The source belongs to a device that this station does not have, so it cannot show contact.
-            known(name, kind, scene)?;
+            known(name, kind, &config.scene)?;
             continue;
         };
         if cut.phase == Phase::Still {
             return mistake(kind, format!("{name} is a picture, which shows no contact"));
         }
-        let group = match in_lines(&cut.stream) {
-            Some(number) => &mut groups[1 + number],
-            None if in_stylus(&cut.stream) => &mut groups[0],
-            None => &mut groups[1 + lines.len()],
-        };
+        let group = groups.entry(part).or_default();
         if !group.iter().any(|(stream, _)| *stream == cut.stream) {
             group.push((cut.stream.clone(), *kind.get_ref()));
         }
     }
     // If the file names no source of a sensor as a sign of contact, any vibration of the sensor is one.
-    for (group, lines) in groups[1..].iter_mut().zip(lines).filter(|(group, _)| group.is_empty()) {
-        group.extend(lines.streams.iter().map(|s| (s.id.clone(), SensorKind::Vibration)));
+    for (number, lines) in config.lines.iter().enumerate() {
+        let all = lines.streams.iter().map(|stream| (stream.id.clone(), SensorKind::Vibration));
+        groups.entry(DevicePart::Lines(number)).or_insert_with(|| all.collect());
     }
-    groups.retain(|group| !group.is_empty());
+    Ok(groups.into_values().collect())
+}
+
+fn detector(block: &DetectionBlock) -> Result<DetectorConfig, Mistake> {
     let detector = DetectorConfig {
         onset: positive("onset", &block.onset)?,
         quiet: positive("quiet", &block.quiet)?,
@@ -256,5 +247,5 @@ fn detection(
             format!("quiet = {}; expected at most onset = {}", detector.quiet, detector.onset);
         return mistake(at, problem);
     }
-    Ok(Detection { detector, groups, cuts })
+    Ok(detector)
 }
