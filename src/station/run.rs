@@ -363,7 +363,9 @@ impl<'a> StationRun<'a> {
         }
         let waiting = self.to_do.iter().filter(|job| matches!(job, Job::Scan(_))).count();
         if waiting >= BACKLOG && !self.waits {
-            let from = scan.ended_at;
+            let (number, from) = (scan.number, scan.ended_at);
+            let is_its = |job: &Job| matches!(job, Job::Progress(of) if of.number == number);
+            self.to_do.retain(|job| !is_its(job));
             return self.answered(unnamed(scan, "too many scans are waiting", false, from));
         }
         self.to_do.push_back(Job::Scan(scan));
