@@ -15,6 +15,7 @@
 
 mod csv;
 mod entries;
+mod folder;
 mod keeper;
 pub(crate) mod log;
 mod view;
@@ -31,7 +32,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use self::entries::{Disk, HistoryEntry, HistoryState, SCANS};
+use self::entries::{HistoryEntry, HistoryState};
+use self::folder::{Disk, SCANS};
 use self::log::{Head, LogLine, Text};
 use crate::printable::json_text;
 use crate::recognise::wilson_interval;

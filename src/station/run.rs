@@ -361,14 +361,25 @@ impl<'a> StationRun<'a> {
             recording.store(scan, enrolment, self.naming.clone().ok());
             return self.report_order();
         }
-        let waiting = self.to_do.iter().filter(|job| matches!(job, Job::Scan(_))).count();
-        if waiting >= BACKLOG && !self.waits {
-            let (number, from) = (scan.number, scan.ended_at);
-            let is_its = |job: &Job| matches!(job, Job::Progress(of) if of.number == number);
-            self.to_do.retain(|job| !is_its(job));
-            return self.answered(unnamed(scan, "too many scans are waiting", false, from));
-        }
         self.to_do.push_back(Job::Scan(scan));
+        self.limit_backlog();
+    }
+
+    /// Drops the oldest scan, and the progress before it, if too many scans wait.
+    fn limit_backlog(&mut self) {
+        let waiting = self.to_do.iter().filter(|job| matches!(job, Job::Scan(_))).count();
+        if waiting <= BACKLOG || self.waits {
+            return;
+        }
+        if let Some(at) = self.to_do.iter().position(|job| matches!(job, Job::Scan(_)))
+            && let Some(Job::Scan(scan)) = self.to_do.remove(at)
+        {
+            self.to_do.retain(
+                |job| !matches!(job, Job::Progress(progress) if progress.number == scan.number),
+            );
+            let from = scan.ended_at;
+            self.answered(unnamed(scan, "too many scans were waiting", false, from));
+        }
     }
 
     /// Queues progress of a scan. It is joined to the newest job if that job is progress of this scan.
