@@ -1,10 +1,8 @@
 //! Writes figures, and their numbers as JSON beside them, so that figures can be drawn again.
 
-use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 
 use super::{Done, Failure, SourceArgs};
 use crate::evaluate::Protocol;
@@ -47,16 +45,6 @@ impl FigureArgs {
 /// Whether a path is the JSON file of an earlier run, not a recording.
 pub fn is_earlier(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == "json") && path.is_file()
-}
-
-/// Reads the JSON file that `command` wrote beside its picture.
-pub fn earlier<T: DeserializeOwned>(path: &Path, command: &str) -> Result<T, Failure> {
-    let failed = |error: &dyn Display| {
-        let expected = format!("expected what `surfaced {command}` writes beside its picture");
-        Failure::at(path, format!("{error}; {expected}"))
-    };
-    let text = std::fs::read_to_string(path).map_err(|error| failed(&error))?;
-    serde_json::from_str(&text).map_err(|error| failed(&error))
 }
 
 pub fn write(path: &Path, text: &str) -> Done {

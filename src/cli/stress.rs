@@ -1,9 +1,10 @@
 //! `surfaced stress`: disturbs queries or the library until each method fails.
 
-use std::path::PathBuf;
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
 
 use super::choose::{Choice, choose};
-use super::figure::{FigureArgs, earlier, is_earlier, write};
+use super::figure::{FigureArgs, is_earlier, write};
 use super::method::at_least_one;
 use super::{Done, Failure, bad_files, say, show};
 use crate::evaluate::stress::{
@@ -26,10 +27,6 @@ use crate::scene::SourceSpec;
 pub struct Args {
     /// Recordings: a library, or the LMT108 database; or an earlier run's JSON
     lib: PathBuf,
-    /// JSON of an earlier run with the same queries, for the same picture and table; the file's name
-    /// is added to its methods
-    #[arg(long, value_name = "FILE")]
-    beside: Option<PathBuf>,
     #[command(flatten)]
     figure: FigureArgs,
     /// Methods, with commas between them (default: all)
@@ -48,21 +45,11 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Done {
     args.figure.check()?;
-    // The file is read first, so that a mistyped name does not fail after an hour of measuring.
-    let beside = match &args.beside {
-        Some(path) => Some((path, earlier::<StressReport>(path, "stress")?)),
-        None => None,
-    };
-    let again = is_earlier(&args.lib);
-    let mut report = if again {
-        earlier(&args.lib, "stress")?
+    let report = if is_earlier(&args.lib) {
+        earlier(&args.lib)?
     } else {
         bad_files::work(&args.lib, super::open(&args.lib)?, |library| measured(args, library))?
     };
-    if let Some((path, other)) = beside {
-        let whose = path.file_stem().unwrap_or_default().to_string_lossy();
-        report.join(other, &whose).map_err(|why| Failure::usage_at(path, why))?;
-    }
     show::wrote(&keep(args, &report)?);
     say::results_aside(args.figure.json);
     result!("\n{}", report.markdown());
@@ -71,6 +58,16 @@ pub fn run(args: &Args) -> Done {
     }
     show::next("look for the row where your method fails first, and mend that at the station");
     Ok(())
+}
+
+/// Reads the report that an earlier run wrote beside its chart.
+fn earlier(path: &Path) -> Result<StressReport, Failure> {
+    let failed = |error: &dyn Display| {
+        let expected = "expected what `surfaced stress` writes beside its picture";
+        Failure::at(path, format!("{error}; {expected}"))
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| failed(&error))?;
+    serde_json::from_str(&text).map_err(|error| failed(&error))
 }
 
 fn measured(args: &Args, library: &Library) -> Result<StressReport, Failure> {

@@ -85,40 +85,6 @@ pub struct StressReport {
 }
 
 impl StressReport {
-    /// Adds the methods of another run of the same queries, and renames each to `NAME (whose)`.
-    ///
-    /// # Errors
-    /// If the other run had other recordings, sources, queries or disturbances; the message says which.
-    pub fn join(&mut self, other: Self, whose: &str) -> Result<(), String> {
-        let what_ran = |r: &Self| {
-            [
-                ("recordings", r.data.clone()),
-                ("sources", r.sources.join(", ")),
-                ("queries", format!("{} by {}", r.queries, r.protocol)),
-                ("disturbances", r.axes()),
-            ]
-        };
-        for ((what, mine), (_, others)) in what_ran(self).into_iter().zip(what_ran(&other)) {
-            if mine != others {
-                return Err(format!("its {what} are {others}, not {mine}"));
-            }
-        }
-        let renamed =
-            |m: MethodReport| MethodReport { method: format!("{} ({whose})", m.method), ..m };
-        self.methods.extend(other.methods.into_iter().map(renamed));
-        Ok(())
-    }
-
-    /// The disturbances and their levels as text.
-    fn axes(&self) -> String {
-        let axis = |series: &DisturbanceSeries| {
-            let levels: Vec<_> = series.levels.iter().map(|l| l.level.to_string()).collect();
-            format!("{} at {}", series.name, levels.join(" "))
-        };
-        let first = self.methods.first().map_or(&[][..], |m| &m.disturbances);
-        first.iter().map(axis).collect::<Vec<_>>().join(", ")
-    }
-
     /// A table in Markdown: for each disturbance and method the first level that costs 5 points,
     /// and for each method the disturbances at which it fails first.
     pub fn markdown(&self) -> String {
