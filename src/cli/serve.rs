@@ -20,7 +20,6 @@ const PROGRESS_EVERY_S: f64 = 0.1;
 /// The address of a station's page; empty until the server has started.
 pub type Page = Arc<OnceLock<String>>;
 
-/// Whether and where the page is served.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ServeArgs {
     /// Serve the page and the HTTP API, until SIGTERM

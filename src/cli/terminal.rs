@@ -21,7 +21,6 @@ use crate::system::has_status_line;
 pub struct Terminal {
     /// Whether answers are printed on stdout as JSON, not as text.
     json: bool,
-    /// Whether stderr is a terminal.
     draws: bool,
     hint: String,
     scanning: Arc<AtomicBool>,

@@ -86,7 +86,6 @@ impl Default for Algorithm1Settings {
 /// HSIC and κ at one lag, over all R draws of the start t₁.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct CurvePoint {
-    /// Lag t in samples.
     pub lag: usize,
     /// Mean of HSIC_b over the draws.
     pub hsic_mean: f64,

@@ -31,7 +31,6 @@ pub struct SettledOutcome {
     pub queries: usize,
     /// Number of queries that the stop rule named before the end of the scan.
     pub settled: usize,
-    /// Mean scan time used.
     pub scan_s_mean: f64,
     pub scan_s_p50: f64,
     pub whole_s_mean: f64,

@@ -103,7 +103,6 @@ pub struct Run<'a, 'm> {
     pub(crate) library: PreparedLibrary,
 }
 
-/// A query, ready to be compared.
 pub struct Query {
     pub prepared: Prepared,
     /// The sources that were left out, and why.

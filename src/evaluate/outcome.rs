@@ -70,7 +70,6 @@ impl Serialize for Share {
     }
 }
 
-/// The answer to one query.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prediction {
     /// The query; its surface is the truth.

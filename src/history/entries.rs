@@ -51,7 +51,6 @@ pub(super) struct HistoryState {
     /// The oldest first.
     pub entries: VecDeque<HistoryEntry>,
     pub disk: Option<Disk>,
-    /// Bytes of all signals on disk.
     pub signals: u64,
     /// Why the last write failed; `None` once a write succeeds again.
     pub problem: Option<String>,

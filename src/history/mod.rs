@@ -13,6 +13,8 @@
 //! [`Keeper`] listens to a station and writes its scans; the page and the commands read
 //! [`History`]. Nothing here uses the network.
 
+#![allow(missing_docs)] // Names that say everything need no comment.
+
 mod csv;
 mod entries;
 mod folder;
@@ -60,14 +62,11 @@ pub struct History {
     review: Mutex<()>,
 }
 
-/// The size of a history.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Extent {
-    /// Number of answers.
     pub scans: usize,
     /// Number of answers with signals on disk.
     pub with_signals: usize,
-    /// Bytes on disk.
     pub bytes: u64,
     /// Limit of the bytes on disk; `None` for a history in memory.
     pub most_bytes: Option<u64>,
@@ -253,7 +252,6 @@ impl History {
         self.lock().entries.iter().filter(doubtful).count()
     }
 
-    /// The size of this history.
     pub fn extent(&self) -> Extent {
         let inner = &*self.lock();
         let log = inner.disk.as_ref().map_or(0, |disk| disk.log.bytes);
@@ -338,7 +336,6 @@ fn precision<'a>(
 
 /// Why scans cannot be kept, read or corrected.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages document the variants.
 pub enum HistoryError {
     #[error("{}: {error}", path.display())]
     Io { path: PathBuf, error: std::io::Error },

@@ -199,7 +199,6 @@ fn plausible(path: &Path, series: &Series) -> Result<(), LibraryError> {
     Err(LibraryError::file(path, problem))
 }
 
-/// Largest picture file, in bytes.
 const MOST_PICTURE: u64 = 1 << 26;
 
 /// Reads a picture of 320 × 480 pixels, or of 480 × 320.

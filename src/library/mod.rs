@@ -172,7 +172,6 @@ impl Entry {
         Self { key, sources, loader }
     }
 
-    /// An entry for a trial that is already in memory.
     pub fn in_memory(trial: impl Into<Arc<Trial>>) -> Self {
         let trial = trial.into();
         let sources = trial.signals.keys().cloned().collect();

@@ -10,7 +10,6 @@ use crate::trial::{Signal, Trial, TrialKey};
 
 /// Why a trial cannot be named.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages say it.
 pub enum RecogniseError {
     #[error(transparent)]
     Library(#[from] LibraryError),

@@ -13,17 +13,13 @@ pub const LOOK_S: f64 = 0.1;
 /// The next frames of one source of a scan.
 #[derive(Clone, Copy, Debug)]
 pub struct FreshFrames<'a> {
-    /// The source that the frames belong to.
     pub source: &'a SourceId,
-    /// Sample rate: frames a second.
     pub rate_hz: f64,
-    /// Number of channels: samples in a frame.
     pub channels: usize,
     /// Interleaved samples that directly follow those given before.
     pub samples: &'a [f32],
 }
 
-/// Options for following scans.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FollowOptions {
     /// Accepted loss of accuracy, as a fraction of all scans, when a scan is answered once its guess

@@ -13,7 +13,6 @@ use crate::trial::Trial;
 
 /// A way of comparing trials, with its settings.
 pub trait Method: Send + Sync {
-    /// The method's name.
     fn name(&self) -> &'static str;
 
     /// Hash of all settings that affect how trials are prepared for a library of this shape.
@@ -89,14 +88,12 @@ pub trait Model: Send + Sync {
 pub struct Evidence {
     /// The surfaces of the library, sorted.
     pub surfaces: Vec<String>,
-    /// The evidence of each source.
     pub sources: Vec<SourceEvidence>,
 }
 
 /// How unlike the query each surface is by one source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SourceEvidence {
-    /// The source.
     pub source: SourceId,
     /// A term for each surface; infinite if the surface lacks the source. The smaller the sum of its
     /// terms over all sources, the more a surface is like the query.

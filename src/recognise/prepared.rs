@@ -28,7 +28,6 @@ const FRAMES: u8 = 1;
 const FEATURES: u8 = 2;
 
 impl Prepared {
-    /// The trial's key.
     pub fn key(&self) -> &TrialKey {
         match self {
             Self::Samples(trial) => trial.key(),

@@ -8,7 +8,6 @@ use crate::trial::TrialKey;
 /// A library trial and how unlike the query it is.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Candidate {
-    /// The library trial.
     pub key: TrialKey,
     /// ln of the discrepancy score; smaller is more alike.
     pub log_ds: f64,
@@ -17,7 +16,6 @@ pub struct Candidate {
 /// A surface and how unlike the query it is.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct RankedSurface {
-    /// The label.
     pub surface: String,
     /// Discrepancy score; smaller is more alike.
     pub score: f64,
@@ -26,11 +24,9 @@ pub struct RankedSurface {
 /// The surfaces of a library, the most alike first.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Ranking {
-    /// All surfaces of the library.
     pub ranked: Vec<RankedSurface>,
     /// ln of the ratio of the second score to the first; 0 for a tie or a single surface.
     pub margin: f64,
-    /// The sources that were compared.
     pub sources: Vec<SourceId>,
     /// The library trial that is most like the query.
     pub nearest: TrialKey,

@@ -19,9 +19,7 @@ use crate::seed;
 
 const RECORD: &str = "model";
 
-/// A prepared library.
 pub struct PreparedLibrary {
-    /// The shape that the trials were prepared for.
     pub shape: Arc<LibraryShape>,
     /// For each entry, its prepared trial; `None` if the entry was not wanted.
     pub trials: Vec<Option<Prepared>>,
@@ -127,11 +125,8 @@ fn prepare_for(
     Ok(PreparedLibrary { shape, trials, remarks, from_cache })
 }
 
-/// A model, and whether it came from the cache.
 pub struct ReadyModel {
-    /// The model.
     pub model: Arc<dyn Model>,
-    /// Whether it came from the cache.
     pub from_cache: bool,
     /// Problems with the caches, one line of text each. The model can be used in spite of them.
     pub remarks: Vec<String>,

@@ -14,7 +14,6 @@ pub struct LibraryShape {
     sources: BTreeMap<SourceId, SourceShape>,
 }
 
-/// The shape of one source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SourceShape {
     /// Frames a second, in the first trial that has the source.

@@ -15,14 +15,12 @@ pub const MOST_COUNT: usize = 1_000_000;
 /// its name as text, its help, and the code that builds it from a scene and its settings.
 macro_rules! methods {
     ($($name:ident($options:ty) = $text:literal, $help:literal, |$scene:ident, $set:pat_param| $build:expr;)*) => {
-        /// The methods.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
         pub enum MethodName {
             $(#[doc = $help] #[serde(rename = $text)] $name,)*
         }
 
         impl MethodName {
-            /// All methods.
             pub const ALL: [Self; [$($text),*].len()] = [$(Self::$name),*];
 
             /// The name as text, the same in commands, files and output.
@@ -51,12 +49,10 @@ macro_rules! methods {
         }
 
         impl MethodSpec {
-            /// The name of the method.
             pub fn name(&self) -> MethodName {
                 match self { $(Self::$name(_) => MethodName::$name,)* }
             }
 
-            /// Builds the method for the sources of a scene.
             pub fn build(&self, scene: &Scene) -> Box<dyn Method> {
                 match self {
                     $(Self::$name($set) => {

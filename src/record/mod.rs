@@ -3,6 +3,8 @@
 //! A trial is written into a folder that readers skip, and the folder is renamed when it is
 //! complete. So a crash may leave an unfinished folder, but never half a trial.
 
+#![allow(missing_docs)] // Names that say everything need no comment.
+
 pub mod edit;
 mod folder_name;
 #[cfg(feature = "mcap")]
@@ -25,7 +27,6 @@ use crate::scene::{Domain, MOST_CHANNELS, Scene, SourceSpec};
 use crate::system;
 use crate::trial::{Image, Series, Signal, Trial, TrialKey, normal};
 
-/// Options for writing a trial.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialOptions {
     /// Start, notes and devices for `trial.toml`. The trial itself gives surface, user and number.

@@ -124,10 +124,6 @@ impl<T: Clone> RingSink<T> {
 }
 
 impl<T> RingTap<T> {
-    pub fn channels(&self) -> usize {
-        self.channels
-    }
-
     /// Index of the next frame to come out; lost frames are counted too.
     pub(crate) fn position(&self) -> u64 {
         self.reckoning.position
@@ -197,7 +193,7 @@ mod tests {
 
     /// All samples that come out, with NaN for missing frames.
     fn take(tap: &mut SeriesTap) -> Vec<f32> {
-        let (mut out, channels) = (Vec::new(), tap.channels());
+        let (mut out, channels) = (Vec::new(), tap.channels);
         tap.drain(|piece| match piece {
             Piece::Samples(samples) => out.extend_from_slice(samples),
             Piece::Missing(n) => out.extend(std::iter::repeat_n(f32::NAN, n as usize * channels)),

@@ -14,10 +14,8 @@ use crate::history::History;
 use crate::outputs::OutputHealth;
 use crate::scene::Scene;
 
-/// The default port.
 pub const PORT: u16 = 8080;
 
-/// Settings of the server.
 #[derive(Clone)]
 pub struct Settings {
     /// Address and port; with port 0, the system picks a free port.
@@ -27,7 +25,6 @@ pub struct Settings {
     /// Trusted proxies. Their `X-Forwarded-For` and `X-Forwarded-Proto` headers are believed, and
     /// the limit of connections for one address does not apply to them.
     pub proxies: Vec<IpAddr>,
-    /// The limits of clients.
     pub limits: Limits,
     /// Whether scans may be kept as trials of a library.
     pub enrolls: bool,
@@ -46,10 +43,8 @@ pub struct Settings {
 /// Audits a library each time it is called; returns a message if the audit fails.
 pub type Audit = Arc<dyn Fn() -> Result<CheckReport, String> + Send + Sync>;
 
-/// A library on disk.
 #[derive(Clone, Debug)]
 pub struct LibraryFolder {
-    /// Its folder.
     pub folder: PathBuf,
     /// The sources of the library, as its scene.
     pub scene: Scene,
@@ -75,7 +70,6 @@ impl Default for Settings {
 /// The largest body of a request, in bytes.
 pub const LARGEST_BODY: usize = 64 << 10;
 
-/// Limits of clients.
 #[derive(Clone, Debug)]
 pub struct Limits {
     /// How many connections may be open at once; further ones are closed unread.
@@ -150,7 +144,6 @@ impl fmt::Debug for Token {
 
 /// Reasons why a server does not start.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // The messages document the variants.
 pub enum ServeError {
     #[error(
         "{0} can be reached from other machines; give a token in the environment variable \

@@ -213,7 +213,7 @@ fn one_trial_a_surface_states_no_probability() {
 fn no_probability_is_beyond_what_the_library_can_show() {
     let scene = Scene::lmt108().only(&[id("mi2"), id("ir")]).unwrap();
     let model = trained(&scene, &embedding(&scene), &made_library(3, 1.2));
-    assert_eq!(model.held_out().len(), 12);
+    assert_eq!(model.left_out_accuracy().trials(), 12);
     let ranking = rank(&model, &made(3, 5, 1.2)).unwrap();
     let most = 12.5 / 13.0;
     assert!((0.5..=most + 1e-12).contains(&ranking.confidence.unwrap()), "{ranking:?}");

@@ -109,7 +109,6 @@ pub struct Chart {
     pub sources: Vec<String>,
     /// Number of surfaces that could be the answer.
     pub surfaces: usize,
-    /// Number of trials in the library of a fold.
     pub library_trials: usize,
     pub threads: usize,
     /// Length of a whole drag in seconds, if there is one.

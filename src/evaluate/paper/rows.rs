@@ -22,7 +22,6 @@ pub struct Row {
     /// The name; no other row has the same name, protocol and place.
     pub name: String,
     pub protocol: Protocol,
-    /// The weight of each stream.
     #[serde(skip)]
     pub terms: Vec<(f64, SampledSource)>,
     pub published: Option<Published>,

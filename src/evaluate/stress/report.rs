@@ -71,7 +71,6 @@ impl MethodReport {
     }
 }
 
-/// The JSON of `surfaced stress`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StressReport {
     pub data: String,

@@ -102,7 +102,6 @@ impl Conformity {
 
 /// Why no scan can be called unknown.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[allow(missing_docs)] // The messages say it.
 pub enum RejectionError {
     #[error("a rate of false rejections of {0} is not possible; expected above 0, below 1")]
     Rate(f64),

@@ -38,7 +38,6 @@ pub fn rules() -> Vec<SettleRule> {
 /// The guess at one moment of a scan: its most probable surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
-    /// Scan time in seconds.
     pub scan_s: f64,
     pub label: usize,
     pub probability: f64,

@@ -155,7 +155,6 @@ impl Follower {
         Ok(())
     }
 
-    /// Takes a picture of the scan.
     pub fn add_picture(&mut self, source: &SourceId, picture: &Image) {
         let vector = match self.model.joint.stretch(source).map(|stretch| &stretch.embedder) {
             Some(SourceEmbedder::Picture(embedder)) => {

@@ -77,7 +77,6 @@ impl SourceViews {
 /// The frames and moments of a whole series, of a copy, or of a beginning.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Piece {
-    /// Frames of each view.
     pub frames: [PackedFrames; 2],
     pub moments: Moments,
 }
@@ -189,7 +188,6 @@ impl SourceFrames {
 /// A trial, prepared for the method `embedding`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialFrames {
-    /// The trial's key.
     pub key: TrialKey,
     /// The sources of the trial that the scene describes.
     pub sources: BTreeMap<SourceId, SourceFrames>,

@@ -92,7 +92,6 @@ pub(super) struct Stretch {
 }
 
 impl Stretch {
-    /// Number of features of the source.
     pub fn features(&self) -> usize {
         self.mean.len()
     }

@@ -70,7 +70,6 @@ impl Default for EmbeddingOptions {
     }
 }
 
-/// The method `embedding`.
 #[derive(Clone, Debug)]
 pub struct Embedding {
     scene: Scene,
@@ -78,7 +77,6 @@ pub struct Embedding {
 }
 
 impl Embedding {
-    /// The method for the sources of a scene.
     pub fn new(scene: Scene, options: EmbeddingOptions) -> Self {
         Self { scene, options }
     }

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::Deserialize;
 
 use super::NAME;
-use super::calibrated_probability::{HeldOut, held_back, log_posterior};
+use super::calibrated_probability::{held_back, log_posterior};
 use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch, columns};
 use super::labels::Labels;
@@ -29,7 +29,6 @@ use crate::recognise::shape::LibraryShape;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Trial, TrialKey};
 
-/// A library, embedded and trained.
 pub struct EmbeddingModel {
     pub(super) scene: Scene,
     pub(super) shape: Arc<LibraryShape>,
@@ -111,12 +110,6 @@ impl EmbeddingModel {
             followed: OnceLock::new(),
             settling: OnceLock::new(),
         }
-    }
-
-    /// Distances of left-out library trials under models trained without them, with the index of each
-    /// trial's surface. Empty if nothing can be left out.
-    pub fn held_out(&self) -> &[HeldOut] {
-        &self.left_out.held_out
     }
 
     fn embed(&self, query: &TrialFrames) -> Result<(Vec<f32>, Present), RecogniseError> {

@@ -34,7 +34,6 @@ use crate::scene::Scene;
 use crate::seed;
 use crate::trial::Trial;
 
-/// The method `reference`.
 #[derive(Clone, Debug)]
 pub struct Reference {
     scene: Scene,
@@ -42,7 +41,6 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// The method for the sources of a scene.
     pub fn new(scene: Scene, options: ReferenceOptions) -> Self {
         Self { scene, options }
     }
@@ -120,10 +118,8 @@ pub struct ReferenceOptions {
     /// Number of nearest neighbours, k.
     #[serde(skip_serializing_if = "is_one")]
     pub neighbours: usize,
-    /// How positions are drawn.
     #[serde(skip_serializing_if = "is_default")]
     pub positions: PositionMode,
-    /// Seed of all positions.
     #[serde(skip_serializing_if = "is_one")]
     pub seed: u64,
     /// How precisely kernel sums are computed.

@@ -25,7 +25,6 @@ type StoredSource = (SourceId, Option<(f64, usize)>, Vec<SampleSet>);
 /// Number of lengths of a source kept in memory besides the trial's own; enough for `chart`.
 const KEPT_LENGTHS: usize = 3;
 
-/// A trial, prepared for comparison.
 pub struct PreparedTrial {
     entry: Entry,
     sources: BTreeMap<SourceId, PreparedSource>,

@@ -174,7 +174,6 @@ impl SampleSet {
         });
     }
 
-    /// The samples of the first channel.
     fn first_channel(&self) -> impl Iterator<Item = f64> {
         (0..self.n()).map(|i| self.values.at(i))
     }

@@ -55,7 +55,6 @@ pub(super) fn remove_file(path: &Path) {
     let _ = point().and_then(|()| fs::remove_file(path));
 }
 
-/// Removes a folder, if it is there and empty.
 pub(super) fn remove_empty_folder(path: &Path) {
     let _ = point().and_then(|()| fs::remove_dir(path));
 }

@@ -11,7 +11,6 @@ use crate::library::{About, Entry, LibraryError, recording};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey, normal};
 
-/// A trial in the list of a library.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ListedTrial {
     /// The trial's name for edits: its folder `SURFACE/TRIAL`, or its first file `SURFACE/FILE.wav`
@@ -22,7 +21,6 @@ pub struct ListedTrial {
     pub key: TrialKey,
     /// When the trial was recorded, as its `trial.toml` says.
     pub started_at: Option<String>,
-    /// The trial's sources.
     pub sources: Vec<SourceId>,
     /// Duration of the trial's longest series, in seconds.
     pub seconds: f64,

@@ -200,7 +200,6 @@ pub(super) fn stretch(series: &mut Series, pace: f64) {
 const CORNER_HZ: f64 = 50.0;
 /// Rate, in Hz, at which room noise swells and fades, chosen near the rate of syllables.
 const SYLLABLES_HZ: f64 = 4.0;
-/// Frequencies of the mains hum in Hz.
 const HUM_HZ: [f64; 3] = [50.0, 100.0, 150.0];
 /// Power of the hum, relative to the power of the red noise.
 const HUM_SHARE: f64 = 0.2;

@@ -31,7 +31,6 @@ impl Goal {
 /// The share of left-out trials that are named right after a given scan time.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct AccuracyAt {
-    /// Scan time in seconds.
     pub scan_s: f64,
     /// Share of trials named right, from 0 to 1.
     pub accuracy: f64,
@@ -73,7 +72,6 @@ pub struct ScanTime {
     pub whole: Option<AccuracyAt>,
     /// Number of left-out trials that the answer is based on.
     pub trials: usize,
-    /// Number of people in the library.
     pub people: usize,
     /// True if each person was left out in turn, so that the accuracy holds for other people too.
     pub across_people: bool,
@@ -109,7 +107,6 @@ impl ScanTime {
         self.enough.map(|at| at.scan_s)
     }
 
-    /// The answer in one line.
     pub fn line(&self) -> String {
         let why = self.reason();
         let Some(at) = self.enough else {

@@ -99,7 +99,6 @@ impl LeftOutAccuracy {
         }
     }
 
-    /// Number of left-out trials.
     pub fn trials(&self) -> usize {
         self.groups.iter().map(|group| group.trials).sum()
     }
