@@ -124,6 +124,10 @@ impl<T: Clone> RingSink<T> {
 }
 
 impl<T> RingTap<T> {
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
     /// Index of the next frame to come out; lost frames are counted too.
     pub(crate) fn position(&self) -> u64 {
         self.reckoning.position
