@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::history::HistoryError;
 use crate::history::log::{Log, Span};
-use crate::record::edit::is_plain;
+use crate::record::folder_name::is_plain;
 use crate::station::AnswerState;
 
 const LOG: &str = "answers.jsonl";

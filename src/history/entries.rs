@@ -9,7 +9,7 @@ use super::folder::Disk;
 use super::log::{Head, Log, LogLine, Span, Text};
 use super::{Correction, HistoryError};
 use crate::printable::json_text;
-use crate::record::edit::is_plain;
+use crate::record::folder_name::is_plain;
 
 /// An answer, its correction, and what became of its scan. Only the fields that the program reads have
 /// types; `others` holds the rest as it was written.

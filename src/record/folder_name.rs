@@ -2,7 +2,6 @@
 
 use std::fmt::Write;
 
-use super::edit::is_plain;
 use crate::dataset;
 use crate::library::recording::DESCRIPTION;
 use crate::seed::stable_hash;
@@ -10,6 +9,11 @@ use crate::trial::normal;
 
 /// Longest encoded name, in bytes. File systems allow 255, and a trial's number may follow.
 const LONGEST: usize = 160;
+
+/// Whether a folder in a library may have this name: not empty, not hidden, and without `/`.
+pub(crate) fn is_plain(name: &str) -> bool {
+    !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\0'])
+}
 
 /// The folder name of a label. ASCII letters, digits, `_`, `-`, and inner dots and spaces stay.
 /// Every other byte becomes `%XX`, and so does the first letter of a reserved name. So no label

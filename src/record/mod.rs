@@ -6,7 +6,7 @@
 #![allow(missing_docs)] // Names that say everything need no comment.
 
 pub mod edit;
-mod folder_name;
+pub(crate) mod folder_name;
 #[cfg(feature = "mcap")]
 pub mod mcap;
 

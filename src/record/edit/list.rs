@@ -5,9 +5,10 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::{REMOVED, is_plain};
+use super::REMOVED;
 use crate::library::files::{self, Listed};
 use crate::library::{About, Entry, LibraryError, recording};
+use crate::record::folder_name::is_plain;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey, normal};
 

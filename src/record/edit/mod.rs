@@ -32,11 +32,6 @@ use crate::trial::{Trial, TrialKey, normal};
 /// Name of the folder of removed trials, in the library's folder.
 pub(super) const REMOVED: &str = ".removed";
 
-/// Whether a folder in a library may have this name: not empty, not hidden, and without `/`.
-pub(crate) fn is_plain(name: &str) -> bool {
-    !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\0'])
-}
-
 /// A library that is locked for editing: no program reads it meanwhile.
 pub struct Editor {
     root: PathBuf,

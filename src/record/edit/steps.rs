@@ -15,9 +15,10 @@ use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
-use super::{REMOVED, disk, is_plain};
+use super::{REMOVED, disk};
 use crate::library::{LibraryError, files};
 use crate::printable::json_text;
+use crate::record::folder_name::is_plain;
 use crate::record::{failed, replace_file, utc};
 use crate::system::{self, Locked};
 use crate::trial::TrialKey;
