@@ -10,7 +10,7 @@ use plotters::prelude::*;
 /// The reason why a figure cannot be drawn.
 #[derive(Debug, thiserror::Error)]
 #[error("the figure cannot be drawn: {0}")]
-pub struct FigureError(pub(crate) String);
+pub(crate) struct FigureError(pub(crate) String);
 
 /// Colours of curves; the first six and black are safe for colour-blind readers (Okabe & Ito 2008).
 pub(crate) const COLOURS: [RGBColor; 10] = [

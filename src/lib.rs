@@ -57,6 +57,7 @@
 //! tools use. In the recording format, and in JSON below `/api/v1`, fields are only ever added.
 
 #![warn(missing_docs)]
+#![warn(unreachable_pub)]
 
 // Lets helpers in tests/common, which unit tests include too, name this crate `surfaced`.
 #[cfg(test)]

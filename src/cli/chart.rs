@@ -20,7 +20,7 @@ use crate::scene::SourceId;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced chart LMT_108_SurfaceMaterials_Database --sources \
                         mi2 --out chart.svg\n\nTime: some minutes for LMT108's 200 dragging sounds, on two cores; what is measured is written at once, so it may be interrupted")]
-pub struct Args {
+pub(super) struct Args {
     /// Recordings (a library, or the LMT108 database)
     lib: PathBuf,
     #[command(flatten)]
@@ -33,7 +33,7 @@ pub struct Args {
     brief: bool,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     args.figure.check()?;
     if is_earlier(&args.lib) {
         let problem = "expected recordings; earlier charts are drawn by `tools/peers/run --draw`";

@@ -17,7 +17,7 @@ use crate::scene::Scene;
 #[command(after_help = "Examples:\n  surfaced check my-library\n  \
                         surfaced check my-library --json > check.json\n\nTime: up to ten \
                         models of the library; seconds for tens of trials, minutes for a thousand")]
-pub struct Args {
+pub(super) struct Args {
     /// The library: a folder of labelled trials
     library: PathBuf,
     #[command(flatten)]
@@ -27,7 +27,7 @@ pub struct Args {
     json: bool,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
     let report = audit(&args.library, &how, &say::progress)?;
     show::result(args.json, &report, print);
@@ -37,7 +37,7 @@ pub fn run(args: &Args) -> Done {
     }
 }
 
-pub fn audit(
+pub(super) fn audit(
     library: &Path,
     how: &Comparing,
     progress: ProgressFn<'_>,

@@ -64,7 +64,7 @@ pub(super) fn choose(
 impl Choice {
     /// Keeps at most `most` of the surfaces in the folds, evenly spread over their sorted names,
     /// and drops the trials of all other surfaces.
-    pub fn keep_surfaces(&mut self, most: usize) -> Result<(), Failure> {
+    pub(super) fn keep_surfaces(&mut self, most: usize) -> Result<(), Failure> {
         let all: BTreeSet<&str> = self.surfaces().collect();
         let kept: BTreeSet<String> = (all.iter().enumerate())
             .filter(|(i, _)| (i + 1) * most / all.len() > i * most / all.len())
@@ -77,12 +77,12 @@ impl Choice {
     }
 
     /// The surface of each trial that is in the library of at least one fold.
-    pub fn surfaces(&self) -> impl Iterator<Item = &str> {
+    pub(super) fn surfaces(&self) -> impl Iterator<Item = &str> {
         in_libraries(&self.folds).into_iter().map(|i| self.entries[i].key.surface.as_str())
     }
 
     /// The sources that are held by trials of the folds, sorted.
-    pub fn held(&self) -> Vec<SourceId> {
+    pub(super) fn held(&self) -> Vec<SourceId> {
         let of_folds = self.folds.iter().flat_map(|fold| fold.library.iter().chain(&fold.queries));
         let held: BTreeSet<&SourceId> = of_folds.flat_map(|&i| &self.entries[i].sources).collect();
         held.into_iter().cloned().collect()

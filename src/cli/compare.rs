@@ -21,7 +21,7 @@ use crate::trial::Trial;
                         surfaced compare LMT_108_SurfaceMaterials_Database:G4Bamboo:1 \
                         LMT_108_SurfaceMaterials_Database:G4CherryTree:1 --sources mi2\n  \
                         surfaced compare --samples z.csv y.csv --json\n\nTime: a second")]
-pub struct Args {
+pub(super) struct Args {
     /// The query: a trial's folder, a trial's only file, or DATA:SURFACE:NUMBER (with :USER if
     /// necessary); with --samples, a CSV file
     a: PathBuf,
@@ -56,7 +56,7 @@ fn sigma(text: &str) -> Result<f64, String> {
     parsed(text, |x: &f64| x.is_finite() && *x > 0.0, "a positive number")
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     if args.samples { compare_samples(args) } else { compare_trials(args) }
 }
 
@@ -176,7 +176,7 @@ fn alone(one: &Library) -> Result<(Trial, Scene, bool), Failure> {
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced dependence x.csv y.csv\n  \
                         surfaced dependence x.csv y.csv --gamma --json\n\nTime: a second for a thousand rows")]
-pub struct DependenceArgs {
+pub(super) struct DependenceArgs {
     /// CSV file: one row per sample, one column per channel, no header
     x: PathBuf,
     /// CSV file of the same form; each row is paired with the same row of X
@@ -198,7 +198,7 @@ pub struct DependenceArgs {
     json: bool,
 }
 
-pub fn dependence(args: &DependenceArgs) -> Done {
+pub(super) fn dependence(args: &DependenceArgs) -> Done {
     let (x, y) = (samples(&args.x)?, samples(&args.y)?);
     let threshold =
         if args.gamma { Threshold::Gamma } else { Threshold::Permutations(args.permutations) };

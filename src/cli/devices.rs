@@ -19,7 +19,7 @@ use crate::station::config::fitting;
                   surfaced devices --watch /dev/ttyACM0\n  \
                   surfaced devices --watch tcp://192.168.1.7:5000 --write station.toml\n\n\
                   Time: a second; with --watch, three seconds from the first line")]
-pub struct Args {
+pub(super) struct Args {
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -33,7 +33,7 @@ pub struct Args {
 }
 
 /// The longest wait for the first line. Some boards restart when their port is opened.
-pub const SURVEY_PATIENCE: Duration = Duration::from_secs(10);
+pub(super) const SURVEY_PATIENCE: Duration = Duration::from_secs(10);
 
 /// The lines that a sensor has sent, summed up.
 #[derive(serde::Serialize)]
@@ -172,7 +172,7 @@ fn show_watched(Watched { port, rate_hz, columns, .. }: &Watched) {
     }
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     if let Some(address) = &args.watch {
         return watch(address, args);
     }

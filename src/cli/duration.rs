@@ -29,7 +29,7 @@ use crate::scene::SourceId;
                         surfaced duration lib --source ir --surface G7EPDMFoam --svg foam.svg\n  \
                         surfaced duration LMT_108_SurfaceMaterials_Database --source mi2\n  \
                         surfaced duration lib --source ir --rule mean-ci --draws 200\n\nTime: 6 s for LMT108's 200 dragging sounds, on two cores")]
-pub struct Args {
+pub(super) struct Args {
     /// A library, or any recordings that `eval` reads
     lib: PathBuf,
     /// Sources, with commas between them (default: all for the scan time; for T*, all that are
@@ -176,7 +176,7 @@ impl Algorithm1Args {
     }
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     let question = args.question()?;
     let library = super::open(&args.lib)?;
     let (found, by_time) = bad_files::work(&args.lib, library, |library| {

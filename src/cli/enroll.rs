@@ -16,7 +16,7 @@ use crate::trial::{EXPERT, UNLABELLED};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced enroll steel --library my-library\n  \
                         surfaced enroll felt --library my-library --trials 5 --user anna\n\nTime: about 6 s a trial")]
-pub struct EnrollArgs {
+pub(super) struct EnrollArgs {
     /// The surface
     #[arg(value_name = "LABEL", value_parser = name)]
     label: String,
@@ -36,7 +36,7 @@ pub struct EnrollArgs {
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced record --library new-scans\n  \
                         surfaced record --label felt --library my-library\n\nTime: until you quit")]
-pub struct RecordArgs {
+pub(super) struct RecordArgs {
     /// The surface
     #[arg(long, value_name = "LABEL", default_value = UNLABELLED, value_parser = name)]
     label: String,
@@ -54,7 +54,7 @@ fn name(text: &str) -> Result<String, String> {
     }
 }
 
-pub fn enroll(args: &EnrollArgs) -> Done {
+pub(super) fn enroll(args: &EnrollArgs) -> Done {
     let config = args.station.config()?;
     let wanted = args.trials.map_or(config.trials, |trials| trials.try_into().unwrap_or(u32::MAX));
     let (surface, user) = (args.label.clone(), args.user.clone());
@@ -69,7 +69,7 @@ pub fn enroll(args: &EnrollArgs) -> Done {
     Ok(())
 }
 
-pub fn record(args: &RecordArgs) -> Done {
+pub(super) fn record(args: &RecordArgs) -> Done {
     let config = args.station.config()?;
     let (surface, user) = (args.label.clone(), args.user.clone());
     let keep = Keep { surface, user, trials: None, good_only: false };

@@ -30,7 +30,7 @@ use crate::trial::TrialKey;
                   --enrolled 1\n  surfaced eval \
                   LMT_108_SurfaceMaterials_Database --paper --out results\n\nTime: 5 s for LMT108's 200 dragging sounds, on two cores; --method reference 10 s; --paper hours, see --shard"
 )]
-pub struct Args {
+pub(super) struct Args {
     #[command(subcommand)]
     then: Option<Then>,
     /// Recordings: a library, or the LMT108 database; or feature tables
@@ -83,7 +83,7 @@ fn groups(text: &str) -> Result<usize, String> {
     parsed(text, |groups| *groups >= 2, "a whole number, 2 or more")
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     if let Some(Then::Merge(args)) = &args.then {
         return paper::merge(args);
     }

@@ -11,7 +11,7 @@ use super::{Done, import_csv};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced export my-library my-library.mcap\n  \
                         surfaced export my-library/oak/expert-01 oak.mcap\n\nTime: as long as copying the files takes")]
-pub struct ExportArgs {
+pub(super) struct ExportArgs {
     /// A library, one trial of it, or the LMT108 database
     recording: PathBuf,
     /// The file to write; it must not exist yet
@@ -25,7 +25,7 @@ pub struct ExportArgs {
     subcommand_negates_reqs = true,
     after_help = "Examples:\n  surfaced import my-library.mcap my-library\n  surfaced import csv recordings --out my-library --rate 1000 --dry-run\n\nTime: as long as copying the files takes"
 )]
-pub struct ImportArgs {
+pub(super) struct ImportArgs {
     #[command(subcommand)]
     then: Option<Then>,
     /// The MCAP file
@@ -41,7 +41,7 @@ enum Then {
     Csv(import_csv::CsvArgs),
 }
 
-pub fn import(args: &ImportArgs) -> Done {
+pub(super) fn import(args: &ImportArgs) -> Done {
     match (&args.then, &args.mcap, &args.library) {
         (Some(Then::Csv(args)), ..) => import_csv::run(args),
         (None, Some(mcap), Some(library)) => import_mcap(mcap, library),
@@ -50,7 +50,7 @@ pub fn import(args: &ImportArgs) -> Done {
 }
 
 #[cfg(feature = "mcap")]
-pub fn export(args: &ExportArgs) -> Done {
+pub(super) fn export(args: &ExportArgs) -> Done {
     use super::show;
     use crate::record::mcap;
     super::hold(&args.recording);

@@ -9,7 +9,7 @@ use crate::evaluate::Protocol;
 
 /// The data of a figure, and the file to write.
 #[derive(clap::Args)]
-pub struct FigureArgs {
+pub(super) struct FigureArgs {
     /// SVG file to write; the JSON and any other pictures are written beside it
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
@@ -25,7 +25,7 @@ pub struct FigureArgs {
 
 impl FigureArgs {
     /// Refuses a picture named `.json`, since the file of its numbers has that name.
-    pub fn check(&self) -> Done {
+    pub(super) fn check(&self) -> Done {
         if self.out.extension().is_some_and(|e| e == "json") {
             let problem = "name the picture, such as chart.svg; the JSON is written beside it";
             return Err(Failure::usage_at(&self.out, problem));
@@ -34,7 +34,11 @@ impl FigureArgs {
     }
 
     /// Writes the picture and, beside it, its numbers as JSON. Returns the paths of both.
-    pub fn keep(&self, svg: &str, numbers: &impl Serialize) -> Result<Vec<PathBuf>, Failure> {
+    pub(super) fn keep(
+        &self,
+        svg: &str,
+        numbers: &impl Serialize,
+    ) -> Result<Vec<PathBuf>, Failure> {
         let beside = self.out.with_extension("json");
         write(&self.out, svg)?;
         write(&beside, &(serde_json::to_string_pretty(numbers)? + "\n"))?;
@@ -43,10 +47,10 @@ impl FigureArgs {
 }
 
 /// Whether a path is the JSON file of an earlier run, not a recording.
-pub fn is_earlier(path: &Path) -> bool {
+pub(super) fn is_earlier(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == "json") && path.is_file()
 }
 
-pub fn write(path: &Path, text: &str) -> Done {
+pub(super) fn write(path: &Path, text: &str) -> Done {
     std::fs::write(path, text).map_err(|error| Failure::at(path, error))
 }

@@ -22,7 +22,7 @@ const PORT: u16 = 8081;
 #[command(after_help = "Examples:\n  surfaced fleet mqtt://127.0.0.1\n  \
                         surfaced fleet mqtts://broker.example --ca ca.pem --serve 127.0.0.1:9000\n\n\
                         Time: until you quit")]
-pub struct Args {
+pub(super) struct Args {
     /// The broker, and the prefix of the stations' topics: mqtt://HOST, mqtts://USER:PASSWORD@HOST/PREFIX
     broker: MqttAddress,
     /// The certificate authority of the broker, if the system does not know it
@@ -45,7 +45,7 @@ pub struct Args {
     serve: ServeArgs,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     let mut broker = args.broker.clone();
     let client = args.certificate.clone().zip(args.key.clone());
     match &mut broker.tls {

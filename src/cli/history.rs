@@ -13,7 +13,7 @@ use crate::history::{COLUMNS, Correction, FOLDER, History, HistoryRow, Precision
                         surfaced history my-library --csv > scans.csv\n  \
                         surfaced history my-library --precision\n\nTime: a second for ten \
                         thousand scans")]
-pub struct Args {
+pub(super) struct Args {
     /// The library that named the scans
     library: PathBuf,
     /// Show only the newest scans, at most this many
@@ -30,7 +30,7 @@ pub struct Args {
     json: bool,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     let folder = args.library.join(FOLDER);
     if !folder.is_dir() {
         let library = args.library.display();

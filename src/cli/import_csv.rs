@@ -34,7 +34,7 @@ const TIMES: [(&str, f64); 8] = [
                         force=f\n  surfaced import csv all.csv --out my-library --rate 100 \
                         --surface material --user person --trial run\n\nTime: some seconds for a \
                         hundred megabytes")]
-pub struct CsvArgs {
+pub(super) struct CsvArgs {
     /// Tables, or folders that hold them
     #[arg(required = true)]
     tables: Vec<PathBuf>,
@@ -89,7 +89,7 @@ fn pattern(text: &str) -> Result<NamePattern, String> {
     }
 }
 
-pub fn run(args: &CsvArgs) -> Done {
+pub(super) fn run(args: &CsvArgs) -> Done {
     let mut tables = Vec::new();
     args.tables.iter().try_for_each(|path| find(path, &mut tables))?;
     let Some(first) = tables.first() else {

@@ -22,7 +22,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Prints a line for each scan that was named or was to be kept, together with the warnings since
 /// the previous line. Warnings after the last scan get a line of their own.
-pub struct JsonLines {
+pub(super) struct JsonLines {
     /// The channel to the thread that prints; `None` after the last line.
     lines: Option<Sender<String>>,
     end: End,
@@ -43,7 +43,7 @@ struct JsonLine<'a, T> {
 
 impl JsonLines {
     /// Starts to print. Sends [`Command::Quit`] to `commands` if the reader has closed stdout.
-    pub fn start(commands: Sender<Command>, waits: bool) -> std::io::Result<Self> {
+    pub(super) fn start(commands: Sender<Command>, waits: bool) -> std::io::Result<Self> {
         let (lines, to_print) = bounded::<String>(WAITING);
         let (end, ended) = bounded::<Infallible>(0);
         let print = move || {

@@ -16,12 +16,12 @@ use crate::system::{next_key, restore_terminal, signals, single_keys};
 const LIMIT: Duration = Duration::from_millis(4700);
 
 /// Puts the terminal into a mode that delivers single keys; dropping it restores the old mode.
-pub struct Keys;
+pub(super) struct Keys;
 
 impl Keys {
     /// Reads keys if the program is in the foreground of a terminal: `space` starts or stops a
     /// scan, `q` quits.
-    pub fn listen(commands: Sender<Command>, scanning: Arc<AtomicBool>) -> Option<Self> {
+    pub(super) fn listen(commands: Sender<Command>, scanning: Arc<AtomicBool>) -> Option<Self> {
         if !std::io::stderr().is_terminal() || !single_keys() {
             return None;
         }
@@ -56,7 +56,7 @@ impl Drop for Keys {
 /// Turns the first signal into [`Command::Quit`], and notifies the receiver. A second signal ends
 /// the process at once; the first signal also does if neither a station nor the receiver exists.
 /// In any case, the process ends within [`LIMIT`].
-pub fn watch_signals(commands: Sender<Command>) -> Result<mpsc::Receiver<()>, Failure> {
+pub(super) fn watch_signals(commands: Sender<Command>) -> Result<mpsc::Receiver<()>, Failure> {
     let signals = signals()?;
     let (send, signalled) = mpsc::channel();
     let watch = move || {

@@ -25,7 +25,7 @@ use crate::trial::{TrialKey, normal};
                         surfaced library remove my-library oak/anna-03\n  \
                         surfaced library undo my-library\n\nTime: edits take a moment; list \
                         without --quick takes as long as surfaced check")]
-pub struct Args {
+pub(super) struct Args {
     #[command(subcommand)]
     edit: Edit,
 }
@@ -91,7 +91,7 @@ struct ListArgs {
     comparing: ComparingArgs,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     let (library, step) = match &args.edit {
         Edit::List(args) => return list(args),
         Edit::Rename { library, surface, label, merge } => {

@@ -37,7 +37,7 @@ use crate::system;
 const OUTBOX: &str = ".outbox";
 
 #[derive(Clone, Debug, clap::Args)]
-pub struct StationArgs {
+pub(super) struct StationArgs {
     /// The station's configuration (default: that of configs/stylus.toml)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -60,14 +60,14 @@ pub struct StationArgs {
 
 impl StationArgs {
     /// The options that describe the station, as the user types them in a suggested command.
-    pub fn typed(&self) -> String {
+    pub(super) fn typed(&self) -> String {
         let config = self.config.as_ref().map(|path| format!(" --config {}", quoted(path)));
         let lines = self.lines.as_ref().map(|address| format!(" --lines {address}"));
         config.unwrap_or_default() + &lines.unwrap_or_default()
     }
 
     /// The configuration that results from the file and the flags.
-    pub fn config(&self) -> Result<StationConfig, Failure> {
+    pub(super) fn config(&self) -> Result<StationConfig, Failure> {
         let mut config = match (&self.config, &self.lines) {
             (None, Some(address)) => surveyed(address)?,
             (file, _) => super::config(file.as_deref())?,
@@ -112,7 +112,7 @@ fn surveyed(address: &LinesAddress) -> Result<StationConfig, Failure> {
     Ok(config)
 }
 
-pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
+pub(super) fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
     config.library.clone().ok_or_else(|| {
         let text = "no library is named; give --library FOLDER, or `library` in the configuration";
         Failure::Usage(text.into())
@@ -121,7 +121,7 @@ pub fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
 
 /// Returns a function that reads the library each time it is called, and prepares it for naming.
 /// `given` are the sources that scans can have, if they are known.
-pub fn load(
+pub(super) fn load(
     path: &Path,
     scene: &Scene,
     how: &Comparing,
@@ -161,7 +161,7 @@ pub fn load(
 }
 
 /// Returns a function that audits the library each time it is called.
-pub fn check(path: &Path, how: &Comparing) -> Audit {
+pub(super) fn check(path: &Path, how: &Comparing) -> Audit {
     let (path, how) = (path.to_path_buf(), how.clone());
     Arc::new(move || super::check::audit(&path, &how, &|_, _, _| {}).map_err(Failure::text))
 }
@@ -183,7 +183,7 @@ fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceI
 }
 
 /// The work that a command wants of a station.
-pub struct StationWork<'a> {
+pub(super) struct StationWork<'a> {
     /// The function that reads the library; `None` if scans are not to be named.
     pub load: Option<Load>,
     /// The library for enrolled scans.
@@ -197,7 +197,7 @@ pub struct StationWork<'a> {
 }
 
 /// Runs a station with these devices until a key, a signal or a listener ends it.
-pub fn work(
+pub(super) fn work(
     config: &StationConfig,
     args: &StationArgs,
     assembled: Assembled,
@@ -268,7 +268,7 @@ pub fn work(
 /// Keeps the scans of a station, and sends its answers to the configured outputs. Scans and unsent
 /// answers lie in `folder`. If scans cannot be kept, a warning gives the reason, and answers stay in
 /// memory until the program ends. `sources` holds the scene, and the device of each source.
-pub fn keep_and_send<'a>(
+pub(super) fn keep_and_send<'a>(
     mut station: Station<'a>,
     config: &StationConfig,
     folder: &Path,
@@ -296,7 +296,7 @@ pub fn keep_and_send<'a>(
     Ok(station)
 }
 
-pub fn verdict(totals: &Totals) -> Done {
+pub(super) fn verdict(totals: &Totals) -> Done {
     if let Some((name, error)) = totals.failed.first() {
         return Err(Failure::Damaged(format!("{name}: {error}")));
     }
@@ -309,11 +309,11 @@ pub fn verdict(totals: &Totals) -> Done {
 }
 
 /// Reports the state of the station to systemd, if systemd runs it.
-pub struct Supervisor(());
+pub(super) struct Supervisor(());
 
 impl Supervisor {
     /// Pings the station through `commands` as often as the watchdog of the systemd unit requires.
-    pub fn new(commands: Sender<Command>) -> std::io::Result<Self> {
+    pub(super) fn new(commands: Sender<Command>) -> std::io::Result<Self> {
         if let Some(limit) = system::watchdog() {
             // Pings three times as often as required, so that two pings may be late.
             let every = (limit / 3).max(Duration::from_millis(10));
@@ -349,7 +349,7 @@ impl Listener for Supervisor {
                         surfaced run --config station.toml --json --serve\n  \
                         surfaced run --library my-library --stylus /dev/ttyUSB0\n  \
                         surfaced run --library my-library --lines /dev/ttyACM0\n\nTime: until you quit; an answer comes about 10 ms after its scan")]
-pub struct Args {
+pub(super) struct Args {
     #[command(flatten)]
     station: StationArgs,
     #[command(flatten)]
@@ -360,7 +360,7 @@ pub struct Args {
     accuracy: AccuracyArgs,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
     let mut config = args.station.config()?;
     if let Some(plan) = &how.plan {
@@ -389,7 +389,7 @@ pub fn run(args: &Args) -> Done {
 
 /// How many scans of an order were kept, and how many could not be written.
 #[derive(Default)]
-pub struct Kept {
+pub(super) struct Kept {
     pub kept: u32,
     pub lost: u32,
 }

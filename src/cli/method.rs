@@ -28,7 +28,7 @@ impl ValueEnum for MethodName {
 }
 
 #[derive(Clone, Debug, clap::Args)]
-pub struct MethodArgs {
+pub(super) struct MethodArgs {
     /// How trials are compared (default: embedding, or the one whose options are given)
     #[arg(long, value_enum, value_name = "METHOD")]
     method: Option<MethodName>,
@@ -58,7 +58,7 @@ pub struct MethodArgs {
     pub no_cache: bool,
 }
 
-pub fn at_least_one(text: &str) -> Result<usize, String> {
+pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
     let expected = format!("a whole number, 1 or more, at most {MOST_COUNT}");
     parsed(text, |number| (1..=MOST_COUNT).contains(number), expected)
 }
@@ -85,7 +85,7 @@ impl MethodArgs {
         }
     }
 
-    pub fn spec(&self) -> Result<MethodSpec, Failure> {
+    pub(super) fn spec(&self) -> Result<MethodSpec, Failure> {
         let trees = TreeOptions { seed: self.seed };
         Ok(match self.name()? {
             MethodName::Reference => MethodSpec::Reference(self.reference_options()),
@@ -97,11 +97,11 @@ impl MethodArgs {
     }
 
     /// Whether the user chose no method.
-    pub fn is_default(&self) -> bool {
+    pub(super) fn is_default(&self) -> bool {
         self.method.is_none() && self.name().is_ok_and(|name| name == MethodName::Embedding)
     }
 
-    pub fn reference_options(&self) -> ReferenceOptions {
+    pub(super) fn reference_options(&self) -> ReferenceOptions {
         let usual = ReferenceOptions::default();
         ReferenceOptions {
             samples: self.n.unwrap_or(usual.samples),
@@ -117,7 +117,7 @@ impl MethodArgs {
 }
 
 /// The options that select a method, with those settings that distinguish methods in charts.
-pub fn options_of(method: &MethodSpec) -> String {
+pub(super) fn options_of(method: &MethodSpec) -> String {
     let mut options = format!("--method {}", method.name().as_str());
     if let MethodSpec::Reference(ReferenceOptions { samples, repetitions, halving, .. }) = method {
         options += &format!(" --n {samples} --repetitions {repetitions}");
@@ -130,7 +130,7 @@ pub fn options_of(method: &MethodSpec) -> String {
 
 /// How trials are compared, in commands that name scans: by options or by a plan.
 #[derive(clap::Args)]
-pub struct ComparingArgs {
+pub(super) struct ComparingArgs {
     #[command(flatten)]
     sources: SourceArgs,
     #[command(flatten)]
@@ -144,7 +144,7 @@ pub struct ComparingArgs {
 
 impl ComparingArgs {
     /// Reads the plan if one is given, and prints its settings; without a plan, uses the options.
-    pub fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
+    pub(super) fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
         let (sources, cache) = (self.sources.clone(), !self.method.no_cache);
         let Some(path) = &self.plan else {
             let method = self.method.spec()?;
@@ -160,7 +160,7 @@ impl ComparingArgs {
 }
 
 #[derive(Clone)]
-pub struct Comparing {
+pub(super) struct Comparing {
     pub plan: Option<Plan>,
     sources: SourceArgs,
     pub method: MethodSpec,
@@ -172,13 +172,13 @@ pub struct Comparing {
 
 impl Comparing {
     /// The folder in which prepared trials are cached, which is `folder`; `None` with `--no-cache`.
-    pub fn cache_in(&self, folder: &Path) -> Option<PathBuf> {
+    pub(super) fn cache_in(&self, folder: &Path) -> Option<PathBuf> {
         self.cache.then(|| folder.to_path_buf())
     }
 
     /// How long scans must last, in seconds, and a line with the reason. The time comes from the
     /// plan if it has one, and otherwise from the model of the library.
-    pub fn lasting(
+    pub(super) fn lasting(
         &self,
         accuracy: &AccuracyArgs,
         model: &Arc<dyn Model>,
@@ -191,7 +191,7 @@ impl Comparing {
     }
 
     /// The scene with only the sources that are compared.
-    pub fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
+    pub(super) fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
         match &self.plan {
             Some(plan) => scene.only(&plan.sources).map_err(|error| {
                 Failure::Usage(format!("the plan needs sources that the data do not have: {error}"))
@@ -202,7 +202,7 @@ impl Comparing {
 }
 
 #[derive(Clone, Debug, clap::Args)]
-pub struct AnswerArgs {
+pub(super) struct AnswerArgs {
     /// Accuracy that may be lost by giving answers before their scans end
     #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
     pub settle_loss: f64,
@@ -214,7 +214,7 @@ pub struct AnswerArgs {
 
 /// The accuracy that a scan should reach; the scan time follows from it.
 #[derive(Clone, Debug, clap::Args)]
-pub struct AccuracyArgs {
+pub(super) struct AccuracyArgs {
     /// Share of scans that must be named right by the scan time (default: the share for whole
     /// scans, minus 0.01)
     #[arg(long, value_name = "SHARE", value_parser = share, conflicts_with = "plan")]
@@ -223,7 +223,7 @@ pub struct AccuracyArgs {
 
 impl AccuracyArgs {
     /// How long scans must last with the model of a library; `None` if the method cannot tell.
-    pub fn scan_time(&self, model: &Arc<dyn Model>) -> Result<Option<ScanTime>, Failure> {
+    pub(super) fn scan_time(&self, model: &Arc<dyn Model>) -> Result<Option<ScanTime>, Failure> {
         let found = model.clone().scan_time(self.accuracy);
         match &found {
             Some(answer) if self.accuracy.is_some() => honoured(answer)?,
@@ -239,7 +239,7 @@ impl AccuracyArgs {
 }
 
 /// Fails if no scan time reaches the accuracy that was asked for.
-pub fn honoured(answer: &ScanTime) -> Done {
+pub(super) fn honoured(answer: &ScanTime) -> Done {
     match answer.scan_s() {
         Some(_) => Ok(()),
         None => Err(Failure::Failed(answer.reason().unwrap_or_default())),
@@ -253,7 +253,7 @@ fn share_or_none(text: &str) -> Result<f64, String> {
 impl AnswerArgs {
     /// Applies these options to a recogniser. Returns whether it also guesses while a scan is in
     /// progress, and lines of text that say what its answers are based on.
-    pub fn apply(&self, by: &mut Recogniser) -> Result<(bool, Vec<String>), RejectionError> {
+    pub(super) fn apply(&self, by: &mut Recogniser) -> Result<(bool, Vec<String>), RejectionError> {
         let mut remarks = Vec::new();
         if self.false_rejections != Some(0.0) {
             match by.reject_unknown(self.false_rejections) {

@@ -11,7 +11,7 @@ use crate::outputs::{self, OutputTest};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced outputs test --config station.toml\n\n\
                         Time: a second; ten where nobody answers")]
-pub struct Args {
+pub(super) struct Args {
     #[command(subcommand)]
     command: OutputsCommand,
 }
@@ -35,7 +35,7 @@ struct TestArgs {
     json: bool,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     let OutputsCommand::Test(TestArgs { config: path, json }) = &args.command;
     let config = super::config(Some(path))?.outputs;
     let tests = outputs::test(&config)?;

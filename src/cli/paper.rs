@@ -13,7 +13,7 @@ use crate::record::replace_file;
 
 /// Join the shards that `surfaced eval --paper --shard` wrote, and show the result
 #[derive(clap::Args)]
-pub struct MergeArgs {
+pub(super) struct MergeArgs {
     /// Files of shards, or folders that hold them
     #[arg(required = true, value_name = "DIR|FILES")]
     shards: Vec<PathBuf>,
@@ -26,7 +26,7 @@ pub struct MergeArgs {
 }
 
 /// Runs the evaluation, or one shard of the evaluation.
-pub fn run(
+pub(super) fn run(
     library: &Library,
     method: &MethodArgs,
     shard: Option<Shard>,
@@ -57,7 +57,7 @@ pub fn run(
     Ok(())
 }
 
-pub fn merge(args: &MergeArgs) -> Done {
+pub(super) fn merge(args: &MergeArgs) -> Done {
     let mut found = Vec::new();
     for path in &args.shards {
         if !path.is_dir() {

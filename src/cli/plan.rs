@@ -21,7 +21,7 @@ const TARGET: f64 = 0.99;
 #[command(
     after_help = "Example:\n  surfaced plan my-library --target 0.99 --out plan.toml\n\nTime: 10 s for LMT108's 200 dragging sounds, on two cores; minutes with eight sources"
 )]
-pub struct Args {
+pub(super) struct Args {
     /// Recordings: a library, or the LMT108 database
     lib: PathBuf,
     /// Share of scans that must be named right, whole and at the scan time (default: 0.99 of whole
@@ -41,7 +41,7 @@ pub struct Args {
     json: bool,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
     let planned = bad_files::work(&args.lib, library, |library| {
         let scene = args.sources.narrow(library.scene.clone())?;

@@ -36,7 +36,7 @@ use crate::trial::EXPERT;
                         surfaced replay LMT_108_SurfaceMaterials_Database --sources mi2 --speed max\n  \
                         surfaced replay new-scans --library my-library --json\n  \
                         surfaced replay --speed 1.0 --serve\n\nTime: about 10 s for the embedded scene, 6 s for LMT108's 200 dragging sounds, on two cores; with --speed 1.0 as long as the recordings")]
-pub struct Args {
+pub(super) struct Args {
     /// Recordings to play: a library, or the LMT108 database
     data: Option<PathBuf>,
     /// Labelled trials to compare with
@@ -79,7 +79,7 @@ pub(super) struct ReplayStage {
     pub cache: Option<PathBuf>,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     say::results_aside(args.json);
     let how = args.comparing.resolve(args.query_seconds)?;
     // Trials are read while they are played, so the locks keep other programs from editing them.

@@ -51,16 +51,16 @@ macro_rules! result {
 
 static VERBOSE: AtomicBool = AtomicBool::new(false);
 
-pub fn be_verbose(verbose: bool) {
+pub(super) fn be_verbose(verbose: bool) {
     VERBOSE.store(verbose, Ordering::Release);
 }
 
-pub fn is_verbose() -> bool {
+pub(super) fn is_verbose() -> bool {
     VERBOSE.load(Ordering::Acquire)
 }
 
 /// From now on, no line waits for a stalled reader.
-pub fn never_wait() {
+pub(super) fn never_wait() {
     LIVE.store(true, Ordering::Release);
 }
 
@@ -71,7 +71,7 @@ fn status_line() -> MutexGuard<'static, Option<String>> {
 }
 
 /// Starts (`on`) or ends the status line at the bottom of the terminal; [`status`] sets its text.
-pub fn keep_status_line(on: bool) {
+pub(super) fn keep_status_line(on: bool) {
     let mut kept = status_line();
     if kept.is_some() && !on {
         write_stderr(CLEAR);
@@ -83,7 +83,7 @@ pub fn keep_status_line(on: bool) {
 static PROGRESS: Mutex<Option<(&'static str, ProgressBar)>> = Mutex::new(None);
 
 /// Draws the progress of a step as a bar on a terminal; the next line of text removes the bar.
-pub fn progress(step: &'static str, done: usize, of: usize) {
+pub(super) fn progress(step: &'static str, done: usize, of: usize) {
     // If a thread panicked while it held the lock, the bar can still be drawn.
     let mut shown = PROGRESS.lock().unwrap_or_else(PoisonError::into_inner);
     if shown.as_ref().is_none_or(|(name, _)| *name != step) {
@@ -96,13 +96,13 @@ pub fn progress(step: &'static str, done: usize, of: usize) {
     shown.iter().for_each(|(_, bar)| bar.set_position(done as u64));
 }
 
-pub fn end_progress() {
+pub(super) fn end_progress() {
     let shown = PROGRESS.lock().unwrap_or_else(PoisonError::into_inner).take();
     shown.inspect(|(_, bar)| bar.finish_and_clear());
 }
 
 /// Writes a line on stderr; see [`say!`].
-pub fn line(text: &str) {
+pub(super) fn line(text: &str) {
     end_progress();
     write_stderr(&above(&status_line(), &format!("{}\n", lines(text))));
 }
@@ -116,12 +116,12 @@ fn above(status: &Option<String>, line: &str) -> String {
 }
 
 /// With `aside`, results for people go to stderr from now on, since stdout is for JSON.
-pub fn results_aside(aside: bool) {
+pub(super) fn results_aside(aside: bool) {
     RESULTS_ASIDE.store(aside, Ordering::Release);
 }
 
 /// Writes a line of a result on stdout, unless [`results_aside`] sent results to stderr.
-pub fn result_line(text: &str) {
+pub(super) fn result_line(text: &str) {
     end_progress();
     if RESULTS_ASIDE.load(Ordering::Acquire) {
         return line(text);
@@ -139,7 +139,7 @@ pub fn result_line(text: &str) {
 }
 
 /// Replaces the text of the status line, if one is kept.
-pub fn status(text: &str) {
+pub(super) fn status(text: &str) {
     if let Some(kept) = &mut *status_line() {
         *kept = Printable(text).to_string();
         write_stderr(&format!("{CLEAR}{kept}"));
@@ -183,7 +183,7 @@ fn lines(text: &str) -> String {
 }
 
 /// Sends the program's log events to stderr through [`line`].
-pub fn start_log() {
+pub(super) fn start_log() {
     // Starting fails only if a log was started before, for example by a test.
     let _ = tracing_subscriber::registry().with(LevelFilter::INFO).with(Log).try_init();
 }
@@ -201,7 +201,7 @@ impl<S: Subscriber> Layer<S> for Log {
 }
 
 /// The word with which messages of this level begin.
-pub fn word(level: Level) -> &'static str {
+pub(super) fn word(level: Level) -> &'static str {
     match level {
         Level::ERROR => "error: ",
         Level::WARN => "warning: ",
@@ -210,7 +210,7 @@ pub fn word(level: Level) -> &'static str {
 }
 
 /// The prefix of a line that tells the systemd journal its priority (see sd-daemon(3)).
-pub fn priority(level: Level) -> &'static str {
+pub(super) fn priority(level: Level) -> &'static str {
     if std::env::var_os("JOURNAL_STREAM").is_none() {
         return "";
     }

@@ -18,10 +18,10 @@ const TRACE_EVERY_S: f64 = 0.04;
 const PROGRESS_EVERY_S: f64 = 0.1;
 
 /// The address of a station's page; empty until the server has started.
-pub type Page = Arc<OnceLock<String>>;
+pub(super) type Page = Arc<OnceLock<String>>;
 
 #[derive(Clone, Debug, clap::Args)]
-pub struct ServeArgs {
+pub(super) struct ServeArgs {
     /// Serve the page and the HTTP API, until SIGTERM
     ///
     /// ADDR is an address with its port, or either alone; port 0 picks a free one. To serve other
@@ -51,12 +51,12 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 }
 
 impl ServeArgs {
-    pub fn is_wanted(&self) -> bool {
+    pub(super) fn is_wanted(&self) -> bool {
         self.serve.is_some()
     }
 
     /// The options of a session. If the page is served, they include updates for the page.
-    pub fn options(&self, options: Options) -> Options {
+    pub(super) fn options(&self, options: Options) -> Options {
         if !self.is_wanted() {
             return options;
         }
@@ -69,7 +69,7 @@ impl ServeArgs {
 
     /// Serves `station` if `--serve` is given, and prints the address on stderr. The default
     /// address is in `settings`. Sets `page` to the address at which other machines find the page.
-    pub fn start<'a>(
+    pub(super) fn start<'a>(
         &self,
         station: Station<'a>,
         settings: Settings,
@@ -91,7 +91,7 @@ impl ServeArgs {
     }
 
     /// Adds the token and the command line's options to the settings.
-    pub fn settings(&self, settings: Settings) -> Result<Settings, Failure> {
+    pub(super) fn settings(&self, settings: Settings) -> Result<Settings, Failure> {
         let token = match std::env::var(TOKEN) {
             Ok(text) => Some(Token::new(&text).map_err(failure)?),
             Err(_) => None,
@@ -103,7 +103,7 @@ impl ServeArgs {
 }
 
 /// Turns an error of the server's start into the failure of the command.
-pub fn failure(error: ServeError) -> Failure {
+pub(super) fn failure(error: ServeError) -> Failure {
     match error {
         ServeError::Open(_) | ServeError::Token => Failure::Usage(error.to_string()),
         ServeError::Bind { .. } | ServeError::System(_) => error.into(),

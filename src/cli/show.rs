@@ -13,7 +13,7 @@ use crate::station::{Answer, AnswerState};
 use crate::trial::TrialKey;
 
 /// Prints what a library contains, and what was skipped.
-pub fn library(library: &Library) {
+pub(super) fn library(library: &Library) {
     let (trials, surfaces) = (library.entries.len(), library.surfaces().len());
     say!("{}", summary(&library.name, library.synthetic, trials, surfaces));
     for remark in &library.remarks {
@@ -22,7 +22,7 @@ pub fn library(library: &Library) {
 }
 
 /// The name and the size of a library.
-pub fn summary(name: &str, synthetic: bool, trials: usize, surfaces: usize) -> String {
+pub(super) fn summary(name: &str, synthetic: bool, trials: usize, surfaces: usize) -> String {
     let mark = if synthetic { " (synthetic)" } else { "" };
     format!("{name}{mark}: {} of {}", counted(trials, "trial"), counted(surfaces, "surface"))
 }
@@ -30,7 +30,7 @@ pub fn summary(name: &str, synthetic: bool, trials: usize, surfaces: usize) -> S
 /// Prints one JSON document on stdout.
 ///
 /// If the reader has closed stdout (as `| head` does), the program ends here.
-pub fn json(value: &impl serde::Serialize) {
+pub(super) fn json(value: &impl serde::Serialize) {
     say::end_progress();
     if writeln!(std::io::stdout(), "{}", json_text(value)).is_err() {
         std::process::exit(1);
@@ -38,13 +38,13 @@ pub fn json(value: &impl serde::Serialize) {
 }
 
 /// Shows the result of a command on stdout: as one JSON document, or as `print` shows it to people.
-pub fn result<T: serde::Serialize>(as_json: bool, value: &T, print: impl FnOnce(&T)) {
+pub(super) fn result<T: serde::Serialize>(as_json: bool, value: &T, print: impl FnOnce(&T)) {
     if as_json { json(value) } else { print(value) }
 }
 
 /// The sources that were left out of queries, and the reasons. There is one line for each source and
 /// channel, even if the channel was stuck at many values.
-pub fn left_out(left_out: &LeftOutSources) -> Vec<String> {
+pub(super) fn left_out(left_out: &LeftOutSources) -> Vec<String> {
     let mut kinds: BTreeMap<&str, (BTreeSet<&str>, BTreeSet<&TrialKey>)> = BTreeMap::new();
     for (remark, trials) in left_out {
         let kind = remark.split(" at ").next().unwrap_or_default();
@@ -68,44 +68,44 @@ pub fn left_out(left_out: &LeftOutSources) -> Vec<String> {
     kinds.into_iter().filter_map(line).collect()
 }
 
-pub fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
+pub(super) fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
     result!("{}", printable::table(head, &rows.into_iter().collect::<Vec<_>>()).trim_end());
 }
 
-pub fn wrote<P: AsRef<Path>>(files: &[P]) {
+pub(super) fn wrote<P: AsRef<Path>>(files: &[P]) {
     say!("wrote {}", listed(files.iter().map(|file| file.as_ref().display())));
 }
 
 /// Joins texts with commas.
-pub fn listed<T: ToString>(things: impl IntoIterator<Item = T>) -> String {
+pub(super) fn listed<T: ToString>(things: impl IntoIterator<Item = T>) -> String {
     joined(things, ", ")
 }
 
-pub fn joined<T: ToString>(things: impl IntoIterator<Item = T>, by: &str) -> String {
+pub(super) fn joined<T: ToString>(things: impl IntoIterator<Item = T>, by: &str) -> String {
     things.into_iter().map(|thing| thing.to_string()).collect::<Vec<_>>().join(by)
 }
 
-pub fn next(what: &str) {
+pub(super) fn next(what: &str) {
     say!("next: {what}");
 }
 
 /// A path, quoted for a shell if necessary.
-pub fn quoted(path: &Path) -> String {
+pub(super) fn quoted(path: &Path) -> String {
     printable::quoted(&path.display().to_string())
 }
 
-pub fn percent(fraction: f64) -> String {
+pub(super) fn percent(fraction: f64) -> String {
     format!("{:.1} %", fraction * 100.0)
 }
 
 /// The 95 % interval of a share, such as `93.6 % to 98.6 %`.
-pub fn interval(share: Share) -> String {
+pub(super) fn interval(share: Share) -> String {
     let (low, high) = share.interval();
     format!("{} to {}", percent(low), percent(high))
 }
 
 /// An answer in one or two words, for the surface and a mark of doubt.
-pub fn named(answer: &Answer) -> String {
+pub(super) fn named(answer: &Answer) -> String {
     let surface = answer.surface.as_deref().unwrap_or("unknown");
     match answer.state {
         AnswerState::Named | AnswerState::Unknown => surface.into(),
@@ -116,13 +116,13 @@ pub fn named(answer: &Answer) -> String {
 }
 
 /// Advice to drag longer, by the time that was missing; empty if the drag was long enough.
-pub fn longer(answer: &Answer) -> String {
+pub(super) fn longer(answer: &Answer) -> String {
     answer.more_s().map(|s| format!("  (drag {s:.1} s longer)")).unwrap_or_default()
 }
 
 /// The certainty of an answer. It is `fits none` for an unknown surface; for others the probability, or
 /// the margin to the next surface if the method gives no probabilities.
-pub fn certainty(answer: &Answer) -> String {
+pub(super) fn certainty(answer: &Answer) -> String {
     match answer.confidence {
         _ if answer.surface.is_none() => "fits none".into(),
         Some(probability) if probability > 0.999 => "over 99.9 %".into(),

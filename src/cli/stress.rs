@@ -24,7 +24,7 @@ use crate::scene::SourceSpec;
 #[command(after_help = "Examples:\n  surfaced stress LMT_108_SurfaceMaterials_Database --sources \
                         mi2 --out stress.svg\n  surfaced stress lib --out s.svg --only \
                         dead-sensors,gain --methods embedding,svm\n\nTime: 10 minutes for LMT108's 200 dragging sounds, on two cores; each method is written as it is done, so it may be interrupted")]
-pub struct Args {
+pub(super) struct Args {
     /// Recordings: a library, or the LMT108 database; or an earlier run's JSON
     lib: PathBuf,
     #[command(flatten)]
@@ -43,7 +43,7 @@ pub struct Args {
     seed: u64,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     args.figure.check()?;
     let report = if is_earlier(&args.lib) {
         earlier(&args.lib)?

@@ -17,7 +17,7 @@ use crate::record::{self, TrialOptions};
 #[command(
     after_help = "Example:\n  surfaced synth scene --surfaces 20 --trials 5 --users 3\n\nTime: 5 s for the default size, on two cores"
 )]
-pub struct Args {
+pub(super) struct Args {
     /// Folder to write; must not exist, or be empty
     out: PathBuf,
     /// Number of surfaces
@@ -43,7 +43,7 @@ pub struct Args {
     json: bool,
 }
 
-pub fn run(args: &Args) -> Done {
+pub(super) fn run(args: &Args) -> Done {
     if args.trials + args.users == 0 {
         return Err(Failure::Usage("--trials 0 --users 0 leaves nothing to write".into()));
     }

@@ -10,7 +10,7 @@ use crate::station::{Answer, AnswerState, Listener, Remark, StationEvent};
 
 /// The answers of a replay so far, and its warnings.
 #[derive(Default)]
-pub struct Tally {
+pub(super) struct Tally {
     each: bool,
     total: usize,
     answers: Vec<Arc<Answer>>,
@@ -37,7 +37,7 @@ impl Listener for Tally {
 
 impl Tally {
     /// An empty tally of `total` scans; `each` tells whether each answer is printed.
-    pub fn new(each: bool, total: usize) -> Self {
+    pub(super) fn new(each: bool, total: usize) -> Self {
         Self { each, total, ..Self::default() }
     }
 
@@ -100,7 +100,7 @@ impl Tally {
         say!("warning: {text}");
     }
 
-    pub fn sum_up(&self, synthetic: bool) {
+    pub(super) fn sum_up(&self, synthetic: bool) {
         let again: usize = self.remarks.values().map(|count| count - 1).sum();
         if again > 0 {
             say!("({} of these kinds not shown)", show::counted(again, "more warning"));
@@ -167,7 +167,7 @@ impl Tally {
     }
 
     /// The result of the command, given that `lost` samples were lost.
-    pub fn verdict(&self, lost: u64) -> Done {
+    pub(super) fn verdict(&self, lost: u64) -> Done {
         let (named, total, damages) = (self.answers.len(), self.total, self.damages);
         if named == 0 && self.too_little == 0 {
             return Err(Failure::Failed("no scan was named; see the warnings above".into()));

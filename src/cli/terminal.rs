@@ -18,7 +18,7 @@ use crate::station::{
 use crate::system::has_status_line;
 
 /// Shows a station to people. Answers go to stdout, everything else to stderr.
-pub struct Terminal {
+pub(super) struct Terminal {
     /// Whether answers are printed on stdout as JSON, not as text.
     json: bool,
     draws: bool,
@@ -32,7 +32,7 @@ pub struct Terminal {
 
 impl Terminal {
     /// A terminal that shows `hint`, an instruction for the operator, until a scan begins.
-    pub fn new(json: bool, hint: String) -> Self {
+    pub(super) fn new(json: bool, hint: String) -> Self {
         let draws = has_status_line();
         say::never_wait();
         say::keep_status_line(draws);
@@ -44,7 +44,7 @@ impl Terminal {
     }
 
     /// Whether a scan is in progress; the space bar starts or stops a scan accordingly.
-    pub fn scanning(&self) -> Arc<AtomicBool> {
+    pub(super) fn scanning(&self) -> Arc<AtomicBool> {
         self.scanning.clone()
     }
 

@@ -13,11 +13,11 @@ use crate::scene::SourceId;
 use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, normal};
 
 /// A row of a table: its line number in the file, and its cells.
-pub type NumberedRow = (u64, Vec<String>);
+pub(crate) type NumberedRow = (u64, Vec<String>);
 
 /// How to find the time of each row of a table.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Clock {
+pub(crate) enum Clock {
     Rate(f64),
     Times {
         column: String,
@@ -27,7 +27,7 @@ pub enum Clock {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct CsvForm {
+pub(crate) struct CsvForm {
     /// Each source, with the names of the columns that are its channels.
     pub sources: Vec<(SourceId, Vec<String>)>,
     pub clock: Clock,
@@ -38,7 +38,7 @@ pub struct CsvForm {
 }
 
 /// A CSV table whose cells are still text.
-pub struct CsvTable {
+pub(crate) struct CsvTable {
     /// Names of the columns; `1`, `2`, … if the file does not name them.
     pub header: Vec<String>,
     pub rows: Vec<NumberedRow>,
@@ -48,14 +48,14 @@ pub struct CsvTable {
 
 impl CsvTable {
     /// Reads a table, whose columns commas, semicolons, tabs or spaces separate.
-    pub fn read(path: &Path) -> Result<Self, LibraryError> {
+    pub(crate) fn read(path: &Path) -> Result<Self, LibraryError> {
         let bytes = files::read_bytes(path, files::MOST_TEXT)?;
         Self::parse(&bytes, false).map_err(|problem| LibraryError::file(path, problem))
     }
 
     /// Parses the text of a table. The first line names the columns if `named` is true, or if none
     /// of its cells is a number.
-    pub fn parse(bytes: &[u8], named: bool) -> Result<Self, String> {
+    pub(crate) fn parse(bytes: &[u8], named: bool) -> Result<Self, String> {
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let first = bytes.split(|&byte| byte == b'\n').find(|line| !line.trim_ascii().is_empty());
         let first = first.unwrap_or_default();
@@ -97,7 +97,7 @@ impl CsvTable {
     }
 
     /// Names of the columns whose first cell is a number.
-    pub fn numeric(&self) -> Vec<String> {
+    pub(crate) fn numeric(&self) -> Vec<String> {
         let is_numeric = |at: &usize| self.number(&self.rows[0].1[*at]).is_some();
         (0..self.header.len()).filter(is_numeric).map(|at| self.header[at].clone()).collect()
     }
@@ -114,7 +114,7 @@ impl CsvTable {
     }
 
     /// The number in the cell of a row; an error if it is no number or not finite.
-    pub fn value(&self, (line, cells): &NumberedRow, column: usize) -> Result<f64, String> {
+    pub(crate) fn value(&self, (line, cells): &NumberedRow, column: usize) -> Result<f64, String> {
         let name = &self.header[column];
         self.number(&cells[column]).filter(|value| value.is_finite()).ok_or_else(|| {
             format!("line {line}, column `{name}`: `{}` is not a finite number", cells[column])
@@ -122,7 +122,7 @@ impl CsvTable {
     }
 
     /// All cells as finite numbers, shape (rows, columns).
-    pub fn values(&self) -> Result<Array2<f64>, String> {
+    pub(crate) fn values(&self) -> Result<Array2<f64>, String> {
         let (rows, columns) = (self.rows.len(), self.header.len());
         let cells =
             self.rows.iter().flat_map(|row| (0..columns).map(move |at| self.value(row, at)));
@@ -133,7 +133,11 @@ impl CsvTable {
 
     /// The trials of the table and, for a table with times, the mean rate of the first trial's rows
     /// in Hz. `name` is the path of the table's file without extension.
-    pub fn trials(&self, name: &str, form: &CsvForm) -> Result<(Vec<Trial>, Option<f64>), String> {
+    pub(crate) fn trials(
+        &self,
+        name: &str,
+        form: &CsvForm,
+    ) -> Result<(Vec<Trial>, Option<f64>), String> {
         let mut columns = [None; 3];
         for (column, label) in columns.iter_mut().zip(&form.labels) {
             *column = label.as_ref().map(|label| self.column(label)).transpose()?;
@@ -250,13 +254,13 @@ fn line_of(text: &[u8], row: &csv::StringRecord) -> u64 {
 /// A pattern for file paths: text, the fields `{surface}`, `{user}` and `{trial}`, and `*` for any
 /// text. Fields and `*` match at least one character, but no `/`.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NamePattern(pub String);
+pub(crate) struct NamePattern(pub String);
 
 impl NamePattern {
     /// Reads surface, user and trial (text that ends with the number) from the path `name`.
     /// Compares as many of the path's last components as the pattern has; `None` if they do not
     /// fit. Each field takes the shortest text that lets the rest of the path fit.
-    pub fn parts(&self, name: &str) -> Option<[Option<String>; 3]> {
+    pub(crate) fn parts(&self, name: &str) -> Option<[Option<String>; 3]> {
         let depth = self.0.matches('/').count();
         let from = name.rmatch_indices('/').nth(depth).map_or(0, |(at, _)| at + 1);
         let mut parts = [None, None, None];

@@ -17,7 +17,7 @@ use crate::trial::{EXPERT, TrialKey};
 const NAMES: &str = "file,surface,split,trial,";
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct FeatureTables {
+pub(crate) struct FeatureTables {
     pub name: String,
     pub sources: Vec<SourceId>,
     /// The features of each trial and source, in the order of the file's columns.
@@ -25,7 +25,7 @@ pub struct FeatureTables {
 }
 
 /// Opens the feature tables in a folder; `None` if the folder has none.
-pub fn open(folder: &Path) -> Result<Option<FeatureTables>, LibraryError> {
+pub(crate) fn open(folder: &Path) -> Result<Option<FeatureTables>, LibraryError> {
     let is_csv = |item: &Listed| !item.is_dir && item.name.ends_with(".csv");
     let mut tables = FeatureTables {
         name: folder.file_name().unwrap_or(folder.as_os_str()).to_string_lossy().into_owned(),

@@ -13,7 +13,7 @@ use super::OpenError;
 use crate::system::{device_holder, may_use};
 
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct ListedDevice {
+pub(crate) struct ListedDevice {
     /// The device's name in a configuration. It stays the same when other devices are plugged in,
     /// unless `problem` says otherwise.
     pub id: String,
@@ -24,7 +24,7 @@ pub struct ListedDevice {
     pub problem: Option<String>,
 }
 
-pub fn serial_ports() -> Result<Vec<ListedDevice>, serialport::Error> {
+pub(crate) fn serial_ports() -> Result<Vec<ListedDevice>, serialport::Error> {
     let mut ports: Vec<ListedDevice> = available_ports()?.iter().map(serial_port).collect();
     ports.sort_by(|a, b| a.id.cmp(&b.id));
     Ok(ports)
@@ -86,7 +86,7 @@ pub(super) fn node_problem(node: &Path, group: &str) -> Option<String> {
 }
 
 /// Tells a user how to get access to a device node. `group` is the group that usually has access.
-pub fn permission_hint(node: &Path, group: &str) -> String {
+pub(crate) fn permission_hint(node: &Path, group: &str) -> String {
     let subsystem = if group == "video" { "video4linux" } else { "tty" };
     let name = node.file_name().and_then(OsStr::to_str).unwrap_or("ttyACM0");
     let kind = name.trim_end_matches(|c: char| c.is_ascii_digit());

@@ -199,7 +199,7 @@ struct Track {
 
 impl Player<'_> {
     /// Plays the trial, with its marks, until a stop is requested.
-    pub fn play(mut self, mut trial: Trial) -> Result<(), DeviceError> {
+    pub(crate) fn play(mut self, mut trial: Trial) -> Result<(), DeviceError> {
         let begin = Begin { truth: Some(trial.key.clone()), synthetic: self.replay.synthetic };
         self.link.mark(Mark::Begin(begin));
         for phase in [Phase::Still, Phase::Tap, Phase::Drag] {

@@ -174,17 +174,17 @@ pub(super) fn lost(path: &str, why: &str) -> Disconnected {
 pub(super) struct ErrorCounts(pub BTreeMap<&'static str, u64>);
 
 impl ErrorCounts {
-    pub fn add(&mut self, text: &'static str, count: u64) {
+    pub(super) fn add(&mut self, text: &'static str, count: u64) {
         *self.0.entry(text).or_default() += count;
     }
 
-    pub fn highest(&mut self, text: &'static str, count: u64) {
+    pub(super) fn highest(&mut self, text: &'static str, count: u64) {
         let highest = self.0.entry(text).or_default();
         *highest = count.max(*highest);
     }
 
     /// Sends one warning with all counts above 0, and resets the counts.
-    pub fn report(&mut self, link: &DeviceLink) {
+    pub(super) fn report(&mut self, link: &DeviceLink) {
         let counts = std::mem::take(&mut self.0).into_iter().filter(|(_, count)| *count > 0);
         let parts: Vec<String> = counts.map(|(text, count)| format!("{count} {text}")).collect();
         if !parts.is_empty() {

@@ -19,7 +19,7 @@ type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
 ///
 /// # Errors
 /// If no surface and source has a curve.
-pub fn figure(
+pub(crate) fn figure(
     durations: &[SourceDuration],
     accuracy: Option<&AccuracyCurve>,
 ) -> Result<String, FigureError> {
@@ -55,7 +55,7 @@ pub fn figure(
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct AccuracyCurve {
+pub(crate) struct AccuracyCurve {
     /// Accuracy at each scan time, in ascending order of scan time.
     pub points: Vec<AccuracyAt>,
     pub target: f64,

@@ -26,7 +26,7 @@ pub(crate) const CONSTANT: &str =
     "the source is constant: nothing moves, so there is no time after which it is independent";
 
 /// Fewest samples in a trial for Algorithm 1.
-pub const FEWEST_FRAMES: usize = 100;
+pub(super) const FEWEST_FRAMES: usize = 100;
 /// Fewest samples in a trial for the rule `pooled`, whose lags reach a quarter of a trial.
 const FEWEST_POOLED: usize = 40;
 

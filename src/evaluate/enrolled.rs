@@ -11,7 +11,11 @@ use crate::trial::TrialKey;
 
 /// Moves the first `count` trials of each surface and user from the queries of each fold to its
 /// library. Drops folds that then have no queries. Each fold should leave out one user.
-pub fn enrol(folds: &[Fold], keys: &[TrialKey], count: usize) -> Result<Vec<Fold>, EvaluateError> {
+pub(crate) fn enrol(
+    folds: &[Fold],
+    keys: &[TrialKey],
+    count: usize,
+) -> Result<Vec<Fold>, EvaluateError> {
     let folds: Vec<Fold> = (folds.iter())
         .map(|fold| enrol_in(fold, keys, count))
         .filter(|fold| !fold.queries.is_empty())

@@ -275,14 +275,14 @@ impl Run<'_, '_> {
 }
 
 /// The entry, with its drag cut to the first `seconds` if they are given.
-pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
+pub(crate) fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
     let Some(seconds) = seconds else { return entry.clone() };
     let scene = scene.clone();
     entry.clone().changed(move |trial| cut(trial, &scene, seconds))
 }
 
 /// The entries that have sources of the scene, limited to these sources.
-pub fn within(entries: &[Entry], scene: &Scene) -> Vec<Entry> {
+pub(crate) fn within(entries: &[Entry], scene: &Scene) -> Vec<Entry> {
     let within = entries.iter().map(|entry| entry.clone().within(scene));
     within.filter(|entry| !entry.sources.is_empty()).collect()
 }

@@ -236,7 +236,7 @@ const LEAST_USERS: usize = 5;
 /// 95 % confidence interval of the share of all queries named correctly. It is over users if there
 /// are at least five ([`wilson_of_groups`]), since one person's queries say little about another
 /// person. Otherwise it is over queries ([`Share::interval`]).
-pub fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
+pub(crate) fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
     if is_over_users(users) {
         let counts = users.iter().map(|user| (user.share.right, user.share.of));
         return wilson_of_groups(&counts.collect::<Vec<_>>());
@@ -247,7 +247,7 @@ pub fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
 }
 
 /// Whether there are enough users for [`interval_over_users`] to give an interval over users.
-pub fn is_over_users(users: &[FoldAccuracy]) -> bool {
+pub(crate) fn is_over_users(users: &[FoldAccuracy]) -> bool {
     users.len() >= LEAST_USERS
 }
 

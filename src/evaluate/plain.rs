@@ -13,7 +13,10 @@ const SIGNIFICANT: f64 = 0.05;
 
 /// Names the queries of an evaluation by `svm`, and compares with `predictions` by the default
 /// method. Returns advice if `svm` is significantly better; `None` if not, or if `svm` fails.
-pub fn better_plain(evaluation: Evaluation<'_>, predictions: &[Prediction]) -> Option<String> {
+pub(crate) fn better_plain(
+    evaluation: Evaluation<'_>,
+    predictions: &[Prediction],
+) -> Option<String> {
     let plain = MethodName::Svm;
     let method = MethodSpec::from(plain).build(evaluation.scene);
     let by_plain = evaluation.prepare(&*method).ok()?.measure().ok()?.predictions;

@@ -60,13 +60,13 @@ pub(super) struct Snapshot {
 }
 
 impl Snapshot {
-    pub fn texts(&self) -> impl Iterator<Item = Result<String, HistoryError>> + '_ {
+    pub(super) fn texts(&self) -> impl Iterator<Item = Result<String, HistoryError>> + '_ {
         self.spans.iter().map(|span| self.log.answer_text(*span))
     }
 }
 
 impl Cache {
-    pub fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
+    pub(super) fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
         let log = Log::hold(folder, LOG, "lock")?;
         let mut entries = BTreeMap::new();
         for (Line { answer: head }, span) in log.read::<Line>(u64::MAX)? {
@@ -79,7 +79,7 @@ impl Cache {
 
     /// Adds an answer of a station, and returns its head; `None` if the answer was known already.
     /// Refuses an answer that names another station.
-    pub fn add(&mut self, station: &str, answer: &Value) -> Result<Option<Head>, String> {
+    pub(super) fn add(&mut self, station: &str, answer: &Value) -> Result<Option<Head>, String> {
         let head = Head::deserialize(answer).map_err(|error| error.to_string())?;
         if head.station != station || !is_plain(&head.id) || head.id.len() > LONGEST_ID {
             return Err(format!("it is of station {:?}, with the id {:?}", head.station, head.id));
@@ -116,19 +116,19 @@ impl Cache {
         self.log.replace(fresh)
     }
 
-    pub fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.entries.len()
     }
 
     /// The station of each answer given since a moment, and whether the surface was unknown.
-    pub fn since(&self, unix_ms: u64) -> impl Iterator<Item = (&str, bool)> {
+    pub(super) fn since(&self, unix_ms: u64) -> impl Iterator<Item = (&str, bool)> {
         let from = (unix_ms, String::new(), String::new());
         let entries = self.entries.range(from..);
         entries.map(|(key, entry)| (key.2.as_str(), entry.state == AnswerState::Unknown))
     }
 
     /// The head of every answer, the oldest first. Unreadable answers are skipped.
-    pub fn heads(&self) -> impl Iterator<Item = Head> + '_ {
+    pub(super) fn heads(&self) -> impl Iterator<Item = Head> + '_ {
         let head = |entry: &Entry| {
             let line = self.log.line(entry.span).ok()?;
             serde_json::from_str(&line).ok().map(|Line { answer }| answer)
@@ -137,7 +137,7 @@ impl Cache {
     }
 
     /// The newest answers first. At most `most`, of one station or of all, from before `before_ms`.
-    pub fn newest(
+    pub(super) fn newest(
         &self,
         most: usize,
         station: Option<&str>,
@@ -149,7 +149,7 @@ impl Cache {
         wanted.take(most).map(|(_, entry)| self.log.answer_text(entry.span)).collect()
     }
 
-    pub fn snapshot(&self, station: Option<&str>) -> Result<Snapshot, HistoryError> {
+    pub(super) fn snapshot(&self, station: Option<&str>) -> Result<Snapshot, HistoryError> {
         let wanted =
             self.entries.iter().filter(|(key, _)| station.is_none_or(|name| key.2 == name));
         let spans = wanted.map(|(_, entry)| entry.span).collect();

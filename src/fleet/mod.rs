@@ -62,7 +62,7 @@ impl Fleet {
 }
 
 /// Shows the stations of a broker until the server is dropped. `folder` keeps the answers.
-pub fn start(
+pub(crate) fn start(
     address: MqttAddress,
     folder: &Path,
     most_bytes: u64,

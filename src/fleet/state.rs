@@ -45,7 +45,7 @@ struct Station {
 
 impl Stations {
     /// The stations of a cache, with their last answers.
-    pub fn of(cache: &Cache) -> Self {
+    pub(super) fn of(cache: &Cache) -> Self {
         let mut stations = Self::default();
         cache.heads().for_each(|head| stations.answered(&head));
         // A gap before the oldest answer (0) comes from dropped answers, which are not read again.
@@ -62,7 +62,7 @@ impl Stations {
         Some(self.0.entry(name.into()).or_default())
     }
 
-    pub fn answered(&mut self, head: &Head) {
+    pub(super) fn answered(&mut self, head: &Head) {
         let Some(station) = self.named(&head.station) else { return };
         let unix_ms = head.unix_ms;
         let at = station.recent.iter().position(|other| other.unix_ms <= unix_ms);
@@ -78,7 +78,7 @@ impl Stations {
     }
 
     /// Updates the state of a station. A last will has fewer fields, so the others keep their values.
-    pub fn stated(&mut self, name: &str, state: &Map<String, Value>) {
+    pub(super) fn stated(&mut self, name: &str, state: &Map<String, Value>) {
         let Some(station) = self.named(name) else { return };
         let is_new = station.card.get("state") != state.get("state");
         for field in FIELDS.split(' ') {
@@ -100,7 +100,7 @@ impl Stations {
 
     /// Finds a station whose history must be read. Returns its name, its page, and where to begin.
     /// The station need not be online, since the page of a replay remains after the last answer.
-    pub fn next_to_read(&mut self) -> Option<(String, String, u64)> {
+    pub(super) fn next_to_read(&mut self) -> Option<(String, String, u64)> {
         let now = Instant::now();
         for (name, station) in &mut self.0 {
             if station.behind.is_some_and(|since| now.duration_since(since) > ON_THEIR_WAY) {
@@ -118,7 +118,7 @@ impl Stations {
     }
 
     /// Notes that the history of a station was read since `from_ms`, or why it could not be read.
-    pub fn was_read(&mut self, name: &str, from_ms: u64, done: Result<(), String>) {
+    pub(super) fn was_read(&mut self, name: &str, from_ms: u64, done: Result<(), String>) {
         let Some(station) = self.0.get_mut(name) else { return };
         station.page_problem = done.err();
         if station.page_problem.is_some() {
@@ -130,7 +130,7 @@ impl Stations {
         }
     }
 
-    pub fn view(&self, cache: &Cache) -> Value {
+    pub(super) fn view(&self, cache: &Cache) -> Value {
         let mut counts: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
         for (name, is_unknown) in cache.since(unix_ms().saturating_sub(COUNTED.as_millis() as u64))
         {

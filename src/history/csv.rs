@@ -5,16 +5,16 @@ use std::io::{self, Write};
 use serde_json::Value;
 
 /// The columns for one station: fields of an answer, its correction and its trial.
-pub const COLUMNS: &str = "id unix_ms scan state surface nearest reasons confidence fit margin scan_s \
+pub(crate) const COLUMNS: &str = "id unix_ms scan state surface nearest reasons confidence fit margin scan_s \
                        settled_s latency_ms lost_samples truth sources spoiled correction became";
 
 /// The columns for many stations, with the station and without corrections.
-pub const STATION_COLUMNS: &str = "station sequence id unix_ms scan state surface nearest reasons \
+pub(crate) const STATION_COLUMNS: &str = "station sequence id unix_ms scan state surface nearest reasons \
                                    confidence fit margin scan_s settled_s latency_ms lost_samples \
                                    truth sources spoiled";
 
 /// Writes scans, given as JSON, as CSV (RFC 4180). Items of lists are separated by semicolons.
-pub fn write_csv(
+pub(crate) fn write_csv(
     out: impl Write,
     columns: &str,
     scans: impl Iterator<Item = io::Result<Value>>,

@@ -41,7 +41,7 @@ pub(super) struct HistoryEntry {
 }
 
 impl HistoryEntry {
-    pub fn new(head: Head, text: Text) -> Self {
+    pub(super) fn new(head: Head, text: Text) -> Self {
         Self { head, text, correction: None, became: None, signals: None }
     }
 }
@@ -58,14 +58,14 @@ pub(super) struct HistoryState {
 
 impl HistoryState {
     /// Writes a change to the log, then applies it.
-    pub fn change(&mut self, line: LogLine) -> Result<(), HistoryError> {
+    pub(super) fn change(&mut self, line: LogLine) -> Result<(), HistoryError> {
         let span = self.disk.as_mut().map(|disk| disk.log.append(&json_text(&line))).transpose()?;
         self.take(line, span.unwrap_or_default());
         Ok(())
     }
 
     /// Applies the lines in the last `most` bytes of a log.
-    pub fn take_log(&mut self, log: &Log, most: u64) -> Result<(), HistoryError> {
+    pub(super) fn take_log(&mut self, log: &Log, most: u64) -> Result<(), HistoryError> {
         for (line, span) in log.read::<LogLine>(most)? {
             if is_plain(line.id()) {
                 self.take(line, span);
@@ -74,7 +74,7 @@ impl HistoryState {
         Ok(())
     }
 
-    pub fn take(&mut self, line: LogLine, span: Span) {
+    pub(super) fn take(&mut self, line: LogLine, span: Span) {
         if let LogLine::Answer(head) = line {
             return self.entries.push_back(HistoryEntry::new(head, Text::InLog(span)));
         }
@@ -93,7 +93,7 @@ impl HistoryState {
     }
 
     /// The index of the scan with the id `name` or, if `name` is a number, of the newest so numbered.
-    pub fn position(&self, name: &str) -> Option<usize> {
+    pub(super) fn position(&self, name: &str) -> Option<usize> {
         let number: Option<u32> = name.parse().ok();
         let is = |entry: &HistoryEntry| match number {
             Some(number) => entry.head.scan == number,
@@ -102,12 +102,12 @@ impl HistoryState {
         self.entries.iter().rposition(is)
     }
 
-    pub fn find(&self, name: &str) -> Result<&HistoryEntry, HistoryError> {
+    pub(super) fn find(&self, name: &str) -> Result<&HistoryEntry, HistoryError> {
         let at = self.position(name).ok_or_else(|| HistoryError::NoScan(name.into()))?;
         Ok(&self.entries[at])
     }
 
-    pub fn row(&self, entry: &HistoryEntry) -> Result<HistoryRow, HistoryError> {
+    pub(super) fn row(&self, entry: &HistoryEntry) -> Result<HistoryRow, HistoryError> {
         let text = entry.text.read(self.disk.as_ref().map(|disk| &disk.log))?;
         let damaged = || HistoryRow { head: entry.head.clone(), ..HistoryRow::default() };
         Ok(HistoryRow {
@@ -119,13 +119,13 @@ impl HistoryState {
     }
 
     /// Removes the oldest signals, then the oldest answers, until the history and the disk have room.
-    pub fn make_room(&mut self) -> Result<(), HistoryError> {
+    pub(super) fn make_room(&mut self) -> Result<(), HistoryError> {
         let lacking = self.disk.as_ref().map_or(0, Disk::lacks);
         self.let_go(lacking)
     }
 
     /// Like [`Self::make_room`], but removes signals of at least `lacking` bytes, the oldest first.
-    pub fn let_go(&mut self, lacking: u64) -> Result<(), HistoryError> {
+    pub(super) fn let_go(&mut self, lacking: u64) -> Result<(), HistoryError> {
         let Some(disk) = &mut self.disk else { return Ok(()) };
         let for_answers = disk.for_answers();
         let most = (disk.most_bytes - for_answers).min(self.signals.saturating_sub(lacking));

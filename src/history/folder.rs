@@ -32,7 +32,7 @@ pub(super) struct Disk {
 
 impl Disk {
     /// Opens a folder for this program alone.
-    pub fn open(root: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
+    pub(super) fn open(root: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
         let scans = root.join(SCANS);
         fs::create_dir_all(&scans).map_err(HistoryError::io(&scans))?;
         let lock = open_lock(root).map_err(HistoryError::io(root))?;
@@ -42,21 +42,21 @@ impl Disk {
     }
 
     /// Opens a folder to be read, while another process may write there.
-    pub fn read_only(root: &Path) -> Result<Self, HistoryError> {
+    pub(super) fn read_only(root: &Path) -> Result<Self, HistoryError> {
         let log = Log::open(&root.join(LOG), true)?;
         Ok(Self { root: root.to_path_buf(), log, most_bytes: u64::MAX, _lock: None })
     }
 
-    pub fn for_answers(&self) -> u64 {
+    pub(super) fn for_answers(&self) -> u64 {
         self.most_bytes / FOR_ANSWERS
     }
 
-    pub fn folder(&self, id: &str) -> PathBuf {
+    pub(super) fn folder(&self, id: &str) -> PathBuf {
         self.root.join(SCANS).join(id)
     }
 
     /// Ids of the scans that have a folder. Plain files are ignored, since they are not the history's.
-    pub fn scans(&self) -> Result<HashSet<String>, HistoryError> {
+    pub(super) fn scans(&self) -> Result<HashSet<String>, HistoryError> {
         let folder = self.root.join(SCANS);
         let listed = fs::read_dir(&folder).map_err(HistoryError::io(&folder))?;
         let folders = listed.flatten().filter(|item| item.file_type().is_ok_and(|is| is.is_dir()));
@@ -65,7 +65,7 @@ impl Disk {
 
     /// Removes scans that a crash left unfinished, and moves complete scans that are missing from
     /// the log aside, since the log may be damaged.
-    pub fn tidy(&self, is_known: impl Fn(&str) -> bool) -> Result<(), HistoryError> {
+    pub(super) fn tidy(&self, is_known: impl Fn(&str) -> bool) -> Result<(), HistoryError> {
         let aside = self.root.join(ASIDE);
         let (mut moved, fail) = (0, HistoryError::io(&aside));
         let set_aside = |id: &str| {
@@ -91,7 +91,7 @@ impl Disk {
         done.map_err(fail)
     }
 
-    pub fn remove_signals(&self, id: &str) -> Result<(), HistoryError> {
+    pub(super) fn remove_signals(&self, id: &str) -> Result<(), HistoryError> {
         let folder = self.folder(id);
         match fs::remove_dir_all(&folder) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
@@ -102,11 +102,11 @@ impl Disk {
     }
 
     /// Bytes to remove until the disk has enough free space; 0 if its free space is unknown.
-    pub fn lacks(&self) -> u64 {
+    pub(super) fn lacks(&self) -> u64 {
         fs4::statvfs(&self.root).map_or(0, |disk| lacks(disk.total_space(), disk.available_space()))
     }
 
-    pub fn signal_bytes(&self, id: &str) -> Result<u64, HistoryError> {
+    pub(super) fn signal_bytes(&self, id: &str) -> Result<u64, HistoryError> {
         let folder = self.folder(id);
         let size =
             || fs::read_dir(&folder)?.try_fold(0, |sum, item| Ok(sum + item?.metadata()?.len()));
@@ -114,7 +114,7 @@ impl Disk {
     }
 
     /// Writes a label into the `trial.toml` of a scan, if its signals are kept.
-    pub fn label(&self, id: &str, surface: &str) -> Result<(), HistoryError> {
+    pub(super) fn label(&self, id: &str, surface: &str) -> Result<(), HistoryError> {
         let folder = self.folder(id);
         if !folder.is_dir() {
             return Ok(());

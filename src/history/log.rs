@@ -33,7 +33,7 @@ pub(crate) struct Head {
 }
 
 impl Head {
-    pub fn of(answer: &Answer) -> Self {
+    pub(crate) fn of(answer: &Answer) -> Self {
         let Answer { id, scan, surface, state, .. } = answer;
         Self { id: id.clone(), scan: *scan, surface: surface.clone(), state: *state }
     }
@@ -50,7 +50,7 @@ pub(super) enum LogLine {
 
 impl LogLine {
     /// The id of the scan that the line is about, which is also the name of the scan's folder.
-    pub fn id(&self) -> &str {
+    pub(super) fn id(&self) -> &str {
         match self {
             Self::Answer(Head { id, .. })
             | Self::Signals { id, .. }
@@ -68,7 +68,7 @@ pub(crate) enum Text {
 }
 
 impl Text {
-    pub fn bytes(&self) -> u64 {
+    pub(crate) fn bytes(&self) -> u64 {
         match self {
             Self::InLog(span) => u64::from(span.length),
             Self::Here(text) => text.len() as u64,
@@ -76,7 +76,7 @@ impl Text {
     }
 
     /// Returns the text, which is read from `log` if it is there.
-    pub fn read(&self, log: Option<&Log>) -> Result<String, HistoryError> {
+    pub(crate) fn read(&self, log: Option<&Log>) -> Result<String, HistoryError> {
         match (self, log) {
             (Self::InLog(span), Some(log)) => log.answer_text(*span),
             (Self::InLog(_), None) => Ok(String::new()),
@@ -103,7 +103,7 @@ pub(crate) struct Log {
 
 impl Log {
     /// Opens a log in a folder, both created if absent, and locks a file against other programs.
-    pub fn hold(folder: &Path, name: &str, lock: &str) -> Result<Self, HistoryError> {
+    pub(crate) fn hold(folder: &Path, name: &str, lock: &str) -> Result<Self, HistoryError> {
         fs::create_dir_all(folder).map_err(HistoryError::io(folder))?;
         let path = folder.join(lock);
         let lock = File::create(&path).map_err(HistoryError::io(&path))?;
@@ -112,7 +112,7 @@ impl Log {
     }
 
     /// Opens the log for reading, and for writing unless `read_only`.
-    pub fn open(path: &Path, read_only: bool) -> Result<Self, HistoryError> {
+    pub(crate) fn open(path: &Path, read_only: bool) -> Result<Self, HistoryError> {
         let fail = HistoryError::io(path);
         let mut options = OpenOptions::new();
         options.read(true);
@@ -130,7 +130,10 @@ impl Log {
     }
 
     /// The lines in the last `most` bytes. Skips lines that are cut short, or are no `T` in JSON.
-    pub fn read<T: DeserializeOwned>(&self, most: u64) -> Result<Vec<(T, Span)>, HistoryError> {
+    pub(crate) fn read<T: DeserializeOwned>(
+        &self,
+        most: u64,
+    ) -> Result<Vec<(T, Span)>, HistoryError> {
         self.lines(most).map_err(HistoryError::io(&self.path))
     }
 
@@ -154,7 +157,7 @@ impl Log {
         }
     }
 
-    pub fn append(&mut self, line: &str) -> Result<Span, HistoryError> {
+    pub(crate) fn append(&mut self, line: &str) -> Result<Span, HistoryError> {
         let mut text = Vec::with_capacity(line.len() + 2);
         // After a crash, the last line may lack its line break, so one is written before this line.
         if self.bytes > 0 && !self.ends_well() {
@@ -174,7 +177,7 @@ impl Log {
     }
 
     /// Adds an answer. Returns where its text is now, and whether it was written.
-    pub fn append_answer(&mut self, text: String) -> (Text, Result<(), HistoryError>) {
+    pub(crate) fn append_answer(&mut self, text: String) -> (Text, Result<(), HistoryError>) {
         match self.append(&format!("{{\"answer\":{text}}}")) {
             Ok(span) => (Text::InLog(span), Ok(())),
             Err(error) => (Text::Here(text), Err(error)),
@@ -186,26 +189,26 @@ impl Log {
         read_exact_at(&self.file, &mut last, self.bytes - 1).is_ok_and(|()| last == *b"\n")
     }
 
-    pub fn line(&self, span: Span) -> Result<String, HistoryError> {
+    pub(crate) fn line(&self, span: Span) -> Result<String, HistoryError> {
         let mut text = vec![0; span.length as usize];
         read_exact_at(&self.file, &mut text, span.offset).map_err(HistoryError::io(&self.path))?;
         Ok(String::from_utf8_lossy(&text).into_owned())
     }
 
-    pub fn answer_text(&self, span: Span) -> Result<String, HistoryError> {
+    pub(crate) fn answer_text(&self, span: Span) -> Result<String, HistoryError> {
         let line = self.line(span)?;
         let text = line.strip_prefix("{\"answer\":").and_then(|rest| rest.strip_suffix('}'));
         Ok(text.unwrap_or("{}").into())
     }
 
     /// Another handle to the same file, which reads it even after a new file has taken its place.
-    pub fn share(&self) -> Result<Self, HistoryError> {
+    pub(crate) fn share(&self) -> Result<Self, HistoryError> {
         let file = self.file.try_clone().map_err(HistoryError::io(&self.path))?;
         Ok(Self { path: self.path.clone(), file, bytes: self.bytes, _lock: None })
     }
 
     /// Opens an empty log, in a file of its own, that can replace this log.
-    pub fn begin_anew(&self) -> Result<Self, HistoryError> {
+    pub(crate) fn begin_anew(&self) -> Result<Self, HistoryError> {
         let path = self.path.with_extension("jsonl.unfinished");
         match fs::remove_file(&path) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
@@ -215,7 +218,7 @@ impl Log {
         }
     }
 
-    pub fn replace(&mut self, other: Self) -> Result<(), HistoryError> {
+    pub(crate) fn replace(&mut self, other: Self) -> Result<(), HistoryError> {
         let moved = other.file.sync_all().and_then(|()| fs::rename(&other.path, &self.path));
         moved.map_err(HistoryError::io(&self.path))?;
         (self.file, self.bytes) = (other.file, other.bytes);

@@ -288,7 +288,7 @@ pub(crate) enum Correction {
 }
 
 impl Correction {
-    pub fn surface(&self) -> Option<&str> {
+    pub(crate) fn surface(&self) -> Option<&str> {
         match self {
             Self::Surface { surface } => Some(surface),
             Self::Unknown | Self::Bad => None,

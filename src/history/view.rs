@@ -9,20 +9,20 @@ use crate::trial::{Series, Signal, Trial};
 /// Most time intervals that a series is divided into for drawing.
 const BINS: usize = 400;
 /// Frames in each window of the spectrum.
-pub const WINDOW: usize = 4096;
+pub(crate) const WINDOW: usize = 4096;
 /// Lowest rate of a sound that can be listened to.
 const AUDIBLE_HZ: f64 = 8000.0;
 
 /// A trial, small enough to draw.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct TrialView {
+pub(super) struct TrialView {
     /// The views of all sources that are series, sorted by name.
     pub series: Vec<SeriesView>,
     pub pictures: Vec<SourceId>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SeriesView {
+pub(super) struct SeriesView {
     pub source: SourceId,
     /// The part of the scan that the source records, the tap or the drag.
     pub phase: Phase,
@@ -37,7 +37,7 @@ pub struct SeriesView {
 }
 
 impl TrialView {
-    pub fn of(trial: &Trial, scene: &Scene) -> Self {
+    pub(super) fn of(trial: &Trial, scene: &Scene) -> Self {
         let mut view = Self { series: Vec::new(), pictures: Vec::new() };
         for (id, signal) in &trial.signals {
             match signal {
@@ -82,7 +82,7 @@ impl SeriesView {
 }
 
 /// Rounds to four digits, which are short to print and finer than any screen; 0 for NaN and infinity.
-pub fn four_digits(x: f32) -> f32 {
+pub(crate) fn four_digits(x: f32) -> f32 {
     if x == 0.0 || !x.is_finite() {
         return 0.0;
     }
@@ -95,7 +95,7 @@ const BANDS: usize = 96;
 const FLOOR_DB: f64 = -120.0;
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Bands {
+pub(crate) struct Bands {
     /// The lower edge of the first band, in Hz.
     pub from_hz: f64,
     /// The upper edge of the last band, in Hz; the edges between lie at equal ratios.
@@ -107,7 +107,7 @@ pub struct Bands {
 
 /// The spectrum of interleaved samples, averaged over adjacent windows of [`WINDOW`] frames, or over
 /// one window of all frames if there are fewer. `None` for fewer than eight frames.
-pub fn bands(samples: &[f32], channels: usize, rate_hz: f64) -> Option<Bands> {
+pub(crate) fn bands(samples: &[f32], channels: usize, rate_hz: f64) -> Option<Bands> {
     let frames = WINDOW.min(samples.len() / channels.max(1));
     if frames < 8 {
         return None;

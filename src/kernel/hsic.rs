@@ -13,7 +13,7 @@ use super::permutation_moments::{CentredMoments, pearson3_test, permutation_mome
 
 /// Fewest pairs for a test of independence. Four pairs have only 4! = 24 permutations; the smallest
 /// p-value would be 1/24, barely significant at 5 %.
-pub const FEWEST_PAIRS: usize = 5;
+pub(crate) const FEWEST_PAIRS: usize = 5;
 
 /// Why a test of independence is not possible.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -193,7 +193,7 @@ fn slices<'a>(matrix: &'a CowArray<'_, f64, Ix2>) -> Vec<&'a [f64]> {
     matrix.rows().into_iter().map(row).collect()
 }
 
-pub fn check_level(alpha: f64, threshold: Threshold) -> Result<(), HsicError> {
+pub(crate) fn check_level(alpha: f64, threshold: Threshold) -> Result<(), HsicError> {
     if !(alpha > 0.0 && alpha <= 0.5) {
         return Err(HsicError::Alpha(alpha));
     }

@@ -4,7 +4,7 @@ use multiversion::multiversion;
 use ndarray::ArrayView2;
 
 /// Number of samples between which distances are computed for the median: the first ones drawn.
-pub const MEDIAN_SUBSET: usize = 100;
+pub(super) const MEDIAN_SUBSET: usize = 100;
 
 /// Length scale σ of the Gaussian kernel from samples of shape (n, channels), by the paper's
 /// Eq. 6: σ² = 0.5 · median of the squared distances between the first 100 samples.
@@ -16,7 +16,7 @@ pub fn length_scale(samples: ArrayView2<'_, f64>) -> f64 {
 }
 
 /// Like [`length_scale`], but from the first `subset` samples instead of the first 100.
-pub fn length_scale_of(samples: ArrayView2<'_, f64>, subset: usize) -> f64 {
+pub(super) fn length_scale_of(samples: ArrayView2<'_, f64>, subset: usize) -> f64 {
     let n = samples.nrows().min(subset);
     let channels: Vec<Vec<f64>> =
         samples.columns().into_iter().map(|c| c.iter().take(n).copied().collect()).collect();

@@ -21,7 +21,7 @@ const LANES: usize = 8;
 
 /// The sum of unit Gaussians at fixed points, as a function of one variable.
 #[derive(Clone, Debug)]
-pub struct LineSum {
+pub(crate) struct LineSum {
     centre: f64,
     scale: f64,
     groups: Vec<PointGroup>,
@@ -37,7 +37,7 @@ struct PointGroup {
 impl LineSum {
     /// Expands the sum for points in ascending order and a kernel of length scale `sigma`. Coordinates
     /// are relative to `centre`, since rounding costs least near 0.
-    pub fn new(points: impl Iterator<Item = f64>, centre: f64, sigma: f64) -> Self {
+    pub(crate) fn new(points: impl Iterator<Item = f64>, centre: f64, sigma: f64) -> Self {
         let scale = 1.0 / sigma;
         let place = |x: f64| ((x - centre) * scale).clamp(-FARTHEST, FARTHEST);
         let points: Vec<f64> = points.map(place).collect();
@@ -47,7 +47,7 @@ impl LineSum {
     }
 
     /// Σᵢ G(xᵢ + shift) over points xᵢ in ascending order, where G is this sum of Gaussians.
-    pub fn sum(&self, points: impl Iterator<Item = f64>, shift: f64) -> f64 {
+    pub(crate) fn sum(&self, points: impl Iterator<Item = f64>, shift: f64) -> f64 {
         let mut groups = self.groups.iter().peekable();
         let mut total = 0.0;
         for point in points {

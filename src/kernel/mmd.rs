@@ -21,7 +21,7 @@ pub fn kernel_sum(a: ArrayView2<'_, f64>, b: ArrayView2<'_, f64>, sigma: f64) ->
 
 /// Kernel sums over all pairs of samples: y with y, z with z, and y with z.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CrossSums {
+pub(crate) struct CrossSums {
     pub yy: f64,
     pub zz: f64,
     pub yz: f64,
@@ -29,7 +29,7 @@ pub struct CrossSums {
 
 /// MMD²_b (Eq. 5) from its kernel sums over n samples of y and m samples of z. The biased estimate is
 /// a squared norm, so a value that is negative from rounding becomes 0.
-pub fn mmd2_from_sums(sums: CrossSums, n: usize, m: usize) -> f64 {
+pub(crate) fn mmd2_from_sums(sums: CrossSums, n: usize, m: usize) -> f64 {
     let (n, m) = (n as f64, m as f64);
     (sums.yy / (n * n) + sums.zz / (m * m) - 2.0 * sums.yz / (n * m)).max(0.0)
 }
@@ -46,7 +46,7 @@ pub fn mmd2_biased(y: ArrayView2<'_, f64>, z: ArrayView2<'_, f64>, sigma: f64) -
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct PairTest {
+pub(crate) struct PairTest {
     /// MMD²_b of the pairs as given, without swaps.
     pub mmd2: f64,
     /// Threshold: the (1 − α) quantile of MMD²_b over random swaps.
@@ -60,7 +60,7 @@ pub struct PairTest {
 ///
 /// # Panics
 /// If `y` and `z` differ in shape, or `permutations` is 0.
-pub fn pair_test(
+pub(crate) fn pair_test(
     y: ArrayView2<'_, f64>,
     z: ArrayView2<'_, f64>,
     sigma: f64,

@@ -19,7 +19,7 @@ use statrs::function::gamma::{gamma_lr, ln_gamma};
 
 /// Sums over a symmetric matrix W whose rows sum to zero; they determine the permutation moments.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct CentredMoments {
+pub(super) struct CentredMoments {
     /// tr W
     pub t: f64,
     /// tr W²
@@ -40,7 +40,7 @@ pub struct CentredMoments {
 
 impl CentredMoments {
     /// Computes the sums over a symmetric matrix of shape (n, n) with rows that sum to zero. O(n³).
-    pub fn of(w: &Array2<f64>) -> Self {
+    pub(super) fn of(w: &Array2<f64>) -> Self {
         let square = w.dot(w);
         let diagonal = w.diag();
         Self {
@@ -57,7 +57,7 @@ impl CentredMoments {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moments {
+pub(super) struct Moments {
     pub mean: f64,
     pub variance: f64,
     /// Third central moment, divided by the variance to the power 3/2.
@@ -69,7 +69,7 @@ pub struct Moments {
 /// The exact third moment divides by n − 5. For n ≤ 5, the skewness is therefore that of the gamma
 /// distribution with the same mean and variance.
 #[inline]
-pub fn permutation_moments(n: usize, a: &CentredMoments, b: &CentredMoments) -> Moments {
+pub(super) fn permutation_moments(n: usize, a: &CentredMoments, b: &CentredMoments) -> Moments {
     debug_assert!(n > 3);
     let m = n as f64;
     let mean = a.t * b.t / (m - 1.0);
@@ -150,7 +150,7 @@ const NEARLY_NORMAL: f64 = 0.02;
 
 /// The (1 − α) quantile of the Pearson III distribution with the given moments, and the probability
 /// that a value drawn from it is at least `observed`.
-pub fn pearson3_test(moments: &Moments, observed: f64, alpha: f64) -> (f64, f64) {
+pub(super) fn pearson3_test(moments: &Moments, observed: f64, alpha: f64) -> (f64, f64) {
     let sd = moments.variance.sqrt();
     let kappa = moments.mean + sd * quantile(moments.skewness, alpha);
     if sd <= 0.0 {

@@ -5,13 +5,13 @@
 //! n·MMD² below 3e-5. The last coefficients estimate this error; no table is made if it is large.
 
 /// Number of length scales at which the mean is computed.
-pub const NODES: usize = 32;
+pub(crate) const NODES: usize = 32;
 /// Largest length scale of a table, divided by the smallest. The middle is their geometric mean.
-pub const FOLD: f64 = 64.0;
+pub(crate) const FOLD: f64 = 64.0;
 
 /// Mean kernel value over all pairs of one set of samples, as a function of the length scale.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct SelfMean {
+pub(crate) struct SelfMean {
     /// ln of the length scale in the middle of the range.
     middle: f64,
     /// Mean kernel values at the Chebyshev nodes of the first kind, the largest length scale first.
@@ -21,7 +21,11 @@ pub struct SelfMean {
 impl SelfMean {
     /// Tabulates `mean`, the mean kernel value at a length scale, around `sigma`. Returns `None` if
     /// the estimated error exceeds `tolerance`.
-    pub fn new(sigma: f64, tolerance: f64, mut mean: impl FnMut(f64) -> f64) -> Option<Self> {
+    pub(crate) fn new(
+        sigma: f64,
+        tolerance: f64,
+        mut mean: impl FnMut(f64) -> f64,
+    ) -> Option<Self> {
         let middle = sigma.ln();
         let values = std::array::from_fn(|k| mean((middle + half_range() * angle(k).cos()).exp()));
         let table = Self { middle, values };
@@ -31,7 +35,7 @@ impl SelfMean {
     /// The mean kernel value at length scale `sigma`; `None` outside the range of the table.
     ///
     /// Interpolates by the barycentric formula (Berrut & Trefethen 2004, Eq. 5.3).
-    pub fn at(&self, sigma: f64) -> Option<f64> {
+    pub(crate) fn at(&self, sigma: f64) -> Option<f64> {
         let x = (sigma.ln() - self.middle) / half_range();
         if !(-1.0..=1.0).contains(&x) {
             return None;

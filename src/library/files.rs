@@ -57,25 +57,25 @@ pub(crate) struct Listed {
 }
 
 impl Listed {
-    pub fn folder(path: &Path) -> Option<Self> {
+    pub(crate) fn folder(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?.to_string();
         Some(Self { name, path: path.to_path_buf(), is_dir: true, unusable: None })
     }
 
     /// Describes a file by its path; `None` if its name is not UTF-8.
-    pub fn file(path: &Path) -> Option<Self> {
+    pub(crate) fn file(path: &Path) -> Option<Self> {
         Some(Self { is_dir: false, ..Self::folder(path)? })
     }
 
-    pub fn is_series(&self) -> bool {
+    pub(crate) fn is_series(&self) -> bool {
         !self.is_dir && self.unusable.is_none() && self.has_series_name()
     }
 
-    pub fn has_series_name(&self) -> bool {
+    pub(crate) fn has_series_name(&self) -> bool {
         SERIES.contains(&self.stem_and_extension().1.as_str())
     }
 
-    pub fn stem_and_extension(&self) -> (&str, String) {
+    pub(crate) fn stem_and_extension(&self) -> (&str, String) {
         match self.name.rsplit_once('.') {
             Some((stem, extension)) => (stem, extension.to_ascii_lowercase()),
             None => (&self.name, String::new()),
@@ -83,7 +83,7 @@ impl Listed {
     }
 
     /// Whether the name begins with a dot, like the files of editors or unfinished writes.
-    pub fn is_hidden(&self) -> bool {
+    pub(crate) fn is_hidden(&self) -> bool {
         self.name.starts_with('.')
     }
 }

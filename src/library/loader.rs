@@ -248,17 +248,17 @@ pub(crate) struct Headers {
 
 impl Headers {
     /// A check of a library in the folder `root`, on which there are some `remarks` already.
-    pub fn new(root: &Path, remarks: Remarks) -> Self {
+    pub(crate) fn new(root: &Path, remarks: Remarks) -> Self {
         Self { root: root.to_path_buf(), remarks, ..Self::default() }
     }
 
-    pub fn note(&mut self, path: &Path, what: impl Into<String>) {
+    pub(crate) fn note(&mut self, path: &Path, what: impl Into<String>) {
         let place = path.strip_prefix(&self.root).unwrap_or(path).display();
         self.remarks.add(what, place.to_string());
     }
 
     /// Checks that a file can be a source's data. `declared` is what `library.toml` says of it.
-    pub fn series(
+    pub(crate) fn series(
         &mut self,
         spec: &SourceSpec,
         declared: &SourceBlock,
@@ -323,12 +323,12 @@ impl Headers {
 pub(crate) struct Remarks(pub BTreeMap<String, Vec<String>>);
 
 impl Remarks {
-    pub fn add(&mut self, what: impl Into<String>, place: String) {
+    pub(crate) fn add(&mut self, what: impl Into<String>, place: String) {
         self.0.entry(what.into()).or_default().push(place);
     }
 
     /// Each remark as one line: its first file, the number of its further files, and its text.
-    pub fn lines(&self) -> impl Iterator<Item = String> {
+    pub(crate) fn lines(&self) -> impl Iterator<Item = String> {
         self.0.iter().map(|(what, places)| match places.len() {
             1 => format!("{}: {what}", places[0]),
             count => format!("{} and {} more: {what}", places[0], count - 1),

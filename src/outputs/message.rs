@@ -77,7 +77,7 @@ pub(super) struct StationCard {
 }
 
 impl StationCard {
-    pub fn take(&mut self, event: &StationEvent) {
+    pub(super) fn take(&mut self, event: &StationEvent) {
         match event {
             StationEvent::Device { device, state, detail }
                 if self.devices.len() < DEVICES || self.devices.contains_key(device) =>
@@ -92,7 +92,7 @@ impl StationCard {
     }
 
     /// The state as JSON, without the fields that the output itself adds.
-    pub fn json(&self) -> Value {
+    pub(super) fn json(&self) -> Value {
         let devices = self.devices.iter().map(|(device, (state, detail))| {
             json!({ "device": device, "state": state, "detail": detail })
         });

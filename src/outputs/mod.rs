@@ -231,17 +231,17 @@ impl BackOff {
     const FIRST: Duration = Duration::from_millis(500);
     const LONGEST: Duration = Duration::from_secs(60);
 
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(Self::FIRST)
     }
 
-    pub fn next(&mut self) -> Duration {
+    pub(crate) fn next(&mut self) -> Duration {
         let now = self.0;
         self.0 = (now * 2).min(Self::LONGEST);
         now
     }
 
-    pub fn reset(&mut self) {
+    pub(crate) fn reset(&mut self) {
         self.0 = Self::FIRST;
     }
 }

@@ -64,7 +64,7 @@ impl Connection {
 }
 
 impl Publisher {
-    pub fn new(
+    pub(super) fn new(
         pending: Pending,
         address: &MqttAddress,
         card: Card,
@@ -84,7 +84,7 @@ impl Publisher {
         Ok(Self { pending, options, answer_topic, state_topic, card, history, page, back_off })
     }
 
-    pub async fn run(mut self, mut answers: mpsc::Receiver<Arc<Answer>>) {
+    pub(super) async fn run(mut self, mut answers: mpsc::Receiver<Arc<Answer>>) {
         while let Some(why) = self.connection(&mut answers).await {
             self.pending.health.failed(&format!("{why}; they are tried again"));
             let until = Instant::now() + self.back_off.next();
@@ -259,7 +259,7 @@ pub(crate) struct Line {
 
 impl Line {
     /// Starts to connect. Must be called within a runtime.
-    pub fn open(options: MqttOptions) -> Self {
+    pub(crate) fn open(options: MqttOptions) -> Self {
         let (client, mut connection) = AsyncClient::new(options, MOST_QUEUED_PACKETS);
         let (send, events) = mpsc::unbounded_channel();
         let work = async move {

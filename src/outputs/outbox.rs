@@ -41,7 +41,7 @@ enum Line {
 }
 
 impl Outbox {
-    pub fn open(folder: &Path, output: &str) -> Result<Self, HistoryError> {
+    pub(super) fn open(folder: &Path, output: &str) -> Result<Self, HistoryError> {
         Self::of_at_most(folder, output, MOST)
     }
 
@@ -61,7 +61,7 @@ impl Outbox {
     }
 
     /// Adds the answer that `text` returns for its number; it stays in memory if writing fails.
-    pub fn push(&mut self, text: impl FnOnce(u64) -> String) -> Result<(), HistoryError> {
+    pub(super) fn push(&mut self, text: impl FnOnce(u64) -> String) -> Result<(), HistoryError> {
         let sequence = self.next;
         let (text, written) = self.log.append_answer(text(sequence));
         self.add(sequence, text);
@@ -89,14 +89,14 @@ impl Outbox {
         }
     }
 
-    pub fn first(&self) -> Result<Option<(u64, String)>, HistoryError> {
+    pub(super) fn first(&self) -> Result<Option<(u64, String)>, HistoryError> {
         let Some((sequence, text)) = self.waiting.front() else { return Ok(None) };
         Ok(Some((*sequence, text.read(Some(&self.log))?)))
     }
 
     /// Records that an answer has arrived, or was refused for good. If this cannot be written, the
     /// answer is sent again after a restart.
-    pub fn done(&mut self, sequence: u64) -> Result<(), HistoryError> {
+    pub(super) fn done(&mut self, sequence: u64) -> Result<(), HistoryError> {
         self.forget(sequence);
         self.log.append(&json_text(&Line::Done(sequence)))?;
         self.tidy()
@@ -123,12 +123,12 @@ impl Outbox {
         Ok(())
     }
 
-    pub fn waiting(&self) -> usize {
+    pub(super) fn waiting(&self) -> usize {
         self.waiting.len()
     }
 
     /// The number of the newest answer; 0 before the first answer.
-    pub fn newest(&self) -> u64 {
+    pub(super) fn newest(&self) -> u64 {
         self.next - 1
     }
 }

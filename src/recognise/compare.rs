@@ -14,7 +14,7 @@ use crate::trial::{Signal, Trial};
 
 /// One source of two trials, compared by the method `reference`.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct SourceComparison {
+pub(crate) struct SourceComparison {
     pub source: SourceId,
     /// Number of samples drawn from each trial, n.
     pub n: usize,
@@ -33,13 +33,13 @@ pub struct SourceComparison {
 }
 
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Comparison {
+pub(crate) struct Comparison {
     pub sources: Vec<SourceComparison>,
     pub ds: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
-pub struct TestOptions {
+pub(crate) struct TestOptions {
     /// Number of samples drawn from each source of a trial, n.
     pub samples: usize,
     /// Number of repetitions, R.
@@ -55,7 +55,7 @@ pub struct TestOptions {
 ///
 /// # Errors
 /// If a trial does not fit the scene, the trials share no source, or their rates differ.
-pub fn compare(
+pub(crate) fn compare(
     z: &Trial,
     y: &Trial,
     scene: &Scene,

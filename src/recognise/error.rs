@@ -47,7 +47,7 @@ pub enum RecogniseError {
 ///
 /// # Errors
 /// If a source has another kind or another number of channels than the scene says.
-pub fn of_known_sources<T: Send>(
+pub(super) fn of_known_sources<T: Send>(
     key: &TrialKey,
     trial: &Trial,
     scene: &Scene,
@@ -86,7 +86,7 @@ fn check_signal(spec: &SourceSpec, signal: &Signal, key: &TrialKey) -> Result<()
 }
 
 /// Fails if a library has trials of fewer than two surfaces.
-pub fn check_surfaces<'a>(
+pub(super) fn check_surfaces<'a>(
     library: impl Iterator<Item = &'a TrialKey> + Clone,
 ) -> Result<(), RecogniseError> {
     let surfaces = library.clone().map(|key| &key.surface).collect::<BTreeSet<_>>().len();
@@ -97,7 +97,7 @@ pub fn check_surfaces<'a>(
 }
 
 /// The error for a query that shares no source with a library.
-pub fn nothing_in_common<'a>(
+pub(super) fn nothing_in_common<'a>(
     query: impl Iterator<Item = &'a SourceId>,
     library: impl Iterator<Item = &'a SourceId>,
 ) -> RecogniseError {

@@ -52,7 +52,11 @@ impl Ranking {
 /// last, ordered by their best trial. Ties go to the smaller label, then the smaller trial number.
 ///
 /// Returns `None` if there are no candidates. The order of candidates does not matter.
-pub fn rank(mut candidates: Vec<Candidate>, k: usize, sources: Vec<SourceId>) -> Option<Ranking> {
+pub(super) fn rank(
+    mut candidates: Vec<Candidate>,
+    k: usize,
+    sources: Vec<SourceId>,
+) -> Option<Ranking> {
     candidates.sort_by(|a, b| a.log_ds.total_cmp(&b.log_ds).then_with(|| a.key.cmp(&b.key)));
     let nearest = candidates.first()?.key.clone();
     let mut voted: BTreeMap<&str, f64> = BTreeMap::new();
@@ -89,12 +93,16 @@ fn log_add(a: f64, b: f64) -> f64 {
 }
 
 /// ln of a library trial's score by each source; `None` for a source that the trial lacks.
-pub type TrialScores = Vec<Option<f64>>;
+pub(super) type TrialScores = Vec<Option<f64>>;
 
 /// Eq. 9: Σ weight · ln score over sources. A source that the trial lacks counts as the median score
 /// of that source over the library, so that lacking a source is neither an advantage nor a
 /// disadvantage. `None` for a trial without any of the sources.
-pub fn log_discrepancy(weights: &[f64], scores: &[Option<f64>], medians: &[f64]) -> Option<f64> {
+pub(crate) fn log_discrepancy(
+    weights: &[f64],
+    scores: &[Option<f64>],
+    medians: &[f64],
+) -> Option<f64> {
     scores.iter().any(Option::is_some).then(|| {
         let terms = scores.iter().zip(medians).zip(weights);
         terms.map(|((score, median), weight)| weight * score.unwrap_or(*median)).sum()
@@ -102,7 +110,7 @@ pub fn log_discrepancy(weights: &[f64], scores: &[Option<f64>], medians: &[f64])
 }
 
 /// Median score of each source over a library; 0 for a source that no trial has.
-pub fn medians(sources: usize, library: &[TrialScores]) -> Vec<f64> {
+pub(crate) fn medians(sources: usize, library: &[TrialScores]) -> Vec<f64> {
     let median = |source: usize| {
         let mut known: Vec<f64> = library.iter().filter_map(|scores| scores[source]).collect();
         known.sort_by(f64::total_cmp);

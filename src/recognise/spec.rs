@@ -9,7 +9,7 @@ use super::reference::{Reference, ReferenceOptions};
 use crate::scene::Scene;
 
 /// Upper limit of each count in the settings: samples, repetitions and neighbours.
-pub const MOST_COUNT: usize = 1_000_000;
+pub(crate) const MOST_COUNT: usize = 1_000_000;
 
 /// Defines [`MethodName`] and [`MethodSpec`] from one table. Each row holds a method, its settings,
 /// its name as text, its help, and the code that builds it from a scene and its settings.

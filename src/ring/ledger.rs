@@ -31,7 +31,7 @@ pub(super) struct Ledger {
     room: Receiver<()>,
 }
 
-pub struct Reckoning {
+pub(crate) struct Reckoning {
     pub meter: Arc<Meter>,
     stretches: HeapCons<(u64, u64)>,
     /// Index of the next frame to come out.

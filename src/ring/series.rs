@@ -27,7 +27,7 @@ pub struct RingTap<T> {
 }
 
 pub type SeriesTap = RingTap<f32>;
-pub type ImageTap = RingTap<Arc<Image>>;
+pub(crate) type ImageTap = RingTap<Arc<Image>>;
 
 /// A piece of what comes out of a ring in order, either samples or a gap.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,7 +43,7 @@ pub fn series(channels: usize, capacity: usize, waker: Waker) -> (SeriesSink, Se
 }
 
 /// A ring of `capacity` pictures; a 0 counts as 1.
-pub fn images(capacity: usize, waker: Waker) -> (ImageSink, ImageTap) {
+pub(crate) fn images(capacity: usize, waker: Waker) -> (ImageSink, ImageTap) {
     ring(1, capacity, waker)
 }
 

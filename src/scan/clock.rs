@@ -12,7 +12,7 @@
 use std::collections::VecDeque;
 
 /// A time on the daemon's time base, or a duration, in seconds.
-pub type ClockSecond = f64;
+pub(crate) type ClockSecond = f64;
 
 /// Length of a bin of arrivals. The clock keeps only the point with the least delay in each bin.
 const BIN_S: ClockSecond = 0.5;
@@ -28,7 +28,7 @@ const STEP_S: ClockSecond = 0.01;
 
 /// Converts frame indexes of a stream to times of the time base, by a line fitted to arrivals.
 #[derive(Clone, Debug)]
-pub struct Clock {
+pub(crate) struct Clock {
     period_s: ClockSecond,
     /// Finished bins, oldest first, as points (nominal time, delay).
     bins: VecDeque<ClockPoint>,
@@ -59,14 +59,14 @@ impl Line {
 
 impl Clock {
     /// A clock for a stream of this nominal rate in Hz; an invalid rate counts as 1 Hz.
-    pub fn new(rate_hz: f64) -> Self {
+    pub(crate) fn new(rate_hz: f64) -> Self {
         let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 { rate_hz } else { 1.0 };
         Self { period_s: 1.0 / rate_hz, bins: VecDeque::new(), current: None, line: None }
     }
 
     /// Notes that all frames before `index` had arrived at `arrival_s`. Ignores a time that is not
     /// finite, and an index below the last one.
-    pub fn observe(&mut self, index: u64, arrival_s: ClockSecond) {
+    pub(crate) fn observe(&mut self, index: u64, arrival_s: ClockSecond) {
         let x = index as f64 * self.period_s;
         let point = ClockPoint { x, y: arrival_s - x };
         let newest = self.current.map(|(_, point)| point).or(self.bins.back().copied());
@@ -97,14 +97,14 @@ impl Clock {
 
     /// The time at which frame `index` was sampled, plus the stream's constant delay; `None` before
     /// the first arrival.
-    pub fn time_s(&self, index: u64) -> Option<ClockSecond> {
+    pub(crate) fn time_s(&self, index: u64) -> Option<ClockSecond> {
         let x = index as f64 * self.period_s;
         self.line.map(|line| x + line.y(x))
     }
 
     /// Index of the first frame sampled at `time_s` or later (0 for times before the stream);
     /// `None` before the first arrival.
-    pub fn index_at(&self, time_s: ClockSecond) -> Option<u64> {
+    pub(crate) fn index_at(&self, time_s: ClockSecond) -> Option<u64> {
         let Line { at, slope } = self.line?;
         // time = x + at.y + slope · (x − at.x)
         let x = (time_s - at.y + slope * at.x) / (1.0 + slope);

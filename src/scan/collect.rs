@@ -50,7 +50,7 @@ impl Drop for Collector {
 }
 
 impl Collector {
-    pub fn run(mut self) -> Totals {
+    pub(super) fn run(mut self) -> Totals {
         let mut stop_seen: Option<Instant> = None;
         let mut next_trace = Instant::now();
         loop {

@@ -50,17 +50,17 @@ pub(crate) struct Detector {
 }
 
 impl Detector {
-    pub fn new(config: DetectorConfig) -> Self {
+    pub(crate) fn new(config: DetectorConfig) -> Self {
         Self { config, state: DetectorState::Quiet { tap: None }, hop: 0 }
     }
 
     /// Whether there is contact, during which noise floors must not rise.
-    pub fn in_contact(&self) -> bool {
+    pub(crate) fn in_contact(&self) -> bool {
         !matches!(self.state, DetectorState::Quiet { .. })
     }
 
     /// Takes the level of the next hop, which is the highest level of all streams in this hop.
-    pub fn hop(&mut self, level: f64) -> Option<DetectorEvent> {
+    pub(crate) fn hop(&mut self, level: f64) -> Option<DetectorEvent> {
         let at = self.hop;
         self.hop += 1;
         let config = self.config;
@@ -102,7 +102,7 @@ impl Detector {
     }
 
     /// Ends a drag in progress. Called when the streams have ended or stalled.
-    pub fn finish(&mut self) -> Option<DetectorEvent> {
+    pub(crate) fn finish(&mut self) -> Option<DetectorEvent> {
         let state = std::mem::replace(&mut self.state, DetectorState::Quiet { tap: None });
         match state {
             DetectorState::Contact { quiet_at, is_drag: true, .. } => {

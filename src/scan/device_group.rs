@@ -31,7 +31,7 @@ pub(super) struct DeviceGroup {
 
 impl DeviceGroup {
     /// A group of the `channels` that exist among the streams; `None` if none of them exists.
-    pub fn new(
+    pub(super) fn new(
         channels: &[(SourceId, SensorKind)],
         config: DetectorConfig,
         streams: &[Stream],
@@ -55,16 +55,16 @@ impl DeviceGroup {
         })
     }
 
-    pub fn leader<'a>(&self, streams: &'a [Stream]) -> &'a Stream {
+    pub(super) fn leader<'a>(&self, streams: &'a [Stream]) -> &'a Stream {
         &streams[self.channels[0].0]
     }
 
     /// Whether `last` ended a drag only because the data stopped.
-    pub fn cut_off(&self, last: DetectorEvent) -> bool {
+    pub(super) fn cut_off(&self, last: DetectorEvent) -> bool {
         last == DetectorEvent::End { end: self.first + self.levels.len() as u64 }
     }
 
-    pub fn frame(&self, hop: u64) -> u64 {
+    pub(super) fn frame(&self, hop: u64) -> u64 {
         self.base + (hop as f64 * self.rate_hz * HOP_S).round() as u64
     }
 
@@ -74,7 +74,7 @@ impl DeviceGroup {
 
     /// Measures the group's offset by a tap that another device sensed at index `frame`, by the clock
     /// of this group's first stream. `onset` is the level at which a tap begins.
-    pub fn align(&mut self, frame: u64, onset: f64) {
+    pub(super) fn align(&mut self, frame: u64, onset: f64) {
         let hop = self.hop(frame);
         let reach = (LARGEST_OFFSET_S / HOP_S) as u64;
         let window = hop.saturating_sub(reach)..hop + reach;
@@ -84,7 +84,7 @@ impl DeviceGroup {
     }
 
     /// Takes new frames up to the end of the slowest stream that is not silent; returns events.
-    pub fn update(&mut self, streams: &[Stream], now_s: f64) -> Vec<DetectorEvent> {
+    pub(super) fn update(&mut self, streams: &[Stream], now_s: f64) -> Vec<DetectorEvent> {
         let rate_hz = self.leader(streams).rate_hz;
         if rate_hz != self.rate_hz {
             // The device has measured its rate, before its first frame.

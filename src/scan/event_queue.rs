@@ -26,7 +26,7 @@ pub(super) struct EventQueue {
 }
 
 impl EventQueue {
-    pub fn new(events: Sender<Event>, stop: Stop, waits: bool) -> Self {
+    pub(super) fn new(events: Sender<Event>, stop: Stop, waits: bool) -> Self {
         Self {
             events,
             stop,
@@ -38,7 +38,7 @@ impl EventQueue {
     }
 
     /// Sends an event, or keeps it for later. Drops an event if more than [`BACKLOG`] are kept.
-    pub fn push(&mut self, event: Event) {
+    pub(super) fn push(&mut self, event: Event) {
         match &event {
             Event::Scan(_) => self.totals.scans += 1,
             Event::Warning(_) => self.totals.warnings += 1,
@@ -54,18 +54,18 @@ impl EventQueue {
         }
     }
 
-    pub fn warn(&mut self, text: String) {
+    pub(super) fn warn(&mut self, text: String) {
         self.push(Event::Warning(text));
     }
 
     /// Sends a snapshot; returns false if the reader is busy. The next snapshot then includes this one.
-    pub fn offer(&mut self, event: Event) -> bool {
+    pub(super) fn offer(&mut self, event: Event) -> bool {
         self.flush();
         self.backlog.is_empty() && self.send(event).is_ok()
     }
 
     /// Sends as much of the backlog as the reader takes.
-    pub fn flush(&mut self) {
+    pub(super) fn flush(&mut self) {
         while let Some(event) = self.backlog.pop_front() {
             if let Err(back) = self.send(event) {
                 return self.backlog.push_front(back);
@@ -74,7 +74,7 @@ impl EventQueue {
     }
 
     /// Sends as much of the backlog as the reader takes, and then the totals.
-    pub fn finish(&mut self) -> Totals {
+    pub(super) fn finish(&mut self) -> Totals {
         self.waits = true;
         self.flush();
         // The reader takes no more, so the events left are dropped, and the totals count them.

@@ -44,13 +44,13 @@ pub(super) struct SourceSpan {
 
 impl SourceSpan {
     /// Index after the last frame of the source that has come out of the ring.
-    pub fn available(&self, streams: &[Stream]) -> u64 {
+    pub(super) fn available(&self, streams: &[Stream]) -> u64 {
         let end = self.end.unwrap_or(u64::MAX);
         streams[self.stream].end().min(end).max(self.start)
     }
 
     /// Whether the source has ended and no more of its frames will come out of the ring.
-    pub fn delivered(&self, streams: &[Stream]) -> bool {
+    pub(super) fn delivered(&self, streams: &[Stream]) -> bool {
         let stream = &streams[self.stream];
         self.end.is_some_and(|end| stream.end() >= end || stream.exhausted())
     }
@@ -63,7 +63,7 @@ impl SourceSpan {
 
 impl Marked {
     /// Applies a mark that belongs to the scan; returns an error if it contradicts earlier marks.
-    pub fn follow(&mut self, mark: Mark, streams: &[Stream]) -> Result<(), String> {
+    pub(super) fn follow(&mut self, mark: Mark, streams: &[Stream]) -> Result<(), String> {
         match mark {
             // The collector applies these marks itself.
             Mark::Begin(_) | Mark::GiveUp { .. } => {}

@@ -52,7 +52,7 @@ pub(super) struct ScanDetector {
 
 impl ScanDetector {
     /// A detector for these streams; it ignores parts of `detection` that name other streams.
-    pub fn new(detection: Detection, streams: &[Stream], longest_scan_s: f64) -> Self {
+    pub(super) fn new(detection: Detection, streams: &[Stream], longest_scan_s: f64) -> Self {
         let Detection { detector, groups, cuts } = detection;
         let place = |cut: CutFrom| {
             let stream = streams.iter().position(|stream| stream.id == cut.stream)?;
@@ -72,7 +72,7 @@ impl ScanDetector {
     }
 
     /// Detects taps and drags in the frames that have come out of the rings, and sets marks.
-    pub fn update(&mut self, streams: &mut [Stream]) {
+    pub(super) fn update(&mut self, streams: &mut [Stream]) {
         let now_s = self.now_s();
         streams.iter_mut().for_each(|stream| stream.observe(now_s));
         for at in 0..self.groups.len() {
@@ -99,7 +99,7 @@ impl ScanDetector {
         }
     }
 
-    pub fn command(&mut self, command: ScanCommand, streams: &[Stream]) {
+    pub(super) fn command(&mut self, command: ScanCommand, streams: &[Stream]) {
         let now_s = self.now_s();
         match (command, &mut self.scan) {
             (ScanCommand::Begin, Some(scan)) => scan.lead = None,
@@ -110,7 +110,7 @@ impl ScanDetector {
     }
 
     /// Ends the scan in progress. Called when no more data will come.
-    pub fn finish(&mut self, streams: &[Stream]) {
+    pub(super) fn finish(&mut self, streams: &[Stream]) {
         let now_s = self.now_s();
         match self.scan.as_ref().map(|scan| scan.lead) {
             None => return,

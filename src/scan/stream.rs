@@ -46,13 +46,13 @@ pub(super) type RecentImages = VecDeque<(u64, Arc<Image>)>;
 
 impl Stream {
     /// Takes over a rate that the device has measured, before its first frame.
-    pub fn set_rate(&mut self, rate_hz: f64) {
+    pub(super) fn set_rate(&mut self, rate_hz: f64) {
         self.rate_hz = rate_hz;
         self.clock = Clock::new(rate_hz);
     }
 
     /// Notes that the frames which have come out of the ring since the last call arrived at `now_s`.
-    pub fn observe(&mut self, now_s: ClockSecond) {
+    pub(super) fn observe(&mut self, now_s: ClockSecond) {
         let end = self.end();
         if end > self.observed.0 {
             self.observed = (end, now_s);
@@ -60,17 +60,17 @@ impl Stream {
         }
     }
 
-    pub fn alive(&self, now_s: ClockSecond) -> bool {
+    pub(super) fn alive(&self, now_s: ClockSecond) -> bool {
         now_s - self.observed.1 <= SILENT_S
     }
 
     /// Whether the stream's data have been missing long enough to end its drag.
-    pub fn gone(&self, now_s: ClockSecond) -> bool {
+    pub(super) fn gone(&self, now_s: ClockSecond) -> bool {
         now_s - self.observed.1 > GONE_S
     }
 
     /// Index of the frame that is sampled now; if the stream is silent, the index of its next frame.
-    pub fn index_now(&self, now_s: ClockSecond) -> u64 {
+    pub(super) fn index_now(&self, now_s: ClockSecond) -> u64 {
         let by_clock = self.clock.index_at(now_s).filter(|_| self.alive(now_s));
         by_clock.unwrap_or(self.observed.0)
     }
@@ -82,21 +82,21 @@ impl Stream {
         }
     }
 
-    pub fn meter(&self) -> &Arc<Meter> {
+    pub(super) fn meter(&self) -> &Arc<Meter> {
         &self.reckoning().meter
     }
 
     /// Index after the last frame that came out of the ring.
-    pub fn end(&self) -> u64 {
+    pub(super) fn end(&self) -> u64 {
         self.reckoning().position
     }
 
-    pub fn exhausted(&self) -> bool {
+    pub(super) fn exhausted(&self) -> bool {
         self.reckoning().exhausted()
     }
 
     /// Empties the ring; returns whether it held anything. Leaves gaps above `longest_s` unfilled.
-    pub fn drain(&mut self, longest_s: f64) -> bool {
+    pub(super) fn drain(&mut self, longest_s: f64) -> bool {
         match &mut self.buffer {
             StreamBuffer::Series { tap, history } => {
                 let most = (longest_s * self.rate_hz) as u64;
@@ -110,7 +110,7 @@ impl Stream {
 
     /// Forgets frames older than `lookback_s` seconds. `needed` is the first index that a scan needs
     /// and the scan's rate in Hz; frames from there on are kept until they are `longest_s` seconds old.
-    pub fn forget(&mut self, needed: Option<(u64, f64)>, lookback_s: f64, longest_s: f64) {
+    pub(super) fn forget(&mut self, needed: Option<(u64, f64)>, lookback_s: f64, longest_s: f64) {
         match &mut self.buffer {
             StreamBuffer::Series { history, .. } => {
                 let own_hz = self.rate_hz;
@@ -138,7 +138,7 @@ impl Stream {
 /// The latest frames of a series. The frame before a gap is repeated to fill the gap, so that an
 /// index always means the same moment; the gaps are remembered.
 #[derive(Debug)]
-pub struct SeriesHistory {
+pub(super) struct SeriesHistory {
     pub channels: usize,
     pub base: u64,
     samples: Vec<f32>,
@@ -147,23 +147,23 @@ pub struct SeriesHistory {
 }
 
 impl SeriesHistory {
-    pub fn new(channels: usize) -> Self {
+    pub(super) fn new(channels: usize) -> Self {
         Self { channels, base: 0, samples: Vec::new(), missing: VecDeque::new() }
     }
 
-    pub fn end(&self) -> u64 {
+    pub(super) fn end(&self) -> u64 {
         self.base + (self.samples.len() / self.channels) as u64
     }
 
     /// The first index of `span` that is kept, and the interleaved samples from there on.
-    pub fn frames(&self, span: Range<u64>) -> (u64, &[f32]) {
+    pub(super) fn frames(&self, span: Range<u64>) -> (u64, &[f32]) {
         let start = span.start.clamp(self.base, self.end());
         let end = span.end.clamp(start, self.end());
         let at = |index: u64| (index - self.base) as usize * self.channels;
         (start, &self.samples[at(start)..at(end)])
     }
 
-    pub fn missing_in(&self, span: Range<u64>) -> impl Iterator<Item = Range<u64>> + '_ {
+    pub(super) fn missing_in(&self, span: Range<u64>) -> impl Iterator<Item = Range<u64>> + '_ {
         self.missing
             .iter()
             .map(move |gap| gap.start.max(span.start)..gap.end.min(span.end))

@@ -24,7 +24,7 @@ use crate::trial::EXPERT;
 
 const MOST_TRIALS: u32 = 1000;
 
-pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
+pub(crate) fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
     let api = Router::new()
         .route("/state", get(state))
         .merge(scans::router())
@@ -49,7 +49,7 @@ pub fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
 }
 
 /// Protects the paths of a router by the guard, and refuses all other paths.
-pub fn guarded<S: Clone + Send + Sync + 'static>(
+pub(crate) fn guarded<S: Clone + Send + Sync + 'static>(
     router: Router<S>,
     traffic: Arc<Traffic>,
     settings: &Settings,
@@ -144,7 +144,7 @@ async fn health(State(hub): Shared) -> Response {
 }
 
 /// The files of the page: path, content type and text of each.
-pub const FILES: [(&str, &str, &str); 16] = [
+pub(crate) const FILES: [(&str, &str, &str); 16] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
@@ -163,7 +163,7 @@ pub const FILES: [(&str, &str, &str); 16] = [
     ("/favicon.svg", "image/svg+xml", include_str!("page/favicon.svg")),
 ];
 
-pub fn file<S: Clone + Send + Sync + 'static>(
+pub(crate) fn file<S: Clone + Send + Sync + 'static>(
     content_type: &'static str,
     text: &'static str,
 ) -> MethodRouter<S> {

@@ -50,14 +50,14 @@ const HEADERS: [(HeaderName, &str); 6] = [
 ];
 
 #[derive(Debug, Default)]
-pub struct Traffic {
+pub(crate) struct Traffic {
     /// Number of requests, both answered and refused.
     pub requests: AtomicU64,
     /// Number of requests and connections that were refused.
     pub refused: AtomicU64,
 }
 
-pub struct Guard {
+pub(super) struct Guard {
     traffic: Arc<Traffic>,
     settings: Settings,
     budgets: Mutex<Budgets>,
@@ -138,7 +138,7 @@ impl Budgets {
 }
 
 impl Guard {
-    pub fn new(traffic: Arc<Traffic>, settings: &Settings) -> Self {
+    pub(super) fn new(traffic: Arc<Traffic>, settings: &Settings) -> Self {
         let budgets = Mutex::new(Budgets::new(&settings.limits));
         Self { traffic, settings: settings.clone(), budgets }
     }
@@ -206,7 +206,11 @@ impl Guard {
 }
 
 /// Passes a request to its handler, or refuses it.
-pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
+pub(super) async fn guard(
+    State(guard): State<Arc<Guard>>,
+    request: Request,
+    next: Next,
+) -> Response {
     let settings = &guard.settings;
     let client = Client::of(&request, &settings.proxies, settings.address.ip());
     let (method, path) = (request.method().clone(), request.uri().path().to_string());
@@ -298,11 +302,11 @@ fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
 }
 
 #[derive(Clone, Copy, Debug)]
-pub struct Peer(pub SocketAddr);
+pub(super) struct Peer(pub SocketAddr);
 
 /// The client of a request, at the other end of the connection or behind a trusted proxy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Client {
+pub(super) struct Client {
     pub address: IpAddr,
     /// Whether the client uses TLS to reach a trusted proxy.
     pub tls: bool,
@@ -312,7 +316,7 @@ impl Client {
     /// The client of a request. `X-Forwarded-For` and `X-Forwarded-Proto` are used only if the
     /// connection comes from one of `proxies`. The client is the last address that is not a
     /// proxy's, since a client may invent the earlier addresses.
-    pub fn of(request: &Request, proxies: &[IpAddr], unknown: IpAddr) -> Self {
+    pub(super) fn of(request: &Request, proxies: &[IpAddr], unknown: IpAddr) -> Self {
         let peer = request.extensions().get::<Peer>().map_or(unknown, |peer| peer.0.ip());
         let peer = peer.to_canonical();
         if !proxies.contains(&peer) {
@@ -336,7 +340,7 @@ fn words<'a>(headers: &'a HeaderMap, name: &str) -> impl Iterator<Item = &'a str
 }
 
 /// The address by which a client is counted: its 64-bit network, which one client owns, for IPv6.
-pub fn neighbourhood(address: IpAddr) -> IpAddr {
+pub(super) fn neighbourhood(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => {
             IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() & !u128::from(u64::MAX)))
@@ -349,7 +353,7 @@ const MOST_CLIENTS: usize = 4096;
 
 /// A token bucket for each client: a store of permits, which limits the client's rate.
 #[derive(Debug)]
-pub struct Rates<K> {
+pub(super) struct Rates<K> {
     a_second: f64,
     burst: f64,
     /// The permits in each client's bucket, and the time of that count.
@@ -358,12 +362,12 @@ pub struct Rates<K> {
 
 impl<K: Copy + Eq + Hash> Rates<K> {
     /// Each bucket starts full with `burst` permits, and gains `a_second` permits a second.
-    pub fn new(a_second: f64, burst: f64) -> Self {
+    pub(super) fn new(a_second: f64, burst: f64) -> Self {
         Self { a_second, burst, buckets: HashMap::new() }
     }
 
     /// Takes a permit from a client's bucket; false if the bucket is empty.
-    pub fn admit(&mut self, client: K, now: Instant) -> bool {
+    pub(super) fn admit(&mut self, client: K, now: Instant) -> bool {
         let (a_second, burst) = (self.a_second, self.burst);
         let filled = |(left, since): (f64, Instant)| {
             let more = now.saturating_duration_since(since).as_secs_f64() * a_second;
@@ -383,7 +387,7 @@ impl<K: Copy + Eq + Hash> Rates<K> {
         admitted
     }
 
-    pub fn give_back(&mut self, client: K) {
+    pub(super) fn give_back(&mut self, client: K) {
         if let Some((left, _)) = self.buckets.get_mut(&client) {
             *left = (*left + 1.0).min(self.burst);
         }

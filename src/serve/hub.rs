@@ -36,9 +36,9 @@ const SPECTRA_EVERY: Duration = Duration::from_millis(200);
 const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
 
 /// The hub, as axum passes it to the handlers of requests.
-pub type Shared = axum::extract::State<Arc<Hub>>;
+pub(super) type Shared = axum::extract::State<Arc<Hub>>;
 
-pub struct Hub {
+pub(crate) struct Hub {
     inner: Mutex<HubState>,
     orders: Sender<Command>,
     missed: Arc<AtomicU64>,
@@ -47,7 +47,7 @@ pub struct Hub {
 }
 
 #[derive(Default)]
-pub struct HubState {
+pub(crate) struct HubState {
     pub state: State,
     scan_s: Histogram,
     latency_s: Histogram,
@@ -65,7 +65,7 @@ pub struct HubState {
 }
 
 impl HubState {
-    pub fn whole(&self) -> StateDocument<'_> {
+    pub(crate) fn whole(&self) -> StateDocument<'_> {
         StateDocument {
             state: &self.state,
             enrolls: self.enrolls,
@@ -88,7 +88,7 @@ impl HubState {
         self.outputs.iter().map(OutputHealth::view).collect()
     }
 
-    pub fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
+    pub(crate) fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
         if self.subscribers.wanted(kind) {
             let mut subscribers = std::mem::take(&mut self.subscribers);
             let mut whole = || encode(EventKind::State, &self.whole());
@@ -185,7 +185,11 @@ impl HubState {
 
 impl Hub {
     /// Creates a hub. `missed` counts the events for which the reporter's queue had no room.
-    pub fn new(settings: &Settings, orders: Sender<Command>, missed: Arc<AtomicU64>) -> Self {
+    pub(crate) fn new(
+        settings: &Settings,
+        orders: Sender<Command>,
+        missed: Arc<AtomicU64>,
+    ) -> Self {
         let inner = HubState {
             state: State::new(),
             scan_s: Histogram::new(&SCAN_BOUNDS_S),
@@ -205,12 +209,12 @@ impl Hub {
         }
     }
 
-    pub fn lock(&self) -> MutexGuard<'_, HubState> {
+    pub(crate) fn lock(&self) -> MutexGuard<'_, HubState> {
         // Each change leaves the state valid, so it is usable even after a panic.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub fn metrics(&self) -> String {
+    pub(crate) fn metrics(&self) -> String {
         let precision = self.settings.history.precision();
         let inner = &*self.lock();
         let metrics = Metrics {
@@ -250,7 +254,7 @@ impl Hub {
         }
     }
 
-    pub fn subscribe(&self, filter: EventFilter) -> Option<EventStream> {
+    pub(crate) fn subscribe(&self, filter: EventFilter) -> Option<EventStream> {
         let inner = &mut *self.lock();
         if inner.subscribers.count() >= self.settings.limits.readers {
             return None;
@@ -260,7 +264,7 @@ impl Hub {
     }
 
     /// Sends a command without waiting for the station.
-    pub fn order(&self, order: Command) -> Result<(), Problem> {
+    pub(crate) fn order(&self, order: Command) -> Result<(), Problem> {
         let enrolls =
             matches!(order, Command::Enroll { .. } | Command::KeepRefused(_) | Command::EndEnroll);
         let inner = self.lock();
@@ -278,7 +282,7 @@ impl Hub {
 }
 
 /// Handles events and publishes at intervals, until the station and the server have ended.
-pub async fn run(
+pub(super) async fn run(
     hub: Arc<Hub>,
     mut notices: mpsc::Receiver<StationEvent>,
     mut stop: watch::Receiver<bool>,
@@ -323,7 +327,7 @@ fn every(period: Duration) -> Interval {
 }
 
 #[derive(Serialize)]
-pub struct StateDocument<'a> {
+pub(crate) struct StateDocument<'a> {
     #[serde(flatten)]
     state: &'a State,
     enrolls: bool,
@@ -341,7 +345,7 @@ struct StreamView {
 }
 
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct CheckView {
+pub(crate) struct CheckView {
     /// `none`, `running`, `done` or `failed`.
     pub state: &'static str,
     /// When this state began, in milliseconds since 1970.

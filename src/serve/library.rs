@@ -19,7 +19,7 @@ use crate::station::Command;
 
 const MOST: usize = 1000;
 
-pub fn router() -> Router<Arc<Hub>> {
+pub(super) fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/library/trials", get(trials))
         .route("/library/rename", post(rename))

@@ -16,14 +16,14 @@ use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::station::AnswerState;
 
-pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
+pub(super) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-pub const SCAN_BOUNDS_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
-pub const LATENCY_BOUNDS_S: [f64; 11] =
+pub(super) const SCAN_BOUNDS_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
+pub(super) const LATENCY_BOUNDS_S: [f64; 11] =
     [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
 
 #[derive(Debug, Default)]
-pub struct Histogram {
+pub(super) struct Histogram {
     bounds: &'static [f64],
     /// Number of values in each interval between bounds. The last number counts values above all bounds.
     counts: Vec<u64>,
@@ -31,18 +31,18 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    pub fn new(bounds: &'static [f64]) -> Self {
+    pub(super) fn new(bounds: &'static [f64]) -> Self {
         Self { bounds, counts: vec![0; bounds.len() + 1], sum: 0.0 }
     }
 
-    pub fn observe(&mut self, value: f64) {
+    pub(super) fn observe(&mut self, value: f64) {
         let at = self.bounds.iter().position(|&bound| value <= bound);
         self.counts[at.unwrap_or(self.bounds.len())] += 1;
         self.sum += value;
     }
 }
 
-pub struct Metrics<'a> {
+pub(super) struct Metrics<'a> {
     pub scan_s: &'a Histogram,
     pub latency_s: &'a Histogram,
     pub state: &'a State,
@@ -59,7 +59,7 @@ pub struct Metrics<'a> {
 }
 
 impl Metrics<'_> {
-    pub fn text(&self) -> String {
+    pub(super) fn text(&self) -> String {
         let mut page = MetricsPage::default();
         let Self { state, traffic, subscribers, dropped, missed, .. } = *self;
         let info = ("surfaced_info", "gauge", "The version of the program.");

@@ -15,7 +15,7 @@ use super::subscribers::EventStream;
 use crate::trial::checked_label;
 
 #[derive(Debug, thiserror::Error)]
-pub enum Problem {
+pub(crate) enum Problem {
     #[error("there is nothing here; see /api/v1/state")]
     NotFound,
     #[error("{0}")]
@@ -92,21 +92,21 @@ impl From<QueryRejection> for Problem {
 }
 
 /// Runs work that may wait for the disk, on a thread other than the server's.
-pub async fn aside<T: Send + 'static>(
+pub(crate) async fn aside<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
 ) -> Result<T, Problem> {
     let done = tokio::task::spawn_blocking(work).await;
     done.unwrap_or_else(|_| Err(Problem::Failed("this failed; please report it".into())))
 }
 
-pub const CSV: &str = "text/csv; charset=utf-8";
-pub const JSON_LINES: &str = "application/jsonl";
+pub(crate) const CSV: &str = "text/csv; charset=utf-8";
+pub(crate) const JSON_LINES: &str = "application/jsonl";
 /// The text is sent in blocks of `PIECE` bytes, of which at most `PIECES` may wait for the client.
 const PIECE: usize = 64 << 10;
 const PIECES: usize = 4;
 
 /// A writer that sends blocks to a client, as fast as the client takes them.
-pub struct Pieces(Sender<io::Result<Bytes>>);
+pub(crate) struct Pieces(Sender<io::Result<Bytes>>);
 
 impl Write for Pieces {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
@@ -120,7 +120,7 @@ impl Write for Pieces {
 }
 
 /// An answer that `write` writes on a thread of its own.
-pub fn exported(
+pub(crate) fn exported(
     content_type: &'static str,
     write: impl FnOnce(BufWriter<Pieces>) -> io::Result<()> + Send + 'static,
 ) -> Response {
@@ -136,10 +136,13 @@ pub fn exported(
 }
 
 /// The body of a request, or an error if it is too large.
-pub type Said = Result<Bytes, BytesRejection>;
+pub(crate) type Said = Result<Bytes, BytesRejection>;
 
 /// Parses the body of a request as JSON; an empty body counts as `{}`.
-pub fn body<T: serde::de::DeserializeOwned>(said: Said, expected: &str) -> Result<T, Problem> {
+pub(crate) fn body<T: serde::de::DeserializeOwned>(
+    said: Said,
+    expected: &str,
+) -> Result<T, Problem> {
     let body = said?;
     let text: &[u8] = if body.is_empty() { b"{}" } else { &body };
     serde_json::from_slice(text)
@@ -147,6 +150,6 @@ pub fn body<T: serde::de::DeserializeOwned>(said: Said, expected: &str) -> Resul
 }
 
 /// The checked label of a surface or user; messages call the field `what`.
-pub fn label(what: &str, label: &str) -> Result<String, Problem> {
+pub(crate) fn label(what: &str, label: &str) -> Result<String, Problem> {
     checked_label(label).map_err(|why| Problem::Bad(format!("`{what}` {why}")))
 }

@@ -33,7 +33,7 @@ use crate::trial::{EXPERT, Trial, TrialKey};
 pub(crate) const USUAL: usize = 100;
 pub(crate) const MOST: usize = 1000;
 
-pub fn router() -> Router<Arc<Hub>> {
+pub(crate) fn router() -> Router<Arc<Hub>> {
     Router::new()
         .route("/scans", get(scans))
         .route("/scans.csv", get(csv))

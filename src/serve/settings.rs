@@ -14,7 +14,7 @@ use crate::history::History;
 use crate::outputs::OutputHealth;
 use crate::scene::Scene;
 
-pub const PORT: u16 = 8080;
+pub(crate) const PORT: u16 = 8080;
 
 #[derive(Clone)]
 pub struct Settings {
@@ -41,7 +41,7 @@ pub struct Settings {
 }
 
 /// Audits a library each time it is called; returns a message if the audit fails.
-pub type Audit = Arc<dyn Fn() -> Result<CheckReport, String> + Send + Sync>;
+pub(crate) type Audit = Arc<dyn Fn() -> Result<CheckReport, String> + Send + Sync>;
 
 #[derive(Clone, Debug)]
 pub struct LibraryFolder {
@@ -68,7 +68,7 @@ impl Default for Settings {
 }
 
 /// The largest body of a request, in bytes.
-pub const LARGEST_BODY: usize = 64 << 10;
+pub(super) const LARGEST_BODY: usize = 64 << 10;
 
 #[derive(Clone, Debug)]
 pub struct Limits {

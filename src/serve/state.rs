@@ -15,12 +15,12 @@ const MOST_WARNINGS: usize = 50;
 /// How many devices are listed, at most. Hardware chooses their names, so there could be many.
 const DEVICES: usize = 64;
 
-pub fn unix_ms() -> u64 {
+pub(crate) fn unix_ms() -> u64 {
     record::unix_ms(SystemTime::now())
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Advice {
+pub(crate) struct Advice {
     #[serde(rename = "do")]
     pub what: AdviceKind,
     /// How many seconds longer the drag should last; `None` if that is not known.
@@ -32,7 +32,7 @@ pub struct Advice {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum AdviceKind {
+pub(crate) enum AdviceKind {
     /// No data arrives.
     #[default]
     Wait,
@@ -50,7 +50,7 @@ fn say(what: AdviceKind, text: &str) -> Advice {
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct DeviceView {
+pub(crate) struct DeviceView {
     pub device: String,
     pub state: DeviceState,
     /// The reason for the state of the device, and what to do.
@@ -59,13 +59,13 @@ pub struct DeviceView {
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct WarningView {
+pub(crate) struct WarningView {
     pub unix_ms: u64,
     pub text: String,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct SessionCounts {
+pub(crate) struct SessionCounts {
     /// Number of scans that were named or called unknown.
     pub scans: u64,
     pub unknown: u64,
@@ -83,7 +83,7 @@ pub struct SessionCounts {
 }
 
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct State {
+pub(crate) struct State {
     pub api: u32,
     pub version: &'static str,
     pub started_unix_ms: u64,
@@ -105,14 +105,14 @@ pub struct State {
 }
 
 impl State {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let (api, version) = (1, env!("CARGO_PKG_VERSION"));
         let mut state = Self { api, version, started_unix_ms: unix_ms(), ..Self::default() };
         state.advice = state.advise();
         state
     }
 
-    pub fn take(&mut self, notice: &StationEvent) {
+    pub(crate) fn take(&mut self, notice: &StationEvent) {
         match notice {
             StationEvent::Device { device, state, detail } => self.device(device, *state, detail),
             StationEvent::Phase { scan, phase } => {

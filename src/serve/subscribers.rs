@@ -23,7 +23,7 @@ const QUEUE: usize = 256;
 const KEPT_FREE: usize = 128;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum EventKind {
+pub(crate) enum EventKind {
     State,
     Advice,
     Device,
@@ -61,13 +61,13 @@ impl EventKind {
 
 /// The types of events that one subscriber wants. Each type has one bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct EventFilter(u32);
+pub(crate) struct EventFilter(u32);
 
 impl EventFilter {
-    pub const ALL: Self = Self(u32::MAX);
+    pub(crate) const ALL: Self = Self(u32::MAX);
 
     /// Parses names separated by commas. Events of type `missed` are always included.
-    pub fn parse(names: &str) -> Result<Self, String> {
+    pub(crate) fn parse(names: &str) -> Result<Self, String> {
         let mut filter = 1 << EventKind::Missed as u32;
         for name in names.split(',').map(str::trim) {
             let kind = EventKind::from_str(name, false).map_err(|_| {
@@ -87,7 +87,7 @@ impl EventFilter {
 }
 
 /// Encodes an event as a server-sent event.
-pub fn encode(kind: EventKind, data: &impl Serialize) -> Bytes {
+pub(super) fn encode(kind: EventKind, data: &impl Serialize) -> Bytes {
     Bytes::from(format!("event: {}\ndata: {}\n\n", kind.name(), json_text(data)))
 }
 
@@ -102,14 +102,14 @@ struct Subscriber {
 }
 
 #[derive(Debug, Default)]
-pub struct Subscribers {
+pub(super) struct Subscribers {
     subscribers: Vec<Subscriber>,
     /// Number of events for which a subscriber's queue had no room, including skipped traces.
     pub dropped: u64,
 }
 
 impl Subscribers {
-    pub fn subscribe(&mut self, filter: EventFilter, first: Bytes) -> EventStream {
+    pub(super) fn subscribe(&mut self, filter: EventFilter, first: Bytes) -> EventStream {
         let (queue, events) = channel(QUEUE);
         let mut subscriber = Subscriber { queue, filter, missed: 0 };
         subscriber.send(EventKind::State, &first);
@@ -117,16 +117,21 @@ impl Subscribers {
         EventStream(events)
     }
 
-    pub fn count(&self) -> usize {
+    pub(super) fn count(&self) -> usize {
         self.subscribers.iter().filter(|subscriber| !subscriber.queue.is_closed()).count()
     }
 
-    pub fn wanted(&self, kind: EventKind) -> bool {
+    pub(super) fn wanted(&self, kind: EventKind) -> bool {
         self.subscribers.iter().any(|subscriber| subscriber.filter.holds(kind))
     }
 
     /// Sends an event to all that want it, and `state` to those that have room again after a gap.
-    pub fn publish(&mut self, kind: EventKind, event: &Bytes, state: &mut dyn FnMut() -> Bytes) {
+    pub(super) fn publish(
+        &mut self,
+        kind: EventKind,
+        event: &Bytes,
+        state: &mut dyn FnMut() -> Bytes,
+    ) {
         let dropped = &mut self.dropped;
         self.subscribers.retain_mut(|subscriber| {
             subscriber.catch_up(state);
@@ -135,7 +140,7 @@ impl Subscribers {
         });
     }
 
-    pub fn keep_alive(&mut self) {
+    pub(super) fn keep_alive(&mut self) {
         // A full queue is no reason to drop a subscriber, only a closed queue is.
         self.subscribers.retain(|subscriber| {
             let sent = subscriber.queue.try_send(Ok(Bytes::from_static(KEEP_ALIVE)));
@@ -144,7 +149,7 @@ impl Subscribers {
     }
 
     /// Ends all streams after the events in their queues.
-    pub fn close(&mut self) {
+    pub(super) fn close(&mut self) {
         self.subscribers.clear();
     }
 }
@@ -176,7 +181,7 @@ impl Subscriber {
 
 /// The receiving end of a queue, as the body of an HTTP answer.
 #[derive(Debug)]
-pub struct EventStream(pub Receiver<io::Result<Bytes>>);
+pub(crate) struct EventStream(pub Receiver<io::Result<Bytes>>);
 
 impl Stream for EventStream {
     type Item = io::Result<Bytes>;

@@ -13,14 +13,14 @@ const BINS_A_SECOND: f64 = 200.0;
 const MOST_BINS: usize = 400;
 
 #[derive(Debug, PartialEq, Serialize)]
-pub struct TraceEvent {
+pub(super) struct TraceEvent {
     pub streams: Vec<Bins>,
     /// Camera streams with a new picture.
     pub pictures: Vec<SourceId>,
 }
 
 #[derive(Debug, PartialEq, Serialize)]
-pub struct Bins {
+pub(super) struct Bins {
     pub source: SourceId,
     pub bin_s: f64,
     /// The start of the first bin, in seconds since the start of the stream.
@@ -34,13 +34,13 @@ pub struct Bins {
 }
 
 #[derive(Debug, Default)]
-pub struct Tracer {
+pub(super) struct Tracer {
     streams: BTreeMap<SourceId, TracedStream>,
 }
 
 /// A stream that is drawn, with the bin being filled and the newest frames.
 #[derive(Debug)]
-pub struct TracedStream {
+pub(super) struct TracedStream {
     pub rate_hz: f64,
     pub channels: usize,
     /// The newest samples, interleaved; at most [`WINDOW`] frames.
@@ -193,7 +193,7 @@ impl Bins {
 
 impl Tracer {
     /// Returns the bins and pictures to draw. After a gap or a change of rate, a stream starts again.
-    pub fn add(&mut self, trace: &Trace) -> TraceEvent {
+    pub(super) fn add(&mut self, trace: &Trace) -> TraceEvent {
         let mut streams = Vec::new();
         for fresh in trace.fresh.iter().filter(|fresh| fresh.channels > 0) {
             let stream = self
@@ -215,14 +215,14 @@ impl Tracer {
 }
 
 #[derive(Debug, Serialize)]
-pub struct StreamBands {
+pub(super) struct StreamBands {
     pub source: SourceId,
     #[serde(flatten)]
     pub bands: Bands,
 }
 
 /// The spectrum of the newest frames of each stream that has enough frames.
-pub fn spectra(tracer: &Tracer) -> Vec<StreamBands> {
+pub(super) fn spectra(tracer: &Tracer) -> Vec<StreamBands> {
     let of = |(source, stream): (&SourceId, &TracedStream)| {
         let TracedStream { rate_hz, channels, recent, .. } = stream;
         let full = recent.len() >= WINDOW * channels;

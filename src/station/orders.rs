@@ -74,19 +74,19 @@ pub(super) struct Orders {
 
 impl Orders {
     /// Gives the station its own order, which covers all scans that no other order covers.
-    pub fn set_own(&mut self, keep: Keep) {
+    pub(super) fn set_own(&mut self, keep: Keep) {
         self.own = Some(Order::new(0, keep, 0));
     }
 
     /// Puts an order in force from scan `next` on, in place of the previous order.
-    pub fn give(&mut self, keep: Keep, next: u32) {
+    pub(super) fn give(&mut self, keep: Keep, next: u32) {
         self.end(next);
         self.count += 1;
         self.given.push(Order::new(self.count, keep, next));
     }
 
     /// Ends the current order from scan `next` on, unless it is the station's own order.
-    pub fn end(&mut self, next: u32) {
+    pub(super) fn end(&mut self, next: u32) {
         for order in self.given.iter_mut().filter(|order| order.until.is_none()) {
             order.until = Some(next);
         }
@@ -94,14 +94,14 @@ impl Orders {
     }
 
     /// The order that keeps the scan in progress, given its `number`; `None` if it is only to be named.
-    pub fn covering(&self, number: u32) -> Option<&Enrolment> {
+    pub(super) fn covering(&self, number: u32) -> Option<&Enrolment> {
         let mut all = self.given.iter().rev().chain(&self.own);
         all.find(|order| order.keeps(number)).map(|order| &order.enrolment)
     }
 
     /// Takes the order that keeps scan `number`, which has just ended; `None` if it is only to be named.
     /// Scans end in the order of their numbers.
-    pub fn claim(&mut self, number: u32) -> Option<Enrolment> {
+    pub(super) fn claim(&mut self, number: u32) -> Option<Enrolment> {
         // Scans with lower numbers have all ended, so an order no longer covers them.
         for order in &mut self.given {
             order.from = order.from.max(number);
@@ -116,7 +116,7 @@ impl Orders {
     }
 
     /// Counts the outcome of a scan in its order, and sets `wanted`, the trials that the order lacks.
-    pub fn count(&mut self, of: &Enrolment, mut enrolled: Enrolled) -> Enrolled {
+    pub(super) fn count(&mut self, of: &Enrolment, mut enrolled: Enrolled) -> Enrolled {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         if let Some(order) = all.find(|order| order.enrolment.order == of.order) {
             let ended = enrolled.outcome != EnrolledOutcome::Waiting;
@@ -135,7 +135,7 @@ impl Orders {
     }
 
     /// Takes the order that refused `scan`, to keep that scan anyway; `None` if it has had a later scan.
-    pub fn keep_refused(&mut self, scan: u32) -> Option<Enrolment> {
+    pub(super) fn keep_refused(&mut self, scan: u32) -> Option<Enrolment> {
         let mut all = self.given.iter_mut().chain(&mut self.own);
         let order = all.find(|o| o.refused.as_ref().is_some_and(|last| last.scan == scan))?;
         order.refused = None;
@@ -144,7 +144,7 @@ impl Orders {
     }
 
     /// The order that the next scan falls under, if any.
-    pub fn in_force(&self) -> Option<Enrolling> {
+    pub(super) fn in_force(&self) -> Option<Enrolling> {
         let newest = self.given.last().filter(|order| order.until.is_none());
         let open = |order: &&Order| order.to_come() != Some(0);
         let order = newest.filter(open).or(self.own.as_ref().filter(open))?;

@@ -16,7 +16,7 @@ use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Flaw, Signal, TrialKey, flaws, worst_damage};
 
-pub type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
+pub(super) type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
 
 /// A function that reads the library from disk each time it is called.
 pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;

@@ -66,7 +66,7 @@ pub(super) struct RecordingThread {
 }
 
 impl RecordingThread {
-    pub fn start(store: ScanStore) -> std::io::Result<Self> {
+    pub(super) fn start(store: ScanStore) -> std::io::Result<Self> {
         // The channel is unbounded, but the thread moves its scans at once to a bounded queue.
         let (scans, to_store) = unbounded();
         let (send, stored) = unbounded();
@@ -78,7 +78,12 @@ impl RecordingThread {
     }
 
     /// Stores a scan; once the scan is kept, `by` finds its nearest surface.
-    pub fn store(&mut self, scan: Box<Scan>, enrolment: Enrolment, by: Option<Arc<Recogniser>>) {
+    pub(super) fn store(
+        &mut self,
+        scan: Box<Scan>,
+        enrolment: Enrolment,
+        by: Option<Arc<Recogniser>>,
+    ) {
         self.under_way.insert(scan.number, enrolment.clone());
         // Sending fails only if the thread has panicked; `finish` then reports the scan as lost.
         let remarks = Vec::new();
@@ -86,18 +91,18 @@ impl RecordingThread {
     }
 
     /// Stores the scan that was refused last, if its number is `scan`.
-    pub fn keep_refused(&mut self, scan: u32, enrolment: Enrolment) {
+    pub(super) fn keep_refused(&mut self, scan: u32, enrolment: Enrolment) {
         self.under_way.insert(scan, enrolment);
         // Sending fails only if the thread has panicked, as in `store`.
         let _ = self.scans.send(Task::KeepRefused(scan));
     }
 
-    pub fn settle(&mut self, enrolled: &Enrolled) {
+    pub(super) fn settle(&mut self, enrolled: &Enrolled) {
         settle(&mut self.under_way, enrolled);
     }
 
     /// Tries a last time to write the waiting scans. Data not written by `until` is lost.
-    pub fn finish(self, until: Option<Instant>) -> Vec<StoredScan> {
+    pub(super) fn finish(self, until: Option<Instant>) -> Vec<StoredScan> {
         let Self { scans, stored, working, mut under_way } = self;
         drop((scans, working));
         let next = || match until {

@@ -36,7 +36,7 @@ impl TrialNeed {
     /// the drag needed for a name. A scan that is to be a trial needs enough independent samples of
     /// the sources in `trial`. A settled answer may end the drag only if its rule is `supported` by
     /// enough trials.
-    pub fn judge(
+    pub(super) fn judge(
         &mut self,
         news: &mut Guess,
         progress: &Progress,

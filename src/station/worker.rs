@@ -55,7 +55,7 @@ pub(super) struct Worker {
 impl Worker {
     /// Starts the thread. With `queues`, scans may wait for each other (a recording played as fast
     /// as possible), and this wait does not count as latency.
-    pub fn start(queues: bool) -> std::io::Result<Self> {
+    pub(super) fn start(queues: bool) -> std::io::Result<Self> {
         let (work, to_do) = crossbeam_channel::bounded::<Work>(1);
         let (send, done) = crossbeam_channel::unbounded();
         let run = move || {

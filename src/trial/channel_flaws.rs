@@ -109,7 +109,7 @@ const SHARE: f64 = 0.02;
 const ABOVE_OTHERS: usize = 4;
 
 /// Whether all pixels of a picture are equal, as if the lens is covered or the camera delivers no data.
-pub fn is_plain(image: &Image) -> bool {
+pub(crate) fn is_plain(image: &Image) -> bool {
     let first = &image.rgb()[..3];
     image.rgb().chunks_exact(3).all(|pixel| pixel == first)
 }

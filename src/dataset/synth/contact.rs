@@ -95,7 +95,7 @@ pub(super) struct Hand {
 }
 
 impl Hand {
-    pub fn draw(draws: &Draws<'_>) -> Self {
+    pub(super) fn draw(draws: &Draws<'_>) -> Self {
         let rng = &mut draws.noise("drift");
         Self {
             force: draws.value("force"),
@@ -105,7 +105,7 @@ impl Hand {
     }
 
     /// Multiplies a signal of the whole drag by (force/mean force)^`power`, sample by sample.
-    pub fn modulate(&self, samples: &mut [f32], power: f64) {
+    pub(super) fn modulate(&self, samples: &mut [f32], power: f64) {
         let gain = |at: usize, len: usize| {
             let x = at as f64 / len as f64 * (DRIFT_KNOTS - 1) as f64;
             let knot = (x as usize).min(DRIFT_KNOTS - 2);

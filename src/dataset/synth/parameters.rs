@@ -214,12 +214,12 @@ pub(super) struct Draws<'a> {
 }
 
 impl Draws<'_> {
-    pub fn value(&self, name: &str) -> f64 {
+    pub(super) fn value(&self, name: &str) -> f64 {
         self.nth(name, 0)
     }
 
     /// The value number `index` among quantities with equal spreads, such as the heights of bumps.
-    pub fn nth(&self, name: &str, index: u32) -> f64 {
+    pub(super) fn nth(&self, name: &str, index: u32) -> f64 {
         let effect = self.d.effects[name];
         let (name, index) = (name.as_bytes(), &index.to_le_bytes()[..]);
         let (surface, user) = (self.key.surface.as_bytes(), self.key.user.as_bytes());
@@ -239,7 +239,7 @@ impl Draws<'_> {
     }
 
     /// A uniform number in [0, 1), the same in all trials of a surface and of a surface like it.
-    pub fn surface_uniform(&self, name: &str, index: u32) -> f64 {
+    pub(super) fn surface_uniform(&self, name: &str, index: u32) -> f64 {
         let index = index.to_le_bytes();
         let surface = self.like.map_or(self.key.surface.as_str(), |(other, _)| other);
         let key = [b"uniform", name.as_bytes(), &index, surface.as_bytes()];
@@ -247,7 +247,7 @@ impl Draws<'_> {
     }
 
     /// A generator for noise that differs between trials.
-    pub fn noise(&self, name: &str) -> ChaCha8Rng {
+    pub(super) fn noise(&self, name: &str) -> ChaCha8Rng {
         let number = self.key.number.to_le_bytes();
         let (surface, user) = (self.key.surface.as_bytes(), self.key.user.as_bytes());
         seed::rng(self.seed, &[b"noise", name.as_bytes(), surface, user, &number])

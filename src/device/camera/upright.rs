@@ -54,7 +54,7 @@ const LONGEST: u32 = 480;
 /// it to 320 × 480 pixels. A new pixel is the mean of the area that it covers.
 ///
 /// `None` if the picture is empty.
-pub fn compared(upright: &RgbImage) -> Option<Image> {
+pub(super) fn compared(upright: &RgbImage) -> Option<Image> {
     if upright.is_empty() {
         return None;
     }
@@ -65,14 +65,14 @@ pub fn compared(upright: &RgbImage) -> Option<Image> {
 }
 
 /// The region that [`compared`] cuts out of an upright picture.
-pub fn region(upright: &RgbImage) -> Region {
+pub(super) fn region(upright: &RgbImage) -> Region {
     let (width, height) = (f64::from(upright.width()), f64::from(upright.height()));
     let ((left, w), (top, h)) = centre(upright);
     Region { left: left / width, top: top / height, width: w / width, height: h / height }
 }
 
 /// Scales a picture down until no side is longer than `LONGEST` pixels.
-pub fn small(picture: &RgbImage) -> RgbImage {
+pub(super) fn small(picture: &RgbImage) -> RgbImage {
     let longest = picture.width().max(picture.height()).max(1);
     let fit = |side: u32| (side * LONGEST.min(longest) / longest).max(1);
     thumbnail(picture, fit(picture.width()), fit(picture.height()))

@@ -28,7 +28,7 @@ const TORCH: i64 = 2;
 const NO_LIGHT: i64 = 0;
 
 #[derive(Clone, Debug)]
-pub struct V4l {
+pub(crate) struct V4l {
     id: String,
     turn: Turn,
 }
@@ -36,7 +36,7 @@ pub struct V4l {
 impl V4l {
     /// The camera with this name from `surfaced devices`. It is opened with the smallest picture
     /// size that covers the compared region, once `turn` has made the picture upright.
-    pub fn new(id: impl Into<String>, turn: Turn) -> Self {
+    pub(crate) fn new(id: impl Into<String>, turn: Turn) -> Self {
         Self { id: id.into(), turn }
     }
 }
@@ -132,7 +132,7 @@ fn explain(number: u32, id: &str, error: &NokhwaError) -> OpenError {
 }
 
 /// Lists the cameras of this machine, with their permanent names and their problems.
-pub fn cameras() -> Result<Vec<ListedDevice>, OpenError> {
+pub(crate) fn cameras() -> Result<Vec<ListedDevice>, OpenError> {
     let found = nokhwa::query(ApiBackend::Video4Linux)
         .map_err(|error| OpenError::Failed(error.to_string()))?;
     let numbers: BTreeSet<(u32, String)> = found

@@ -170,10 +170,10 @@ fn start_reader() -> io::Result<Receiver<Vec<u8>>> {
 }
 
 /// Standard input. All values of this type share it.
-pub struct StandardInput;
+pub(super) struct StandardInput;
 
 /// Puts back bytes of standard input, so that the next reads return these bytes first.
-pub fn put_back(bytes: Vec<u8>) {
+pub(super) fn put_back(bytes: Vec<u8>) {
     if let Ok(mut reader) = STDIN.lock() {
         reader.first.splice(0..0, bytes);
     }

@@ -40,7 +40,7 @@ pub struct LinesStream {
 }
 
 /// Errors in lines and frames, which are counted by these texts.
-pub const GARBAGE: &str = "lines held no numbers";
+pub(super) const GARBAGE: &str = "lines held no numbers";
 const TOO_LONG: &str = "lines were too long";
 const OTHER_WIDTH: &str = "lines had another number of columns";
 const NOT_NUMBERS: &str = "lines had a value that is no number";
@@ -50,7 +50,7 @@ const LONGEST_GAP: &str = "lines are missing in the longest gap";
 const RESTARTS: &str = "restarts of the device";
 
 #[derive(Debug, PartialEq)]
-pub enum LinesEvent<'a> {
+pub(super) enum LinesEvent<'a> {
     Frames {
         stream: usize,
         samples: &'a [f32],
@@ -68,7 +68,7 @@ struct Layout {
 }
 
 #[derive(Debug, Default)]
-pub struct LinesIntake {
+pub(super) struct LinesIntake {
     streams: Vec<LinesStream>,
     count: Option<Count>,
     pub rate_hz: f64,
@@ -94,20 +94,25 @@ pub struct LinesIntake {
 
 impl LinesIntake {
     /// Makes `streams` of rows that come at `rate_hz`. A scale that is `None` counts as 1.
-    pub fn new(streams: Vec<LinesStream>, count: Option<Count>, rate_hz: f64) -> Self {
+    pub(super) fn new(streams: Vec<LinesStream>, count: Option<Count>, rate_hz: f64) -> Self {
         let blocks = vec![Vec::new(); streams.len()];
         Self { streams, count, rate_hz, blocks, ..Self::default() }
     }
 
     /// To be called when the line was reopened. `half`: the first bytes may begin within a line.
-    pub fn reopened(&mut self, half: bool) {
+    pub(super) fn reopened(&mut self, half: bool) {
         self.parser.reopened(half);
         self.reopened = true;
     }
 
     /// Parses bytes that arrived at `now_s` (seconds of any clock that never goes back); passes
     /// frames and gaps to `on`, in order. Returns the number of rows that became frames.
-    pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(LinesEvent<'_>)) -> u64 {
+    pub(super) fn feed(
+        &mut self,
+        bytes: &[u8],
+        now_s: f64,
+        mut on: impl FnMut(LinesEvent<'_>),
+    ) -> u64 {
         let rows = self.rows;
         self.at_once = bytes.iter().filter(|byte| **byte == b'\n').count() as u64;
         // Rows borrow from the parser, so it is taken out while `self` is used.

@@ -4,10 +4,10 @@
 //! around a comma or semicolon are ignored. A field may have a label, as in `ax:0.5`.
 
 /// Longest line in bytes; longer lines are dropped.
-pub const LONGEST_LINE: usize = 4096;
+pub(super) const LONGEST_LINE: usize = 4096;
 
 #[derive(Debug, PartialEq)]
-pub enum Line<'a> {
+pub(super) enum Line<'a> {
     /// A line with a number or a missing value (NaN). Any field that is no finite number is NaN.
     Row(&'a [f64]),
     /// A line without numbers, whose fields can all be names of columns.
@@ -18,7 +18,7 @@ pub enum Line<'a> {
 }
 
 #[derive(Debug, Default)]
-pub struct LineParser {
+pub(super) struct LineParser {
     line: Vec<u8>,
     /// Whether the incomplete line is too long, and will be dropped.
     too_long: bool,
@@ -31,13 +31,13 @@ pub struct LineParser {
 impl LineParser {
     /// To be called when the line was reopened. `half` says that the next bytes may begin within a
     /// line; this first line then counts only if it is a header.
-    pub fn reopened(&mut self, half: bool) {
+    pub(super) fn reopened(&mut self, half: bool) {
         self.line.clear();
         (self.too_long, self.half) = (false, half);
     }
 
     /// Takes bytes, and passes each completed line to `on`. Skips empty lines.
-    pub fn feed(&mut self, bytes: &[u8], mut on: impl FnMut(Line<'_>)) {
+    pub(super) fn feed(&mut self, bytes: &[u8], mut on: impl FnMut(Line<'_>)) {
         let is_end = |byte: &u8| matches!(byte, b'\n' | b'\r');
         let mut rest = bytes;
         while let Some(end) = rest.iter().position(is_end) {

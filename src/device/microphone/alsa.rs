@@ -178,7 +178,7 @@ fn explain(id: &str, error: &cpal::Error) -> OpenError {
 }
 
 /// Lists the microphones of this machine, with their permanent names and their problems.
-pub fn microphones() -> Result<Vec<ListedDevice>, OpenError> {
+pub(crate) fn microphones() -> Result<Vec<ListedDevice>, OpenError> {
     hush();
     let host = cpal::default_host();
     let devices = host.devices().map_err(|error| OpenError::Failed(error.to_string()))?;

@@ -36,13 +36,13 @@ pub(super) struct Carried {
 }
 
 impl<'a> Listening<'a> {
-    pub fn new(sink: &'a mut SeriesSink) -> Self {
+    pub(super) fn new(sink: &'a mut SeriesSink) -> Self {
         let (pace, level, before) = (Pace::default(), LevelWatch::default(), Before::Frames);
         Self { sink, pace, level, before, last_s: 0.0, received: false }
     }
 
     /// To be called when a stream was opened, with a new ring.
-    pub fn opened(&mut self, now_s: f64) {
+    pub(super) fn opened(&mut self, now_s: f64) {
         // Watches the pace anew, since the stream may begin with old frames from a buffer.
         self.pace.first = None;
         self.last_s = now_s;
@@ -50,21 +50,26 @@ impl<'a> Listening<'a> {
     }
 
     /// To be called when sound was lost just before the next sound in the ring.
-    pub fn overrun(&mut self) {
+    pub(super) fn overrun(&mut self) {
         self.before = Before::Loss;
     }
 
-    pub fn silent_s(&self, now_s: f64) -> f64 {
+    pub(super) fn silent_s(&self, now_s: f64) -> f64 {
         now_s - self.last_s
     }
 
-    pub fn unpaced(&self, now_s: f64) -> bool {
+    pub(super) fn unpaced(&self, now_s: f64) -> bool {
         self.pace.unpaced(now_s, self.sink.position())
     }
 
     /// Carries all frames in the ring to the session. After a pause, first waits for late frames,
     /// except in the `last` call for a ring.
-    pub fn look(&mut self, tap: &mut SeriesTap, last: bool, clock: impl Fn() -> f64) -> Carried {
+    pub(super) fn look(
+        &mut self,
+        tap: &mut SeriesTap,
+        last: bool,
+        clock: impl Fn() -> f64,
+    ) -> Carried {
         // `held` also counts frames that did not fit into the ring.
         let held = tap.meter().counts().pushed.saturating_sub(tap.position());
         // Reads the clock after the ring: sound may then seem late, but never early.

@@ -10,7 +10,7 @@ use crate::device::OpenError;
 use crate::device::list::{available_ports, permission_hint};
 
 /// Rate of the stylus's serial line in baud; pseudo-terminals ignore it.
-pub const BAUD: u32 = 3_000_000;
+pub(super) const BAUD: u32 = 3_000_000;
 /// Longest time that a read or a write on the line waits.
 pub(in crate::device) const WAIT: Duration = Duration::from_millis(50);
 /// USB vendor and product numbers of FTDI's serial chips, which can run at [`BAUD`].

@@ -16,10 +16,10 @@ const BLOCKS: usize = 20;
 
 /// For each lag t, means of f(s)·f(s + t)ᵀ over the starts s of each block, for F features f. Entry
 /// (b, i, j) is that of block b, with feature i the earlier. There are 20 blocks and one lag at least.
-pub type Covariances = Vec<Array3<f64>>;
+pub(super) type Covariances = Vec<Array3<f64>>;
 
 /// Sum over the lags up to `longest` of weight · (mean covariance over blocks), shape F × F.
-pub fn weighted_sum(
+pub(super) fn weighted_sum(
     covariances: &Covariances,
     lags: &[Lag],
     longest: f64,
@@ -35,7 +35,7 @@ pub fn weighted_sum(
 }
 
 /// Covariance of features at lag 0, over all Q trials, and at each lag, in ⌈20/Q⌉ blocks a trial.
-pub fn covariances(features: &Features, lags: &[Lag]) -> (Array2<f64>, Covariances) {
+pub(super) fn covariances(features: &Features, lags: &[Lag]) -> (Array2<f64>, Covariances) {
     let count = features.columns.len();
     let parts = BLOCKS.div_ceil(features.trials);
     let blocks = features.trials * parts;
@@ -198,7 +198,7 @@ fn rows<const B: usize>(
 ///
 /// where G is the mean covariance at lag t of the features, which are centred in each trial, and w is
 /// the number of lags that t represents. The denominator is smaller than L because G = Γ − V.
-pub fn mean_variance(
+pub(super) fn mean_variance(
     at_once: &Array2<f64>,
     covariances: &Covariances,
     lags: &[Lag],
@@ -213,7 +213,7 @@ pub fn mean_variance(
 }
 
 /// Correlations without centring: (C + V)/√((1 + Vᵢᵢ)(1 + Vⱼⱼ)) for V = `mean_variance`.
-pub fn corrected(covariances: &Covariances, mean_variance: &Array2<f64>) -> Covariances {
+pub(super) fn corrected(covariances: &Covariances, mean_variance: &Array2<f64>) -> Covariances {
     let scale = mean_variance.diag().mapv(|v| (1.0 + v).sqrt().recip());
     let scale = &scale.view().insert_axis(Axis(1)) * &scale;
     covariances.iter().map(|of_lag| (of_lag + mean_variance) * &scale).collect()

@@ -12,7 +12,7 @@ const THERE: f64 = 2.0;
 
 /// Dependence of one channel on another, as a function of the lag.
 #[derive(Clone, Debug)]
-pub struct Curve {
+pub(super) struct Curve {
     /// Centre of each bin of lags, in frames.
     pub lags: Vec<f64>,
     pub sizes: Vec<Size>,
@@ -22,7 +22,7 @@ pub struct Curve {
 
 /// The lag at which a curve falls below a threshold.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Crossing {
+pub(super) struct Crossing {
     /// Lag at which the fit crosses the threshold, in frames; `None` if the fit stays above.
     pub estimate: Option<f64>,
     /// Lag at which the fit's upper confidence bound crosses the threshold; `None` if never.
@@ -30,7 +30,7 @@ pub struct Crossing {
 }
 
 impl Curve {
-    pub fn new(lags: Vec<f64>, sizes: Vec<Size>) -> Self {
+    pub(super) fn new(lags: Vec<f64>, sizes: Vec<Size>) -> Self {
         let fitted = antitonic(&sizes.iter().map(|s| s.value).collect::<Vec<_>>());
         Self { lags, sizes, fitted }
     }
@@ -44,7 +44,7 @@ impl Curve {
 
     /// The factor by which the data must grow until the upper bound for independent samples is half
     /// the threshold (as a correlation) in the longer half of the lags.
-    pub fn lacking(&self, threshold: f64) -> f64 {
+    pub(super) fn lacking(&self, threshold: f64) -> f64 {
         let bins = self.lags.len() / 2..self.lags.len();
         let mut errors: Vec<f64> = bins.map(|bin| self.root_error(bin, threshold)).collect();
         errors.sort_unstable_by(f64::total_cmp);
@@ -53,13 +53,13 @@ impl Curve {
     }
 
     /// Half the width of the 90 % interval of √size at a bin.
-    pub fn half_width(&self, bin: usize, threshold: f64) -> f64 {
+    pub(super) fn half_width(&self, bin: usize, threshold: f64) -> f64 {
         UPPER * self.root_error(bin, self.fitted[bin].max(threshold))
     }
 
     /// The lags at which the fit and its upper bound fall below `threshold`, a size. Both lags move
     /// beyond a later bin that is surely above the threshold.
-    pub fn crossing(&self, threshold: f64) -> Crossing {
+    pub(super) fn crossing(&self, threshold: f64) -> Crossing {
         let root = threshold.sqrt();
         let fit = |bin: usize| self.fitted[bin].max(0.0).sqrt();
         let first = |from: usize, curve: &dyn Fn(usize) -> f64| {
@@ -84,7 +84,7 @@ impl Curve {
     }
 
     /// Whether the fit, which never rises, is surely above a threshold at a lag.
-    pub fn stays_above(&self, threshold: f64, lag: f64) -> bool {
+    pub(super) fn stays_above(&self, threshold: f64, lag: f64) -> bool {
         let bin = self.lags.partition_point(|&l| l < lag).min(self.lags.len() - 1);
         self.fitted[bin] - THERE * self.sizes[bin].error >= threshold
     }
@@ -104,7 +104,7 @@ impl Curve {
 
 /// Least-squares fit by a sequence that never rises, found by pooling adjacent violators (M. Ayer et
 /// al., Ann. Math. Statist. 26, 1955).
-pub fn antitonic(values: &[f64]) -> Vec<f64> {
+pub(super) fn antitonic(values: &[f64]) -> Vec<f64> {
     // Mean and length of each run of equal values so far.
     let mut levels: Vec<(f64, usize)> = Vec::new();
     for &value in values {

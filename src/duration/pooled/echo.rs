@@ -11,7 +11,7 @@ const SURE: f64 = 6.0;
 /// The last lag above `from`, up to `longest`, at which a covariance c of two features surely exceeds
 /// `correlation`: |c| − 6·deviation ≥ `correlation`. The deviation is estimated from the median of |c|
 /// over these lags.
-pub fn last_echo(
+pub(super) fn last_echo(
     features: &Features,
     correlation: f64,
     from: usize,

@@ -17,7 +17,7 @@ const MOST_PAIRED: usize = 4;
 /// Features of all trials. Each feature has mean 0 in every trial and variance 1 over all trials. The
 /// features of one channel are uncorrelated.
 #[derive(Clone, Debug)]
-pub struct Features {
+pub(super) struct Features {
     /// Q, the number of trials.
     pub trials: usize,
     /// L, the number of frames of each trial.
@@ -35,7 +35,7 @@ pub struct Features {
 /// A constant channel is left out. A feature is left out if it depends nearly linearly on earlier
 /// features of its channel (a channel of two values keeps one feature). With more than four channels
 /// there are no products, since their number grows with the square.
-pub fn features(samples: &Samples) -> Features {
+pub(super) fn features(samples: &Samples) -> Features {
     let mut features = Features {
         trials: samples.trials,
         frames: samples.frames,
@@ -118,7 +118,7 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
 
 /// Q trials of L frames of each channel.
 #[derive(Clone, Debug)]
-pub struct Samples {
+pub(super) struct Samples {
     /// Q, the number of trials.
     pub trials: usize,
     /// L, the number of frames of each trial.
@@ -134,7 +134,7 @@ impl Samples {
     ///
     /// # Panics
     /// If a trial is shorter than `range`, or has fewer channels than the first trial.
-    pub fn every(step: usize, range: Range<usize>, series: &[Series]) -> Self {
+    pub(super) fn every(step: usize, range: Range<usize>, series: &[Series]) -> Self {
         let channels = series.first().map_or(0, Series::channels);
         let channel = |c: usize| -> Vec<f32> {
             (series.iter())
@@ -155,7 +155,7 @@ impl Samples {
 
 /// Normal scores Φ⁻¹((r − ½)/N), where r are the midranks of N values, scaled to mean 0 and variance
 /// 1. Equal values get equal scores. `None` if all values are equal.
-pub fn normal_scores(values: &[f32]) -> Option<Vec<f32>> {
+pub(super) fn normal_scores(values: &[f32]) -> Option<Vec<f32>> {
     let count = values.len();
     // Adding 0 turns −0 into 0. Indices of 32 bits make the sort faster (up to 500,000 values).
     let mut order: Vec<(f32, u32)> = values.iter().map(|x| x + 0.0).zip(0..).collect();

@@ -12,7 +12,7 @@ const STARTS_A_LAG: usize = 128;
 const STARTS: usize = 20_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lag {
+pub(super) struct Lag {
     /// The lag in frames, a multiple of `stride`.
     pub frames: usize,
     /// Distance from the start of one pair to that of the next, in frames; a power of two.
@@ -23,7 +23,7 @@ pub struct Lag {
 
 /// Successive lags over which dependence is averaged.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Bin {
+pub(super) struct Bin {
     /// Indices of the bin's lags in [`Lags::all`].
     pub lags: std::ops::Range<usize>,
     /// Geometric mean of the bin's lags.
@@ -32,7 +32,7 @@ pub struct Bin {
 
 /// All lags in ascending order, and their bins.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Lags {
+pub(super) struct Lags {
     pub all: Vec<Lag>,
     pub bins: Vec<Bin>,
 }
@@ -42,7 +42,7 @@ pub struct Lags {
 /// The stride of a lag t is the largest power of two that is at most t/128 and leaves 20,000
 /// starts. Strides never fall with t, and each lag is a multiple of its stride. So starts, and the
 /// samples one lag later, lie on one grid, which grows coarser with t.
-pub fn lags(trials: usize, frames: usize) -> Lags {
+pub(super) fn lags(trials: usize, frames: usize) -> Lags {
     let longest = frames / LONGEST;
     let stride = |t: usize| {
         let most = (t / STARTS_A_LAG).min(trials * (frames - longest) / STARTS).max(1);

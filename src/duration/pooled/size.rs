@@ -11,7 +11,7 @@ use super::lags::{Bin, Lag};
 
 /// Size of the dependence over the lags of one bin.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Size {
+pub(super) struct Size {
     /// Unbiased estimate of ‖C‖², for the covariance C of the features; noise can make it negative.
     pub value: f64,
     /// Standard error of `value`, by the block jackknife (B. Efron, "The jackknife, the bootstrap and
@@ -22,13 +22,13 @@ pub struct Size {
 }
 
 /// ‖C‖² for a Gaussian process with correlation ρ: the k-th Hermite feature has correlation ρᵏ.
-pub fn of_correlation(rho: f64) -> f64 {
+pub(super) fn of_correlation(rho: f64) -> f64 {
     let square = rho * rho;
     square + square * square + square * square * square
 }
 
 /// The correlation of a Gaussian process with ‖C‖² = `size`; 0 for a negative size.
-pub fn as_correlation(size: f64) -> f64 {
+pub(super) fn as_correlation(size: f64) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     while high - low > 1e-9 {
         let middle = 0.5 * (low + high);
@@ -43,7 +43,7 @@ pub fn as_correlation(size: f64) -> f64 {
 
 /// Size of the dependence in a bin, of the channel with features `later` on the channel `earlier`:
 /// U = (‖Σ_b C_b‖² − Σ_b ‖C_b‖²)/(B(B − 1)) for covariances C_b of B blocks, averaged over lags.
-pub fn size(
+pub(super) fn size(
     covariances: &Covariances,
     bin: &Bin,
     earlier: &Range<usize>,
@@ -82,7 +82,7 @@ fn by_block(blocks: Array3<f64>) -> Array1<f64> {
 ///
 /// For one channel it is the largest eigenvalue of I + Σ_{t≤M} w·(Γ(t) + Γ(t)ᵀ), where Γ is the
 /// corrected covariance of the channel's features, and w is the number of lags that t stands for.
-pub fn inflation(
+pub(super) fn inflation(
     covariances: &Covariances,
     features: &Features,
     lags: &[Lag],

@@ -14,17 +14,17 @@ use crate::printable::counted;
 use crate::scene::{Domain, Phase, SceneError, SourceId, SourceSpec};
 use crate::trial::{Series, Signal};
 
-pub type Second = f64;
+pub(super) type Second = f64;
 
 /// Number of samples that the kernel two-sample test compares (the paper's n).
-pub const SAMPLES: usize = 400;
+pub(crate) const SAMPLES: usize = 400;
 
 /// Latest start of the sampling in a scan of 4.8 s, in seconds: 1.15 % of the scan.
-pub const START_S: Second = 0.0115 * 4.8;
+pub(super) const START_S: Second = 0.0115 * 4.8;
 
 /// How long a scan must last to hold n = `samples` samples T* apart: t₀ + (n − 1)·T*, where t₀ is
 /// [`START_S`].
-pub fn scan_s(t_star_s: Second, samples: usize) -> Second {
+pub(crate) fn scan_s(t_star_s: Second, samples: usize) -> Second {
     START_S + samples.saturating_sub(1) as f64 * t_star_s
 }
 
@@ -33,7 +33,7 @@ pub fn scan_s(t_star_s: Second, samples: usize) -> Second {
 ///
 /// The result exceeds neither n nor n_eff. It is exact for an Ornstein–Uhlenbeck process, whose
 /// variance inflation is 2τ for all samples, and coth(Δ/2τ) for samples Δ apart.
-pub fn worth(samples: usize, effective: f64) -> f64 {
+pub(super) fn worth(samples: usize, effective: f64) -> f64 {
     let n = samples as f64;
     n * (effective / n).tanh()
 }

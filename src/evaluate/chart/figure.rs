@@ -13,7 +13,7 @@ use crate::scene::SourceId;
 
 /// The measured accuracy and latency of one setting of one method.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
-pub struct ChartPoint {
+pub(crate) struct ChartPoint {
     pub method: String,
     /// The command-line options that reproduce this point, or the name of a control.
     pub setting: String,
@@ -39,7 +39,7 @@ pub struct ChartPoint {
 }
 
 impl ChartPoint {
-    pub fn new(
+    pub(crate) fn new(
         outcome: &Outcome,
         protocol: Protocol,
         setting: &str,
@@ -69,7 +69,7 @@ impl ChartPoint {
     }
 
     /// Name of the method, followed by its options, if the setting has any.
-    pub fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         let options = self.setting.trim_start_matches("--method ");
         let options = options.strip_prefix(self.method.as_str()).unwrap_or(options).trim();
         let options = options.replace("--repetitions ", "R = ").replace("--n ", "n = ");
@@ -101,7 +101,7 @@ pub(super) fn front<'a>(
 
 /// A whole chart, as the JSON file beside the SVG holds it.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
-pub struct Chart {
+pub(crate) struct Chart {
     pub data: String,
     pub synthetic: bool,
     pub protocol: String,
@@ -117,16 +117,16 @@ pub struct Chart {
 }
 
 impl Chart {
-    pub fn methods(&self) -> impl Iterator<Item = &ChartPoint> {
+    pub(crate) fn methods(&self) -> impl Iterator<Item = &ChartPoint> {
         self.points.iter().filter(|point| !point.control)
     }
 
-    pub fn controls(&self) -> impl Iterator<Item = &ChartPoint> {
+    pub(crate) fn controls(&self) -> impl Iterator<Item = &ChartPoint> {
         self.points.iter().filter(|point| point.control)
     }
 
     /// The points of all settings that were measured at several scan times.
-    pub fn timed(&self) -> Vec<&ChartPoint> {
+    pub(crate) fn timed(&self) -> Vec<&ChartPoint> {
         let same = |a: &ChartPoint, b: &ChartPoint| {
             (&a.method, &a.setting, &a.sources) == (&b.method, &b.setting, &b.sources)
         };
@@ -146,12 +146,12 @@ impl Chart {
     }
 
     /// Whether a point used only some of the sources.
-    pub fn is_subset(&self, point: &ChartPoint) -> bool {
+    pub(crate) fn is_subset(&self, point: &ChartPoint) -> bool {
         point.sources.len() < self.sources.len()
     }
 
     /// Scan time of a point in seconds, which is the length of the part of the drag that was used.
-    pub fn scan_s(&self, point: &ChartPoint) -> f64 {
+    pub(crate) fn scan_s(&self, point: &ChartPoint) -> f64 {
         point.query_seconds.or(self.drag_s).unwrap_or(0.0)
     }
 }
@@ -167,7 +167,7 @@ const MARGIN: i32 = 24;
 /// right. Bars are 95 % intervals, and ticks are users. The thick line is the Pareto front; its points
 /// are numbered and listed below. Dashed lines with letters are negative controls. Hollow points use
 /// only some of the sources.
-pub fn figure(chart: &Chart) -> Result<String, FigureError> {
+pub(crate) fn figure(chart: &Chart) -> Result<String, FigureError> {
     let colours = colours(chart);
     let whole: Vec<&ChartPoint> =
         chart.methods().filter(|point| point.query_seconds.is_none()).collect();

@@ -7,7 +7,7 @@
 mod figure;
 
 use figure::ChartPoint;
-pub use figure::{Chart, figure};
+pub(crate) use figure::{Chart, figure};
 
 use rayon::prelude::*;
 
@@ -28,7 +28,7 @@ const CONTROL_HZ: f64 = 80.0;
 
 /// The settings in a chart. The first flag says whether drags are also cut to their first seconds. The
 /// second says whether a brief chart has the setting, as the cheapest useful one of its method.
-pub fn settings() -> [(MethodSpec, bool, bool); 8] {
+pub(crate) fn settings() -> [(MethodSpec, bool, bool); 8] {
     [
         (reference(100, 1, false), false, false),
         (reference(400, 1, false), false, true),
@@ -51,7 +51,7 @@ fn reference(samples: usize, repetitions: usize, halving: bool) -> MethodSpec {
 const ON_SUBSETS: MethodName = MethodName::Embedding;
 
 #[derive(Clone, Debug)]
-pub struct Charted {
+pub(crate) struct Charted {
     /// The method; `None` compares loudness alone, by nearest neighbours.
     pub method: Option<MethodSpec>,
     /// The name of a negative control, which uses data that should tell little; `None` for a method.
@@ -67,7 +67,7 @@ fn whole(method: MethodSpec, scene: &Scene) -> Charted {
 
 /// The runs of a chart of a scene whose drags last `drag_s` seconds. A `brief` chart has each method
 /// once, on whole drags with all sources, and the controls.
-pub fn charted(scene: &Scene, drag_s: Option<f64>, brief: bool) -> Vec<Charted> {
+pub(crate) fn charted(scene: &Scene, drag_s: Option<f64>, brief: bool) -> Vec<Charted> {
     let shorter = SECONDS.into_iter().filter(|&s| drag_s.is_some_and(|whole| s < whole));
     let timed: Vec<Option<f64>> = std::iter::once(None).chain(shorter.map(Some)).collect();
     let of_setting = |(method, is_timed, _)| {
@@ -129,7 +129,7 @@ fn of_domain(scene: &Scene, is: impl Fn(&Domain) -> bool) -> Option<Scene> {
 
 /// Measures one setting, with the sources of its own scene. Returns a point for each scan time, and
 /// the sources that were left out. `name` is the setting's name in the chart.
-pub fn measure(
+pub(crate) fn measure(
     (entries, folds): (&[Entry], &[Fold]),
     protocol: Protocol,
     charted: &Charted,
@@ -171,7 +171,7 @@ fn levels(entries: &[Entry], scene: &Scene) -> Result<Vec<FeatureVector>, Recogn
 }
 
 /// Length of a whole drag in seconds: that of the longest drag source in the first trial that has one.
-pub fn drag_s(entries: &[Entry], scene: &Scene) -> Result<Option<f64>, RecogniseError> {
+pub(crate) fn drag_s(entries: &[Entry], scene: &Scene) -> Result<Option<f64>, RecogniseError> {
     let is_drag = |id: &SourceId| scene.is_dragged(id);
     let Some(entry) = entries.iter().find(|entry| entry.sources.iter().any(is_drag)) else {
         return Ok(None);

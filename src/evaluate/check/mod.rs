@@ -8,7 +8,7 @@ use std::path::Path;
 
 use serde::ser::{SerializeMap, Serializer};
 
-pub use self::finding::{FaultKind, Finding};
+pub(crate) use self::finding::{FaultKind, Finding};
 use self::finding::{Inspected, inspect};
 use super::evaluation::{Evaluation, Measured, ProgressFn};
 use super::fold::{Fold, by_user, enough, known_only};
@@ -96,7 +96,7 @@ fn share_of_surface<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Err
     map.end()
 }
 
-pub struct Audited<'a> {
+pub(crate) struct Audited<'a> {
     pub root: &'a Path,
     /// Whether `surfaced library` can edit the library.
     pub editable: bool,
@@ -109,7 +109,11 @@ pub struct Audited<'a> {
 /// Audits a library: leaves out trials, and names them by the remaining ones. If there are several
 /// people, all trials of a person are left out together. Files that cannot be read are listed and
 /// skipped. Each recording is read once, as far as memory allows.
-pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) -> CheckReport {
+pub(crate) fn check(
+    opened: Opened,
+    audited: &Audited<'_>,
+    progress: ProgressFn<'_>,
+) -> CheckReport {
     let entries = opened.library.entries.into_iter().map(|entry| entry.within(audited.scene));
     let (inspected, unreadable) = inspect(entries.collect(), audited.scene, progress);
     let mut findings = finding::unreadable(&opened.bad, &unreadable, audited);

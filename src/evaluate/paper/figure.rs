@@ -28,7 +28,7 @@ const MATERIALS: [&str; 9] = [
 
 /// An SVG with the accuracies of all settings that were run, ours (bars) and the paper's (marks),
 /// with standard deviations over folds.
-pub fn bars(report: &PaperReport) -> Result<String, FigureError> {
+pub(crate) fn bars(report: &PaperReport) -> Result<String, FigureError> {
     let shown: Vec<&ReportRow> =
         report.rows.iter().filter(|row| row.accuracy_mean.is_some()).collect();
     let height = 90 + ROW * shown.len() as i32;
@@ -88,7 +88,7 @@ fn material(surface: &str) -> usize {
 }
 
 /// An SVG of a confusion matrix (truth against answer), with the surfaces grouped by material.
-pub fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
+pub(crate) fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
     let mut order: Vec<usize> = (0..confusion.labels.len()).collect();
     order.sort_by_key(|&at| (material(&confusion.labels[at]), &confusion.labels[at]));
     // LMT108's 108 surfaces take 864 pixels; with fewer surfaces, cells grow up to 22 pixels.

@@ -14,21 +14,21 @@ use crate::trial::TrialKey;
 
 /// A part of the queries: every `of`-th query, beginning with the `number`-th (counted from 1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct Shard {
+pub(crate) struct Shard {
     pub number: usize,
     pub of: usize,
 }
 
 impl Shard {
-    pub const WHOLE: Self = Self { number: 1, of: 1 };
+    pub(crate) const WHOLE: Self = Self { number: 1, of: 1 };
 
     /// Whether the query with this index belongs to the shard.
-    pub fn has(self, query: usize) -> bool {
+    pub(crate) fn has(self, query: usize) -> bool {
         query % self.of == self.number - 1
     }
 
     /// Name of the file that holds the shard's result.
-    pub fn file_name(self) -> String {
+    pub(crate) fn file_name(self) -> String {
         format!("shard-{:04}-of-{:04}.json", self.number, self.of)
     }
 }
@@ -55,7 +55,7 @@ impl FromStr for Shard {
 /// Answers in one setting. Trials are given by their indices in [`PaperPart::trials`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct RowPart {
+pub(crate) struct RowPart {
     /// The setting as text: its place in the paper, its protocol and its name.
     pub setting: String,
     pub missing: Vec<String>,
@@ -70,7 +70,7 @@ pub struct RowPart {
 /// The result of a shard, or of all shards joined.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct PaperPart {
+pub(crate) struct PaperPart {
     /// Version of this format, 1.
     pub format: u32,
     pub data: String,
@@ -85,7 +85,7 @@ pub struct PaperPart {
 }
 
 impl PaperPart {
-    pub fn is_of_run(&self, other: &Self) -> bool {
+    pub(crate) fn is_of_run(&self, other: &Self) -> bool {
         let head = |part: &Self| {
             let settings: Vec<_> = part.rows.iter().map(|row| row.setting.clone()).collect();
             (part.format, part.data.clone(), part.settings.clone(), part.trials.clone(), settings)
@@ -95,7 +95,7 @@ impl PaperPart {
 }
 
 /// Joins the shards of a run, given in any order; an error says what is missing or wrong.
-pub fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, String> {
+pub(crate) fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, String> {
     parts.sort_by_key(|part| part.shard);
     for part in &parts {
         let trials = part.trials.len();
@@ -142,7 +142,7 @@ pub fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, String> {
 
 /// Results in one setting. Our accuracies are fractions from 0 to 1, the paper's are percentages.
 #[derive(Clone, Debug, Serialize)]
-pub struct ReportRow {
+pub(crate) struct ReportRow {
     #[serde(flatten)]
     pub row: Row,
     pub sources: Vec<&'static str>,
@@ -165,7 +165,7 @@ pub struct ReportRow {
 }
 
 #[derive(Clone, Debug, Serialize)]
-pub struct PaperReport {
+pub(crate) struct PaperReport {
     pub data: String,
     pub synthetic: bool,
     pub settings: String,
@@ -175,7 +175,7 @@ pub struct PaperReport {
 }
 
 impl PaperReport {
-    pub fn new(part: &PaperPart) -> Self {
+    pub(crate) fn new(part: &PaperPart) -> Self {
         let keys: Vec<TrialKey> =
             part.trials.iter().map(|(s, user, number)| TrialKey::new(s, user, *number)).collect();
         let mut confusion = None;
@@ -240,7 +240,7 @@ fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow 
 
 /// ln of the scores between one query and library trials, in one stream (a sampled source).
 #[derive(Clone, Debug, PartialEq)]
-pub struct LogScores {
+pub(super) struct LogScores {
     /// Indices of the library trials, ascending.
     pub library: std::sync::Arc<[usize]>,
     /// ln of the score of each library trial; NaN if query or trial lacks the source.
@@ -259,7 +259,11 @@ impl LogScores {
 /// `terms` are the weights and scores of streams; `keys` must be sorted. As in the method `reference`,
 /// the stream's median over the other trials replaces a missing score, and a tie goes to the smaller
 /// key. Trials without any score are left out. `None` if no trial has a score.
-pub fn nearest(library: &[usize], terms: &[(f64, &LogScores)], keys: &[TrialKey]) -> Option<usize> {
+pub(super) fn nearest(
+    library: &[usize],
+    terms: &[(f64, &LogScores)],
+    keys: &[TrialKey],
+) -> Option<usize> {
     debug_assert!(keys.is_sorted());
     let scores_of = |&trial: &usize| terms.iter().map(|(_, scores)| scores.of(trial)).collect();
     let scores: Vec<Vec<Option<f64>>> = library.iter().map(scores_of).collect();

@@ -237,7 +237,7 @@ pub struct SampledSource {
 }
 
 /// The eight sources as the paper uses them.
-pub const AS_USED: [SampledSource; 8] = [
+pub(super) const AS_USED: [SampledSource; 8] = [
     SampledSource::new("ca1", SampleView::Pixels(Colour::Hsv), false),
     SampledSource::new("ca2", SampleView::Pixels(Colour::Hsv), false),
     SampledSource::new("mi1", SampleView::Spectrum, true),

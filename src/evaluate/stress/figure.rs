@@ -10,7 +10,7 @@ const COLUMNS: usize = 4;
 const TITLE: u32 = 44;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Measure {
+pub(crate) enum Measure {
     Accuracy,
     /// Share of queries of unknown surfaces that would be called unknown.
     UnknownRejected,
@@ -36,7 +36,7 @@ impl Measure {
 }
 
 /// An SVG with a panel for each disturbance: `measure` against severity, from undisturbed.
-pub fn figure(report: &StressReport, measure: Measure) -> Result<String, FigureError> {
+pub(crate) fn figure(report: &StressReport, measure: Measure) -> Result<String, FigureError> {
     let shown: Vec<(usize, &MethodReport)> =
         report.methods.iter().enumerate().filter(|(_, m)| measure.of(&m.clean).is_some()).collect();
     let panels = shown.first().map_or(0, |(_, m)| m.disturbances.len());

@@ -72,7 +72,7 @@ impl MethodReport {
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct StressReport {
+pub(crate) struct StressReport {
     pub data: String,
     pub synthetic: bool,
     pub protocol: String,
@@ -86,7 +86,7 @@ pub struct StressReport {
 impl StressReport {
     /// A table in Markdown: for each disturbance and method the first level that costs 5 points,
     /// and for each method the disturbances at which it fails first.
-    pub fn markdown(&self) -> String {
+    pub(crate) fn markdown(&self) -> String {
         let mut text = String::new();
         let mut line = |cells: Vec<String>| {
             // Writing to a String cannot fail.

@@ -37,7 +37,7 @@ const FARTHEST: f64 = 10.0;
 const CONSTANT: f64 = 1e-9;
 
 /// How unlike a query the library is, as logarithms; smaller means more alike.
-pub enum Scores {
+pub(crate) enum Scores {
     /// One score for each surface, in the order of [`TrainingSet::surfaces`].
     Surfaces(Vec<f64>),
     /// One score for each trial of the library, in the order of [`TrainingSet::keys`]. The `k` nearest
@@ -50,7 +50,7 @@ type Scorer = Box<dyn Fn(ArrayView1<'_, f64>) -> Scores + Send + Sync>;
 
 /// A way to tell surfaces apart by standardised features.
 #[derive(Clone, Copy, Debug)]
-pub enum Classifier {
+pub(crate) enum Classifier {
     NaiveBayes,
     /// Support vector machines with RBF kernel, one for each pair of surfaces.
     Svm,
@@ -87,7 +87,7 @@ impl Classifier {
 
 /// A library in the form that classifiers are trained on.
 #[derive(Clone, Debug)]
-pub struct TrainingSet {
+pub(crate) struct TrainingSet {
     /// Standardised features, shape (trials, features).
     features: Array2<f64>,
     class: Vec<usize>,
@@ -99,14 +99,14 @@ pub struct TrainingSet {
 
 /// A comparison classifier as a [`Method`].
 #[derive(Clone, Debug)]
-pub struct OnFeatures {
+pub(crate) struct OnFeatures {
     name: &'static str,
     scene: Scene,
     classifier: Classifier,
 }
 
 impl OnFeatures {
-    pub fn new(name: &'static str, scene: Scene, classifier: Classifier) -> Self {
+    pub(crate) fn new(name: &'static str, scene: Scene, classifier: Classifier) -> Self {
         Self { name, scene, classifier }
     }
 

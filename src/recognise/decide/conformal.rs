@@ -25,13 +25,13 @@ use super::interval::beta_quantile;
 const WHOLE: f64 = 0.95;
 
 /// Nonconformity of a trial, from its distances to all surfaces: the smallest; infinite if empty.
-pub fn nonconformity(distances: &[f64]) -> f64 {
+pub(crate) fn nonconformity(distances: &[f64]) -> f64 {
     distances.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
 /// Nonconformity of left-out library trials of one length.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Calibration {
+pub(crate) struct Calibration {
     pub scan_s: f64,
     /// Number of scans cut from each trial; together they count as one trial.
     pub of_each: usize,
@@ -41,7 +41,11 @@ pub struct Calibration {
 
 impl Calibration {
     /// `scans` gives the group of each scan, and its nonconformity by the model without that group.
-    pub fn new(scan_s: f64, of_each: usize, scans: impl Iterator<Item = (usize, f64)>) -> Self {
+    pub(crate) fn new(
+        scan_s: f64,
+        of_each: usize,
+        scans: impl Iterator<Item = (usize, f64)>,
+    ) -> Self {
         let mut by_group: Vec<Vec<f64>> = Vec::new();
         for (group, value) in scans {
             by_group.resize(by_group.len().max(group + 1), Vec::new());
@@ -69,7 +73,7 @@ impl Calibration {
 
 /// Nonconformity of left-out library trials, whole and cut to their beginnings.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Conformity {
+pub(crate) struct Conformity {
     /// Calibrations in ascending order of length; the last is for whole scans.
     by_length: Vec<Calibration>,
 }
@@ -82,14 +86,14 @@ impl Conformity {
     }
 
     /// Number of trials that the p-value of a whole scan is based on.
-    pub fn trials(&self) -> usize {
+    pub(crate) fn trials(&self) -> usize {
         self.by_length.last().map_or(0, |calibration| calibration.trials().round() as usize)
     }
 
     /// The p-value of a scan of `scan_s` seconds, from 1/(n + 1) to 1; pass infinity for a scan
     /// without a drag. `of_query` gives the scan's nonconformity by the model without a given group.
     /// `None` if the scan is shorter than every calibrated length.
-    pub fn p_value(&self, scan_s: f64, of_query: impl Fn(usize) -> f64) -> Option<f64> {
+    pub(crate) fn p_value(&self, scan_s: f64, of_query: impl Fn(usize) -> f64) -> Option<f64> {
         let (whole, beginnings) = self.by_length.split_last()?;
         let calibration = if scan_s >= WHOLE * whole.scan_s {
             whole
@@ -121,7 +125,7 @@ pub enum RejectionError {
 const USUAL_RATE: f64 = 0.01;
 
 /// Scans are called unknown by default only with at least this many left-out trials.
-pub const FEWEST: usize = 9;
+pub(crate) const FEWEST: usize = 9;
 
 /// The p-value at or below which a query is called unknown.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]

@@ -38,7 +38,7 @@ pub fn without_flawed(
 
 /// Decides which of `sources`, given with their flaws, to leave out. Switches (sources with a fixed σ)
 /// stay. Nothing is left out if no other source of the scene would remain.
-pub fn left_out<'a, F>(
+pub(crate) fn left_out<'a, F>(
     scene: &Scene,
     sources: impl Iterator<Item = (&'a SourceId, Option<F>)>,
 ) -> Vec<(SourceId, F)> {

@@ -6,7 +6,7 @@ use statrs::distribution::{Beta, ContinuousCDF, StudentsT};
 const Z: f64 = 1.959_963_984_540_054;
 
 /// Quantile of the Beta distribution. Both parameters must be positive.
-pub fn beta_quantile(a: f64, b: f64, level: f64) -> f64 {
+pub(crate) fn beta_quantile(a: f64, b: f64, level: f64) -> f64 {
     // Fails only if a parameter is not positive.
     Beta::new(a, b).map_or(f64::NAN, |beta| beta.inverse_cdf(level))
 }
@@ -16,7 +16,7 @@ pub fn beta_quantile(a: f64, b: f64, level: f64) -> f64 {
 ///
 /// # Panics
 /// If there are more successes than trials.
-pub fn jeffreys_quantile(successes: usize, trials: usize, level: f64) -> f64 {
+pub(crate) fn jeffreys_quantile(successes: usize, trials: usize, level: f64) -> f64 {
     assert!(successes <= trials, "{successes} of {trials}");
     beta_quantile(successes as f64 + 0.5, (trials - successes) as f64 + 0.5, level)
 }
@@ -24,7 +24,7 @@ pub fn jeffreys_quantile(successes: usize, trials: usize, level: f64) -> f64 {
 /// 95 % confidence interval of a share found in `trials` trials, (0, 1) if there are none. `trials`
 /// may be fractional (Wilson 1927, "Probable inference, the law of succession, and statistical
 /// inference").
-pub fn wilson(share: f64, trials: f64) -> (f64, f64) {
+pub(crate) fn wilson(share: f64, trials: f64) -> (f64, f64) {
     if trials <= 0.0 {
         return (0.0, 1.0);
     }
@@ -43,7 +43,7 @@ pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
 /// people. It is Wilson's interval for an effective number of trials. That number is smaller the more
 /// the groups differ and the fewer groups there are (Korn & Graubard 1998, "Confidence intervals for
 /// proportions with small expected number of positive counts estimated from survey data").
-pub fn wilson_of_groups(groups: &[(usize, usize)]) -> (f64, f64) {
+pub(crate) fn wilson_of_groups(groups: &[(usize, usize)]) -> (f64, f64) {
     let count = groups.len() as f64;
     let (right, all) = groups.iter().fold((0, 0), |(r, n), group| (r + group.0, n + group.1));
     if count < 2.0 || all == 0 {
@@ -64,14 +64,14 @@ pub fn wilson_of_groups(groups: &[(usize, usize)]) -> (f64, f64) {
 /// Whether `right` of `trials` show a success rate of `share`: the median of the posterior under
 /// Jeffreys' prior must reach it, which is slightly stricter than `right / trials`. If there are too
 /// few trials to show the share even without a mistake, all of them must be right.
-pub fn reaches(right: usize, trials: usize, share: f64) -> bool {
+pub(crate) fn reaches(right: usize, trials: usize, share: f64) -> bool {
     trials > 0
         && (right == trials && !can_show(trials, share)
             || jeffreys_quantile(right, trials, 0.5) >= share)
 }
 
 /// Whether `trials` trials show a success rate of `share` if all of them are right.
-pub fn can_show(trials: usize, share: f64) -> bool {
+pub(crate) fn can_show(trials: usize, share: f64) -> bool {
     jeffreys_quantile(trials, trials, 0.5) >= share
 }
 

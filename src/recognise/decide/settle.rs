@@ -30,14 +30,14 @@ pub struct SettleRule {
     pub probability: f64,
 }
 
-pub fn rules() -> Vec<SettleRule> {
+pub(crate) fn rules() -> Vec<SettleRule> {
     let of_hold = |hold_s| EPSILONS.map(|e| SettleRule { hold_s, probability: 1.0 - e });
     HOLDS_S.into_iter().flat_map(of_hold).collect()
 }
 
 /// The guess at one moment of a scan: its most probable surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
+pub(crate) struct Look {
     pub scan_s: f64,
     pub label: usize,
     pub probability: f64,
@@ -47,7 +47,7 @@ pub struct Look {
 
 /// Applies a stopping rule to the successive guesses (looks) of one scan.
 #[derive(Clone, Debug)]
-pub struct Watch {
+pub(crate) struct Watch {
     rule: SettleRule,
     since: Option<(usize, f64)>,
     settled: Option<(usize, f64)>,
@@ -55,13 +55,13 @@ pub struct Watch {
 
 impl Watch {
     /// Makes a watch that has seen no look yet.
-    pub fn new(rule: SettleRule) -> Self {
+    pub(crate) fn new(rule: SettleRule) -> Self {
         Self { rule, since: None, settled: None }
     }
 
     /// Takes the next guess. Returns the label and scan time at which the answer was settled, or
     /// `None` if it is not settled yet. Guesses after that change nothing.
-    pub fn see(&mut self, look: Look) -> Option<(usize, f64)> {
+    pub(crate) fn see(&mut self, look: Look) -> Option<(usize, f64)> {
         let (label, since_s) = self
             .since
             .filter(|(label, _)| *label == look.label)
@@ -78,7 +78,7 @@ impl Watch {
 /// A left-out library trial, and how a model trained without it names it at each look as its drag
 /// grows. The names do not depend on [`FollowOptions`].
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct FollowedTrial {
+pub(crate) struct FollowedTrial {
     /// Index of the group of trials that were left out together with this trial.
     pub group: usize,
     pub truth: usize,
@@ -90,14 +90,14 @@ pub struct FollowedTrial {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct LeftOutLook {
+pub(crate) struct LeftOutLook {
     pub class: usize,
     pub probability: f64,
     pub p_value: Option<f64>,
 }
 
 /// Number of looks (one after each [`LOOK_S`]) in a drag of `drag_s` seconds.
-pub fn looks_in(drag_s: f64) -> usize {
+pub(crate) fn looks_in(drag_s: f64) -> usize {
     (drag_s / LOOK_S + 1e-9).floor() as usize
 }
 
@@ -116,7 +116,7 @@ impl FollowedTrial {
     }
 
     /// Whether a stored trial is valid for this number of classes.
-    pub fn is_sound(&self, classes: usize) -> bool {
+    pub(crate) fn is_sound(&self, classes: usize) -> bool {
         let labels = self.looks.iter().map(|look| look.class).chain([self.truth, self.whole]);
         self.looks.len() == looks_in(self.drag_s) && labels.max() < Some(classes)
     }

@@ -100,7 +100,7 @@ impl Counts {
     }
 
     /// ln of each channel's mean power over frames and bands.
-    pub fn ln_mean_power(&self) -> Vec<f64> {
+    pub(super) fn ln_mean_power(&self) -> Vec<f64> {
         let power: Vec<f64> = self.levels().map(f64::exp).collect();
         let of_channel = |counts: &[f32]| {
             let mut of_bins = vec![0f32; self.bins];
@@ -167,12 +167,12 @@ pub(super) struct BandSums {
 
 impl BandSums {
     /// Starts without frames; `width` is the number of bands of all channels together.
-    pub fn new(channels: usize, width: usize) -> Self {
+    pub(super) fn new(channels: usize, width: usize) -> Self {
         Self { channels, width, by_loudness: Vec::new() }
     }
 
     /// Adds frames of ln power, shape (frames, width).
-    pub fn add(&mut self, values: &[f32]) {
+    pub(super) fn add(&mut self, values: &[f32]) {
         for row in values.chunks_exact(self.width) {
             let mean = sum(row) as f32 / row.len() as f32;
             let class = floor(mean / LOUDNESS);
@@ -185,11 +185,11 @@ impl BandSums {
     }
 
     /// Number of frames, on the surface or not.
-    pub fn frames(&self) -> usize {
+    pub(super) fn frames(&self) -> usize {
         self.by_loudness.iter().map(|(_, counts)| counts.frames).sum()
     }
 
-    pub fn on_surface(&self) -> Counts {
+    pub(super) fn on_surface(&self) -> Counts {
         let (half, mut below) = (self.frames() / 2, 0);
         let median = self.by_loudness.iter().find(|(_, counts)| {
             below += counts.frames;
@@ -215,7 +215,7 @@ pub(super) struct ViewEmbedder {
 
 impl ViewEmbedder {
     /// Takes means and deviations from the counted frames of library series, at least one.
-    pub fn new(pieces: &[Counts]) -> Self {
+    pub(super) fn new(pieces: &[Counts]) -> Self {
         let own: Vec<Vec<f64>> = pieces.iter().map(Counts::ln_mean_power).collect();
         let median = |c: usize| median(own.iter().map(|powers| powers[c]).collect());
         let ln_power: Vec<f64> = (0..pieces[0].channels).map(median).collect();
@@ -223,13 +223,13 @@ impl ViewEmbedder {
         Self { level: scale(pieces, |_| &ln_power), shape, ln_power }
     }
 
-    pub fn dims(&self) -> usize {
+    pub(super) fn dims(&self) -> usize {
         2 * BAND_FEATURES * self.shape.width()
     }
 
     /// Appends the means of cos ωz and sin ωz over the counted frames, as if their samples were
     /// multiplied by e^`ln_gain`.
-    pub fn push(&self, counts: &Counts, ln_gain: f64, vector: &mut Vec<f32>) {
+    pub(super) fn push(&self, counts: &Counts, ln_gain: f64, vector: &mut Vec<f32>) {
         let own = counts.ln_mean_power();
         let library: Vec<f64> = self.ln_power.iter().map(|power| power - 2.0 * ln_gain).collect();
         for (scale, ln_mean) in [(&self.shape, &own), (&self.level, &library)] {

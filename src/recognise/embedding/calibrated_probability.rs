@@ -13,18 +13,18 @@ const HIGHEST: f64 = 200.0;
 const STEPS: usize = 60;
 
 /// Distances of a left-out trial to all classes, and the index of its own class.
-pub type HeldOut = (Vec<f64>, usize);
+pub(crate) type HeldOut = (Vec<f64>, usize);
 
 /// τ as a function of the length of a scan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Temperature {
+pub(crate) struct Temperature {
     /// (Length of a scan in seconds, τ), in ascending order of length.
     points: Vec<(f64, f64)>,
 }
 
 impl Temperature {
     /// Fits τ at each length, so that τ never rises with length. Without left-out trials, τ is 1.
-    pub fn fit(held_out: &[(f64, Vec<HeldOut>)]) -> Self {
+    pub(crate) fn fit(held_out: &[(f64, Vec<HeldOut>)]) -> Self {
         let mut points: Vec<(f64, f64)> = held_out
             .iter()
             .filter(|(_, trials)| !trials.is_empty())
@@ -40,7 +40,7 @@ impl Temperature {
     }
 
     /// τ for a scan of `seconds` seconds, interpolated linearly.
-    pub fn at(&self, seconds: f64) -> f64 {
+    pub(crate) fn at(&self, seconds: f64) -> f64 {
         let after = self.points.partition_point(|(t, _)| *t < seconds);
         match (after.checked_sub(1).map(|i| self.points[i]), self.points.get(after)) {
             (Some((t0, a)), Some(&(t1, b))) => a + (b - a) * (seconds - t0) / (t1 - t0),
@@ -61,7 +61,7 @@ fn best_temperature(held_out: &[HeldOut]) -> f64 {
 }
 
 /// ln of softmax(−d/(2τ)); −∞ for infinite distances. If all are infinite, all classes are equal.
-pub fn log_posterior(distances: &[f64], tau: f64) -> Vec<f64> {
+pub(crate) fn log_posterior(distances: &[f64], tau: f64) -> Vec<f64> {
     let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
     if !least.is_finite() {
         return vec![-(distances.len() as f64).ln(); distances.len()];
@@ -73,7 +73,7 @@ pub fn log_posterior(distances: &[f64], tau: f64) -> Vec<f64> {
 
 /// Posterior probabilities, mixed with equal shares so that none is above (m + ½)/(m + 1). With m =
 /// `trials` left-out trials no more can be shown, even if all are named right.
-pub fn held_back(log_posterior: &[f64], trials: usize) -> Vec<f64> {
+pub(crate) fn held_back(log_posterior: &[f64], trials: usize) -> Vec<f64> {
     let classes = log_posterior.len() as f64;
     let doubt = 0.5 / (trials as f64 + 1.0);
     let shared = (doubt / (1.0 - 1.0 / classes)).min(1.0);

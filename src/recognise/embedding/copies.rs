@@ -11,13 +11,13 @@ use rand_chacha::ChaCha8Rng;
 use crate::seed;
 use crate::trial::TrialKey;
 
-pub const EXCERPTS: usize = 3;
+pub(super) const EXCERPTS: usize = 3;
 
 /// Number of copies of each trial: the excerpts, then the twin.
-pub const COPIES: usize = EXCERPTS + 1;
+pub(super) const COPIES: usize = EXCERPTS + 1;
 
 /// Length of an excerpt, as a share of its trial.
-pub const SHARE: f64 = 0.4;
+pub(super) const SHARE: f64 = 0.4;
 
 /// Standard deviation of ln gain of a copy: 2 dB, like the force of a hand.
 const LN_GAIN: f64 = 0.25;
@@ -35,7 +35,7 @@ const NOISE_DB: (f64, f64) = (5.0, 40.0);
 const LOST_LOG10: (f64, f64) = (-3.0, -1.0);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Copy {
+pub(super) struct Copy {
     /// Start of an excerpt, as a share of the latest possible start; `None` for the twin.
     pub place: Option<f64>,
     pub ln_gain: f64,
@@ -44,7 +44,7 @@ pub struct Copy {
     pub quarter: usize,
 }
 
-pub fn copies(key: &TrialKey, seed: u64) -> [Copy; COPIES] {
+pub(super) fn copies(key: &TrialKey, seed: u64) -> [Copy; COPIES] {
     let mut rng = rng(key, seed, "copies");
     std::array::from_fn(|i| Copy {
         place: (i < EXCERPTS).then(|| seed::uniform(&mut rng)),
@@ -60,7 +60,7 @@ fn rng(key: &TrialKey, seed: u64, purpose: &str) -> ChaCha8Rng {
 
 /// The samples of a copy of a series: an excerpt, or the twin. `samples` are interleaved; `source` is
 /// the name of the source.
-pub fn samples(
+pub(super) fn samples(
     copy: &Copy,
     (key, seed, source): (&TrialKey, u64, &str),
     channels: usize,

@@ -29,7 +29,7 @@ const LEAST_WITHIN: f64 = 1e-3;
 const INSIDE: f64 = 1e-10;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Discriminant {
+pub(crate) struct Discriminant {
     /// Matrix from features to the whitened space of the class means; shape (r, D), r < C.
     #[serde(with = "packed::matrix")]
     projection: Array2<f32>,
@@ -40,7 +40,7 @@ pub struct Discriminant {
     present: Vec<bool>,
 }
 
-pub struct Vectors<'a> {
+pub(crate) struct Vectors<'a> {
     pub rows: &'a Array2<f32>,
     /// Label of each row: the class of a whole trial, or `classes` and above for a copy.
     pub labels: &'a [usize],
@@ -66,7 +66,7 @@ impl Discriminant {
     /// features; there are fewer columns if these are coordinates in a subspace. `shrinkage` is γ.
     ///
     /// Gives `None` if all vectors are equal, no label has two, or fewer than two classes occur.
-    pub fn train(
+    pub(crate) fn train(
         vectors: &Vectors<'_>,
         dims: usize,
         shrinkage: f64,
@@ -120,7 +120,7 @@ impl Discriminant {
     }
 
     /// A discriminant with plain Euclidean distances to the class means of whole trials.
-    pub fn of_means(vectors: &Vectors<'_>) -> Self {
+    pub(crate) fn of_means(vectors: &Vectors<'_>) -> Self {
         let Residuals { counts, means, .. } = Residuals::new(vectors.rows, vectors.labels);
         let means = means.slice_move(s![..vectors.classes, ..]);
         let present = counts[..vectors.classes].iter().map(|&n| n > 0.5).collect();
@@ -128,20 +128,20 @@ impl Discriminant {
         Self { projection: Array2::eye(dims), origin: Array1::zeros(dims), means, present }
     }
 
-    pub fn is_of(&self, classes: usize, dims: usize) -> bool {
+    pub(crate) fn is_of(&self, classes: usize, dims: usize) -> bool {
         let space = self.origin.len();
         self.present.len() == classes
             && self.means.dim() == (classes, space)
             && self.projection.dim() == (space, dims)
     }
 
-    pub fn knows(&self, class: usize) -> bool {
+    pub(crate) fn knows(&self, class: usize) -> bool {
         self.present[class]
     }
 
     /// The same discriminant for vectors of `dims` columns. Its own columns are the given `columns`; all
     /// others have no weight.
-    pub fn spread(self, columns: &[usize], dims: usize) -> Self {
+    pub(crate) fn spread(self, columns: &[usize], dims: usize) -> Self {
         if columns.len() == dims {
             return self;
         }
@@ -162,18 +162,18 @@ impl Discriminant {
     }
 
     /// w_c, shape (C, D), and b_c such that u·m_c = w_c·x − b_c, where the vector x projects to u.
-    pub fn weights(&self) -> (Array2<f32>, Array1<f64>) {
+    pub(crate) fn weights(&self) -> (Array2<f32>, Array1<f64>) {
         let of_class = self.means.mapv(|x| x as f32).dot(&self.projection);
         (of_class, self.means.dot(&self.origin))
     }
 
     /// Squared distance d_c to each class mean; infinite for classes without training vectors.
-    pub fn distances(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
+    pub(crate) fn distances(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
         self.distances_in_space(&self.project(vector))
     }
 
     /// The distances d_c of several vectors of D features, by one matrix product.
-    pub fn distances_of_each(&self, vectors: &[Vec<f32>]) -> Vec<Vec<f64>> {
+    pub(crate) fn distances_of_each(&self, vectors: &[Vec<f32>]) -> Vec<Vec<f64>> {
         if vectors.is_empty() {
             return Vec::new();
         }

@@ -26,12 +26,12 @@ pub(super) struct BandScale {
 
 impl BandScale {
     /// Takes means and deviations of bands. 0.001 is added to each deviation, so that none is 0.
-    pub fn new(centre: Vec<f32>, deviation: &[f32]) -> Self {
+    pub(super) fn new(centre: Vec<f32>, deviation: &[f32]) -> Self {
         let factor = |d: &f32| OMEGA / (std::f32::consts::PI * (d + 1e-3));
         Self { factor: deviation.iter().map(factor).collect(), centre }
     }
 
-    pub fn width(&self) -> usize {
+    pub(super) fn width(&self) -> usize {
         self.centre.len()
     }
 }

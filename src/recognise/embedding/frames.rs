@@ -169,7 +169,7 @@ impl SeriesFrames {
 }
 
 /// Number of samples a channel within the first `seconds` seconds.
-pub fn samples_by(seconds: f64, rate_hz: f64) -> usize {
+pub(crate) fn samples_by(seconds: f64, rate_hz: f64) -> usize {
     (seconds * rate_hz - 1e-6).ceil().max(0.0) as usize
 }
 

@@ -92,7 +92,7 @@ pub(super) struct Stretch {
 }
 
 impl Stretch {
-    pub fn features(&self) -> usize {
+    pub(super) fn features(&self) -> usize {
         self.mean.len()
     }
 
@@ -127,7 +127,7 @@ impl Stretch {
     }
 
     /// Whether a channel of the source is constant in the library and compared by its level.
-    pub fn has_switch(&self) -> bool {
+    pub(super) fn has_switch(&self) -> bool {
         matches!(&self.embedder, SourceEmbedder::Series(embedder) if embedder.has_switch())
     }
 
@@ -160,7 +160,7 @@ pub(super) type Present = Vec<bool>;
 impl JointEmbedder {
     /// Takes the scales of each source from a library. `training_rows` sets means, deviations and
     /// bases.
-    pub fn new(scene: &Scene, library: &[Arc<TrialFrames>]) -> Self {
+    pub(super) fn new(scene: &Scene, library: &[Arc<TrialFrames>]) -> Self {
         let mut stretches: Vec<Stretch> = Vec::new();
         for spec in scene.sources() {
             let with = |trial: &&Arc<TrialFrames>| trial.sources.contains_key(&spec.id);
@@ -181,7 +181,7 @@ impl JointEmbedder {
     }
 
     /// Whether a stored embedder belongs to this scene, and its parts fit each other.
-    pub fn is_of(&self, scene: &Scene) -> bool {
+    pub(super) fn is_of(&self, scene: &Scene) -> bool {
         let mut dims = 0;
         let follows = |stretch: &Stretch| {
             let Stretch { spec, embedder, mean, factor, basis, columns, .. } = stretch;
@@ -196,12 +196,12 @@ impl JointEmbedder {
     }
 
     /// The stretch of a source; `None` if the library lacks the source.
-    pub fn stretch(&self, id: &SourceId) -> Option<&Stretch> {
+    pub(super) fn stretch(&self, id: &SourceId) -> Option<&Stretch> {
         self.stretches.iter().find(|stretch| stretch.spec.id == *id)
     }
 
     /// Checks that a query, or a library trial itself, can be compared with the library.
-    pub fn check(&self, query: &TrialFrames) -> Result<(), RecogniseError> {
+    pub(super) fn check(&self, query: &TrialFrames) -> Result<(), RecogniseError> {
         if !query.sources.keys().any(|id| self.stretch(id).is_some()) {
             let ids = self.stretches.iter().map(|stretch| &stretch.spec.id);
             return Err(nothing_in_common(query.sources.keys(), ids));
@@ -215,11 +215,11 @@ impl JointEmbedder {
     }
 
     /// Number of columns of a vector.
-    pub fn dims(&self) -> usize {
+    pub(super) fn dims(&self) -> usize {
         self.stretches.last().map_or(0, |stretch| stretch.columns.end)
     }
 
-    pub fn present(&self, trial: &TrialFrames) -> Present {
+    pub(super) fn present(&self, trial: &TrialFrames) -> Present {
         self.stretches.iter().map(|s| trial.sources.contains_key(&s.spec.id)).collect()
     }
 
@@ -233,13 +233,16 @@ impl JointEmbedder {
     }
 
     /// The vector of a trial, and which sources it has.
-    pub fn embed(&self, trial: &TrialFrames) -> (Vec<f32>, Present) {
+    pub(super) fn embed(&self, trial: &TrialFrames) -> (Vec<f32>, Present) {
         self.joined(self.features(trial, None).into_iter())
     }
 
     /// Joins the features of the sources to one vector. The columns of a missing source are 0, which is
     /// the library's mean.
-    pub fn joined(&self, features: impl Iterator<Item = Option<Vec<f32>>>) -> (Vec<f32>, Present) {
+    pub(super) fn joined(
+        &self,
+        features: impl Iterator<Item = Option<Vec<f32>>>,
+    ) -> (Vec<f32>, Present) {
         let mut vector = vec![0.0; self.dims()];
         let mut present = vec![false; self.stretches.len()];
         for ((stretch, features), has) in self.stretches.iter().zip(features).zip(&mut present) {
@@ -255,7 +258,7 @@ impl JointEmbedder {
     /// Embeds a library and the copies of its trials, drawn with `seed`, and sets the mean and deviation
     /// of each feature, and the bases. Gives the vectors as rows: one for each whole trial, then those
     /// of each trial's copies. `done` is called with each trial after it was embedded.
-    pub fn training_rows(
+    pub(super) fn training_rows(
         &mut self,
         library: &mut [Arc<TrialFrames>],
         seed: u64,
@@ -306,7 +309,7 @@ impl JointEmbedder {
     /// The vectors of the beginnings of a library trial's drag at each of `looks`: steps
     /// of [`LOOK_S`], counted from 1, ascending. Sources that do not belong to the drag, or ended
     /// before, have the values of `whole`, the vector of the whole trial.
-    pub fn beginnings(
+    pub(super) fn beginnings(
         &self,
         trial: &TrialFrames,
         whole: ArrayView1<'_, f32>,
@@ -333,7 +336,7 @@ impl JointEmbedder {
 
     /// Whether a trial has anything to compare: a picture, or a series at least as long as a short
     /// frame. The series must vary, or have a channel that is constant in the library, like a switch.
-    pub fn says_something(&self, trial: &TrialFrames) -> bool {
+    pub(super) fn says_something(&self, trial: &TrialFrames) -> bool {
         self.stretches.iter().any(|stretch| match trial.sources.get(&stretch.spec.id) {
             Some(SourceFrames::Series(series)) => {
                 series.is_a_frame_long()
@@ -345,7 +348,7 @@ impl JointEmbedder {
     }
 
     /// Length of a trial's drag in seconds: its longest source recorded while dragging, if any.
-    pub fn drag_s(&self, trial: &TrialFrames) -> Option<f64> {
+    pub(super) fn drag_s(&self, trial: &TrialFrames) -> Option<f64> {
         let drags = self.stretches.iter().filter(|s| s.spec.phase == Phase::Drag);
         let lengths = drags.filter_map(|s| trial.sources.get(&s.spec.id)?.series());
         lengths.map(|series| series.duration_s()).max_by(f64::total_cmp)

@@ -22,7 +22,7 @@ pub(super) struct Labels {
 impl Labels {
     /// Groups are users if most trials can then be named by the other users' trials. If not, a group
     /// is the trials of one user with one number. If there are too many groups, several are joined.
-    pub fn new(keys: &[&TrialKey]) -> Self {
+    pub(super) fn new(keys: &[&TrialKey]) -> Self {
         let (surfaces, class) = places(keys.iter().map(|key| key.surface.as_str()));
         let (users, user) = places(keys.iter().map(|key| key.user.as_str()));
         let (_, session) = places(keys.iter().map(|key| (key.user.as_str(), key.number)));

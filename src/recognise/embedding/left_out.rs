@@ -55,7 +55,7 @@ impl Trained {
 
     /// Trains, and measures the conformity of the library trials that have these sources. `drag_s` is
     /// the median length of their drag in seconds.
-    pub fn measured(
+    pub(super) fn measured(
         joint: &JointEmbedder,
         training: &Training,
         labels: &Labels,
@@ -108,7 +108,7 @@ impl Trained {
         self.conformity = Conformity::new(by_length);
     }
 
-    pub fn p_value(&self, vector: ArrayView1<'_, f32>, scan_s: f64) -> Option<f64> {
+    pub(super) fn p_value(&self, vector: ArrayView1<'_, f32>, scan_s: f64) -> Option<f64> {
         let of_group = |without: &Option<Discriminant>| {
             without.as_ref().map_or(f64::INFINITY, |w| nonconformity(&w.distances(vector)))
         };
@@ -134,7 +134,7 @@ pub(super) struct LeftOut {
 }
 
 impl LeftOut {
-    pub fn new(
+    pub(super) fn new(
         joint: &JointEmbedder,
         training: &Training,
         labels: &Labels,
@@ -202,13 +202,13 @@ impl LeftOut {
 
     /// The length that a finished scan with a drag of `drag_s` counts as; infinite without a drag. A
     /// scan about as long as the library's trials counts as whole, not as a beginning.
-    pub fn ended_s(&self, drag_s: Option<f64>) -> f64 {
+    pub(super) fn ended_s(&self, drag_s: Option<f64>) -> f64 {
         let drag_s = drag_s.unwrap_or(f64::INFINITY);
         if drag_s >= self.whole_from_s { drag_s.max(self.drag_s) } else { drag_s }
     }
 
     /// The discriminant trained without a trial's group; `None` if it does not know the trial's class.
-    pub fn without(
+    pub(super) fn without(
         &self,
         labels: &Labels,
         present: &Present,

@@ -22,7 +22,7 @@ const ROWS_A_THREAD: usize = 512;
 /// lower triangle; the values above the diagonal are meaningless afterwards.
 ///
 /// Returns `None` if the matrix is not positive definite in f64.
-pub fn cholesky(mut a: Array2<f64>) -> Option<Array2<f64>> {
+pub(crate) fn cholesky(mut a: Array2<f64>) -> Option<Array2<f64>> {
     factor(a.view_mut())?;
     Some(a)
 }
@@ -115,7 +115,7 @@ fn subtract_lower_product(
 }
 
 /// Solves L·X = B in place; each column of `b` is a right-hand side.
-pub fn solve_lower(l: &Array2<f64>, b: &mut Array2<f64>) {
+pub(crate) fn solve_lower(l: &Array2<f64>, b: &mut Array2<f64>) {
     solve_from_left(&l.view(), b.view_mut());
 }
 
@@ -139,7 +139,7 @@ fn solve_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
 }
 
 /// Solves Lᵀ·X = B in place; each column of `b` is a right-hand side.
-pub fn solve_lower_transposed(l: &Array2<f64>, b: &mut Array2<f64>) {
+pub(crate) fn solve_lower_transposed(l: &Array2<f64>, b: &mut Array2<f64>) {
     solve_transposed_from_left(&l.view(), b.view_mut());
 }
 
@@ -163,7 +163,7 @@ fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, 
 }
 
 /// The matrix that has these rows; they are equally long.
-pub fn matrix(rows: &[Vec<f32>]) -> Array2<f32> {
+pub(crate) fn matrix(rows: &[Vec<f32>]) -> Array2<f32> {
     let dims = rows.first().map_or(0, Vec::len);
     Array2::from_shape_fn((rows.len(), dims), |(row, column)| rows[row][column])
 }
@@ -192,7 +192,7 @@ fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
 ///
 /// If there are more rows than columns, the bound holds for each column, otherwise for each row. The
 /// smaller of the two products of the matrix with itself is factored.
-pub fn varying_directions(rows: &Array2<f32>, tolerance: f64) -> Array2<f32> {
+pub(crate) fn varying_directions(rows: &Array2<f32>, tolerance: f64) -> Array2<f32> {
     let (n, dims) = rows.dim();
     let mut basis = if dims <= n {
         let moments = lower_gram(&rows.view()) / n.max(1) as f64;
@@ -238,7 +238,7 @@ fn pivoted_cholesky(a: &Array2<f64>, tolerance: f64) -> (Vec<usize>, Vec<Vec<f64
 }
 
 /// Training vectors minus the mean of their label.
-pub struct Residuals {
+pub(crate) struct Residuals {
     pub counts: Vec<f64>,
     /// Mean of each label, shape (labels, D).
     pub means: Array2<f64>,
@@ -248,7 +248,7 @@ pub struct Residuals {
 
 impl Residuals {
     /// The residuals of `rows`; `labels` gives the label of each row.
-    pub fn new(rows: &Array2<f32>, labels: &[usize]) -> Self {
+    pub(crate) fn new(rows: &Array2<f32>, labels: &[usize]) -> Self {
         let count = labels.iter().max().map_or(0, |last| last + 1);
         let mut counts = vec![0.0; count];
         let mut means = Array2::<f64>::zeros((count, rows.ncols()));
@@ -267,13 +267,13 @@ impl Residuals {
     }
 
     /// Σ r·rᵀ over the rows; only the lower triangle is filled.
-    pub fn scatter(&self) -> Array2<f64> {
+    pub(crate) fn scatter(&self) -> Array2<f64> {
         lower_gram(&self.rows.view())
     }
 }
 
 /// Eigenvalues and eigenvectors of a small symmetric matrix.
-pub struct EigenPairs {
+pub(crate) struct EigenPairs {
     n: usize,
     values: Vec<f64>,
     /// One eigenvector a column, shape (n, n).
@@ -283,7 +283,7 @@ pub struct EigenPairs {
 impl EigenPairs {
     /// Decomposes a matrix of shape (n, n), given row by row, with cyclic Jacobi rotations (Golub &
     /// Van Loan, §8.5). They suit small n.
-    pub fn new(mut a: Vec<f64>, n: usize) -> Self {
+    pub(crate) fn new(mut a: Vec<f64>, n: usize) -> Self {
         /// Sweeps converge quadratically; ten are plenty.
         const SWEEPS: usize = 30;
         let mut vectors = vec![0.0; n * n];
@@ -307,7 +307,7 @@ impl EigenPairs {
     }
 
     /// The matrix with the same eigenvectors and the eigenvalues `f`(λ), row by row.
-    pub fn map(&self, f: impl Fn(f64) -> f64) -> Vec<f64> {
+    pub(crate) fn map(&self, f: impl Fn(f64) -> f64) -> Vec<f64> {
         let (n, v) = (self.n, &self.vectors);
         let values: Vec<f64> = self.values.iter().map(|&x| f(x)).collect();
         let entry = |k: usize| {
@@ -320,7 +320,7 @@ impl EigenPairs {
 
 /// Appends the upper triangle of a symmetric matrix of shape (n, n). Off-diagonal values are
 /// multiplied by √2, so that distances between such lists are Frobenius distances of matrices.
-pub fn push_upper(matrix: &[f64], n: usize, vector: &mut Vec<f32>) {
+pub(crate) fn push_upper(matrix: &[f64], n: usize, vector: &mut Vec<f32>) {
     for row in 0..n {
         for column in row..n {
             let factor = if row == column { 1.0 } else { std::f64::consts::SQRT_2 };

@@ -14,9 +14,9 @@
 //! margin is the log of the odds. Only the band of a source's configuration is used.
 
 mod band_sums;
-pub mod calibrated_probability;
+pub(crate) mod calibrated_probability;
 mod copies;
-pub mod discriminant;
+pub(crate) mod discriminant;
 mod follower;
 mod fourier;
 pub(super) mod frames;
@@ -24,7 +24,7 @@ mod joint;
 pub(super) mod labels;
 mod lanes;
 mod left_out;
-pub mod linear;
+pub(crate) mod linear;
 mod model;
 mod moments;
 mod packed;

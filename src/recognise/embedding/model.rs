@@ -60,7 +60,7 @@ pub(super) struct Posterior {
 
 impl Posterior {
     /// Index of the most probable surface; the first index in a tie.
-    pub fn best(&self) -> usize {
+    pub(super) fn best(&self) -> usize {
         let mut best = 0;
         for (i, p) in self.log_posterior.iter().enumerate() {
             if *p > self.log_posterior[best] {

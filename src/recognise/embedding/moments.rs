@@ -17,10 +17,10 @@ const LAGS: usize = 4;
 const FLOOR: f64 = 1e-9;
 
 /// Number of statistics of one channel, see [`Statistics::moments`].
-pub const MOMENTS: usize = 9;
+pub(super) const MOMENTS: usize = 9;
 
 /// Indices of ln deviation and ln drift, the statistics that depend on gain.
-pub const LOUDNESS: [usize; 2] = [0, 8];
+pub(super) const LOUDNESS: [usize; 2] = [0, 8];
 
 /// The sums of a channel, in the order in which they are stored. `Root` is Σ √|x − m|.
 #[derive(Clone, Copy)]
@@ -181,7 +181,7 @@ pub struct Statistics {
 }
 
 #[derive(Clone, Debug)]
-pub struct GrowingMoments {
+pub(super) struct GrowingMoments {
     block: usize,
     /// The mean of the first block; `None` until that block is complete.
     reference: Option<Vec<f32>>,
@@ -194,13 +194,13 @@ pub struct GrowingMoments {
 
 impl GrowingMoments {
     /// Starts without samples; blocks hold `block` samples a channel.
-    pub fn new(channels: usize, block: usize) -> Self {
+    pub(super) fn new(channels: usize, block: usize) -> Self {
         let sums = Sums::new(channels);
         Self { block, reference: None, before: Vec::new(), pending: Vec::new(), sums }
     }
 
     /// Adds interleaved samples.
-    pub fn extend(&mut self, samples: &[f32]) {
+    pub(super) fn extend(&mut self, samples: &[f32]) {
         let channels = self.sums.channels;
         let size = self.block * channels;
         self.pending.extend_from_slice(samples);
@@ -217,7 +217,7 @@ impl GrowingMoments {
         self.pending = blocks.remainder().to_vec();
     }
 
-    pub fn so_far(&self) -> Moments {
+    pub(super) fn so_far(&self) -> Moments {
         let channels = self.sums.channels;
         let reference = self.reference.clone().unwrap_or_else(|| means(&self.pending, channels));
         let mut sums = self.sums.clone();
@@ -228,7 +228,7 @@ impl GrowingMoments {
     }
 
     /// The exact moments of a finished series; `samples` must be the whole series.
-    pub fn whole(&self, samples: &[f32]) -> Moments {
+    pub(super) fn whole(&self, samples: &[f32]) -> Moments {
         let channels = self.sums.channels;
         let mut moments = self.so_far();
         // The other sums leave out gaps. These do not, so they are scaled to the same length.
@@ -263,7 +263,7 @@ fn held(x: f64) -> f32 {
 }
 
 /// The mean of each channel of interleaved samples.
-pub fn means(samples: &[f32], channels: usize) -> Vec<f32> {
+pub(super) fn means(samples: &[f32], channels: usize) -> Vec<f32> {
     let frames = (samples.len() / channels).max(1) as f64;
     let mean = |c: usize| {
         let sum: f64 = samples.iter().skip(c).step_by(channels).map(|&x| f64::from(x)).sum();

@@ -55,30 +55,30 @@ fn numbers<const N: usize, T, E: Error>(
 }
 
 /// A list of 16-bit numbers.
-pub mod list {
+pub(super) mod list {
     use super::*;
 
-    pub fn serialize<S: Serializer>(values: &[i16], to: S) -> Result<S::Ok, S::Error> {
+    pub(crate) fn serialize<S: Serializer>(values: &[i16], to: S) -> Result<S::Ok, S::Error> {
         let bytes: Vec<_> = values.iter().map(|x| x.to_le_bytes()).collect();
         Bytes(bytes.into_flattened()).serialize(to)
     }
 
-    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<i16>, D::Error> {
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<i16>, D::Error> {
         numbers(<&[u8]>::deserialize(from)?, i16::from_le_bytes)
     }
 }
 
 /// A matrix, row by row.
-pub mod matrix {
+pub(super) mod matrix {
     use super::*;
     use ndarray::Array2;
 
-    pub fn serialize<S: Serializer>(matrix: &Array2<f32>, to: S) -> Result<S::Ok, S::Error> {
+    pub(crate) fn serialize<S: Serializer>(matrix: &Array2<f32>, to: S) -> Result<S::Ok, S::Error> {
         let bytes: Vec<_> = matrix.iter().map(|x| x.to_le_bytes()).collect();
         (matrix.dim(), Bytes(bytes.into_flattened())).serialize(to)
     }
 
-    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Array2<f32>, D::Error> {
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Array2<f32>, D::Error> {
         let (shape, bytes) = <((usize, usize), &[u8])>::deserialize(from)?;
         let matrix = Array2::from_shape_vec(shape, numbers(bytes, f32::from_le_bytes)?);
         matrix.map_err(D::Error::custom)

@@ -20,16 +20,21 @@ pub(super) struct PictureEmbedder {
 
 impl PictureEmbedder {
     /// Takes means and deviations from the counted tiles of pictures, at least one.
-    pub fn new(pictures: &[Counts]) -> Self {
+    pub(super) fn new(pictures: &[Counts]) -> Self {
         Self { tiles: ViewEmbedder::new(pictures) }
     }
 
-    pub fn dims(&self) -> usize {
+    pub(super) fn dims(&self) -> usize {
         self.tiles.dims() + 4 * CHANNELS + STACKED * (STACKED + 1)
     }
 
     /// The vector of a picture or of one quarter, as if its pixels were multiplied by e^`ln_gain`.
-    pub fn vector(&self, picture: &PictureTiles, quarter: Option<usize>, ln_gain: f64) -> Vec<f32> {
+    pub(super) fn vector(
+        &self,
+        picture: &PictureTiles,
+        quarter: Option<usize>,
+        ln_gain: f64,
+    ) -> Vec<f32> {
         let mut vector = Vec::with_capacity(self.dims());
         self.tiles.push(&picture.counts(quarter), ln_gain, &mut vector);
         let statistics = picture.statistics(quarter);

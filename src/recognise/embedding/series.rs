@@ -42,7 +42,7 @@ pub(super) struct SeriesEmbedder {
 impl SeriesEmbedder {
     /// Takes means and deviations from `trials` of a library, at least one. `band_hz` is the band in
     /// which they are compared; `None` if no band is configured.
-    pub fn new(trials: &[&SeriesFrames], band_hz: Option<(f64, f64)>) -> Self {
+    pub(super) fn new(trials: &[&SeriesFrames], band_hz: Option<(f64, f64)>) -> Self {
         let views = trials[0].views.clone();
         let embedder = |view: usize| {
             let counts: Vec<Counts> = (trials.par_iter())
@@ -66,12 +66,12 @@ impl SeriesEmbedder {
     }
 
     /// Whether a channel is constant in the library and compared by its level, like a switch.
-    pub fn has_switch(&self) -> bool {
+    pub(super) fn has_switch(&self) -> bool {
         self.all_frequencies && (0..self.channels()).any(|channel| !self.moves(channel))
     }
 
     /// Whether a channel varies in most trials of the library.
-    pub fn moves(&self, channel: usize) -> bool {
+    pub(super) fn moves(&self, channel: usize) -> bool {
         self.deviations.get(channel).is_none_or(|&deviation| deviation > STILL)
     }
 
@@ -79,7 +79,7 @@ impl SeriesEmbedder {
         self.deviations.len()
     }
 
-    pub fn dims(&self) -> usize {
+    pub(super) fn dims(&self) -> usize {
         let channels = self.channels();
         let bands = self.frames[0].dims() + self.frames[1].dims();
         if !self.all_frequencies {
@@ -93,13 +93,13 @@ impl SeriesEmbedder {
     }
 
     /// The vector of a series or a copy at `rate_hz`, as if multiplied by a gain of e^`ln_gain`.
-    pub fn embed(&self, piece: &Piece, rate_hz: f64, ln_gain: f64) -> Vec<f32> {
+    pub(super) fn embed(&self, piece: &Piece, rate_hz: f64, ln_gain: f64) -> Vec<f32> {
         let sums = [0, 1].map(|view| counted(&self.views.0[view], &piece.frames[view]));
         self.vector(&sums, &piece.moments, rate_hz, ln_gain)
     }
 
     /// The vector of a series, or of a part of it, from its sums.
-    pub fn vector(
+    pub(super) fn vector(
         &self,
         views: &[BandSums; 2],
         moments: &Moments,

@@ -20,7 +20,7 @@ use super::lanes::{chunks, dot, powers};
 use super::packed::PackedFrames;
 use crate::trial::Image;
 
-pub const CHANNELS: usize = 3;
+pub(super) const CHANNELS: usize = 3;
 const SIDE: usize = 64;
 const HOP: usize = SIDE / 2;
 /// Number of tiles in a column of tiles, and in a row.
@@ -39,7 +39,7 @@ const REACH: usize = 16;
 /// Step between the rows of pixels that enter the covariance.
 const ROW_STEP: usize = 4;
 /// Number of channels of all displaced pixels together.
-pub const STACKED: usize = CHANNELS * DISPLACED.len();
+pub(super) const STACKED: usize = CHANNELS * DISPLACED.len();
 
 /// A picture, reduced to its tiles and its statistics.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

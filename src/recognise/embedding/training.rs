@@ -44,7 +44,7 @@ pub(super) struct Training {
 impl Training {
     /// Embeds a library, and sets the scales and bases of `joint`. Frees the copies, which take most of
     /// the memory, unless other folds share the trials.
-    pub fn new(
+    pub(super) fn new(
         joint: &mut JointEmbedder,
         library: &mut [Arc<TrialFrames>],
         labels: &Labels,
@@ -74,7 +74,7 @@ impl Training {
     }
 
     /// Checks stored training vectors; `None` if they do not fit these labels or `dims` features.
-    pub fn restored(self, labels: &Labels, dims: usize) -> Option<Self> {
+    pub(super) fn restored(self, labels: &Labels, dims: usize) -> Option<Self> {
         let Self { rows, present, shrinkage, .. } = self;
         let trials = labels.class.len();
         let fits = present.len() == trials && rows.dim() == (trials * (1 + COPIES), dims);
@@ -136,16 +136,16 @@ impl Training {
         if shrinkage.is_nan() { SHRINKAGE.1 } else { shrinkage.clamp(SHRINKAGE.0, SHRINKAGE.1) }
     }
 
-    pub fn whole(&self, trial: usize) -> ArrayView1<'_, f32> {
+    pub(super) fn whole(&self, trial: usize) -> ArrayView1<'_, f32> {
         self.rows.row(trial)
     }
 
-    pub fn excerpts(&self, trial: usize) -> impl Iterator<Item = ArrayView1<'_, f32>> {
+    pub(super) fn excerpts(&self, trial: usize) -> impl Iterator<Item = ArrayView1<'_, f32>> {
         let first = self.present.len() + trial * COPIES;
         (first..first + EXCERPTS).map(|row| self.rows.row(row))
     }
 
-    pub fn class_mean(&self, labels: &Labels, class: usize) -> Array1<f32> {
+    pub(super) fn class_mean(&self, labels: &Labels, class: usize) -> Array1<f32> {
         let members: Vec<usize> =
             (0..labels.class.len()).filter(|&i| labels.class[i] == class).collect();
         let sum = self.rows.select(Axis(0), &members).sum_axis(Axis(0));
@@ -155,7 +155,7 @@ impl Training {
     /// Discriminants for the sources that are `present`: trained on all trials, and without each
     /// group. An entry is `None` if the remaining trials are too few or all alike. If not even all
     /// trials can train a discriminant, the first one gives plain distances to the class means.
-    pub fn discriminants(
+    pub(super) fn discriminants(
         &self,
         joint: &JointEmbedder,
         present: &Present,

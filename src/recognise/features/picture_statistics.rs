@@ -13,7 +13,7 @@ const TEXTURES: usize = 5;
 
 /// Colour statistics, then texture statistics for each of [`STEPS`]. Hue is an angle, so its cosine
 /// and sine are used; both are weighted by saturation, since grey has no hue.
-pub fn features(image: &Image) -> Vec<f64> {
+pub(crate) fn features(image: &Image) -> Vec<f64> {
     let mut grey = Vec::with_capacity(Image::ROWS * Image::COLS);
     let mut columns: [Vec<f64>; 5] = Default::default();
     for rgb in image.rgb().chunks_exact(3) {

@@ -14,7 +14,7 @@ const PARTS: usize = 16;
 const FLOOR: f64 = 1e-9;
 
 /// The features of each channel in time, then the spectrum.
-pub fn features(series: &Series, domain: &Domain) -> Vec<f64> {
+pub(crate) fn features(series: &Series, domain: &Domain) -> Vec<f64> {
     let mut features = Vec::new();
     for channel in 0..series.channels() {
         let values: Vec<f64> = series.channel(channel).collect();

@@ -206,7 +206,7 @@ fn mean(samples: &[f32]) -> f32 {
 }
 
 /// Sum of the samples, by eight sums in f64, so that no addition waits for the one before.
-pub fn sum(samples: &[f32]) -> f64 {
+pub(crate) fn sum(samples: &[f32]) -> f64 {
     let mut lanes = [0f64; 8];
     let (chunks, rest) = samples.as_chunks::<8>();
     for chunk in chunks {

@@ -12,13 +12,13 @@ mod sample_set;
 mod sampling;
 mod score;
 
-pub use model::{ReferenceModel, STAGES, Stage};
-pub use prepared_trial::PreparedTrial;
-pub(super) use prepared_trial::{SampledSource, shared_sources};
+pub(super) use model::ReferenceModel;
+pub use model::{STAGES, Stage};
+pub(super) use prepared_trial::{PreparedTrial, SampledSource, shared_sources};
 pub use sample_set::{SampleSet, Scratch};
 pub use sampling::{DomainSamples, image_grid};
-pub(super) use score::aligned;
-pub use score::{QuerySet, SumPrecision, log_score, score_samples};
+pub use score::{QuerySet, SumPrecision, score_samples};
+pub(super) use score::{aligned, log_score};
 
 use std::sync::Arc;
 
@@ -92,7 +92,7 @@ impl Method for Reference {
     }
 }
 
-pub const NAME: &str = "reference";
+pub(crate) const NAME: &str = "reference";
 
 /// How sample positions are drawn: once for the whole library, or for each pair of trials.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]

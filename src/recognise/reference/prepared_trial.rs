@@ -157,7 +157,7 @@ impl PreparedTrial {
 ///
 /// # Errors
 /// If there is no shared source, or if a shared source has different rates.
-pub fn shared_sources<'a>(
+pub(crate) fn shared_sources<'a>(
     scene: &'a Scene,
     query: &PreparedTrial,
     library: &[Arc<PreparedTrial>],

@@ -12,13 +12,13 @@ use crate::kernel::{CrossSums, LineSum, Points, length_scale, mmd2_biased, mmd2_
 ///
 /// Identical trials score 0, which would make the whole product of Eq. 9 zero. Rounding in f64 leaves
 /// an error of about 1e-13 in n·MMD² at n = 400, far below this floor.
-pub const SCORE_FLOOR: f64 = 1e-10;
+pub(super) const SCORE_FLOOR: f64 = 1e-10;
 
 /// Scores below this are summed again in f64, since cancellation in f32 spoils their ratios.
 const F64_BELOW: f64 = 0.05;
 
 /// ln of a score, floored at [`SCORE_FLOOR`].
-pub fn log_score(score: f64) -> f64 {
+pub(crate) fn log_score(score: f64) -> f64 {
     score.max(SCORE_FLOOR).ln()
 }
 
@@ -51,7 +51,7 @@ pub fn score_samples(
 }
 
 /// z, shifted so that its mean is that of y (Eq. 8).
-pub fn aligned(z: ArrayView2<'_, f64>, y: ArrayView2<'_, f64>) -> Array2<f64> {
+pub(crate) fn aligned(z: ArrayView2<'_, f64>, y: ArrayView2<'_, f64>) -> Array2<f64> {
     let mut z = z.to_owned();
     if let (Some(of_y), Some(of_z)) = (y.mean_axis(Axis(0)), z.mean_axis(Axis(0))) {
         z += &(of_y - of_z);

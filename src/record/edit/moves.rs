@@ -26,7 +26,7 @@ pub(super) struct Plan<'a> {
 impl<'a> Plan<'a> {
     /// An empty plan for a library, whose present and removed trials are `entries`. The trials at
     /// the paths in `leaving` are about to move, so their names and numbers are free.
-    pub fn new(root: &'a Path, entries: [&[Entry]; 2], leaving: &HashSet<PathBuf>) -> Self {
+    pub(super) fn new(root: &'a Path, entries: [&[Entry]; 2], leaving: &HashSet<PathBuf>) -> Self {
         let stays = |entry: &&Entry| !entry.places().iter().any(|place| leaving.contains(*place));
         let staying = entries.into_iter().flatten().filter(stays);
         let taken = staying.map(|entry| entry.key.clone()).collect();
@@ -36,7 +36,7 @@ impl<'a> Plan<'a> {
     /// Plans to give a folder's trial the name `wanted`, with another number if that one is taken.
     /// A trial that is a single file goes to the folder of the wanted surface, and keeps its file
     /// name; this fails if no folder can have the surface's name.
-    pub fn rename(
+    pub(super) fn rename(
         &mut self,
         from: &Path,
         was: &TrialKey,
@@ -72,7 +72,7 @@ impl<'a> Plan<'a> {
     }
 
     /// Adds a move of a trial to the removed trials, unless the plan already moves the trial.
-    pub fn remove(&mut self, from: &Path, key: Option<&TrialKey>) {
+    pub(super) fn remove(&mut self, from: &Path, key: Option<&TrialKey>) {
         if !self.folders.contains(from) {
             let to = self.root.join(REMOVED).join(trial_name(self.root, from));
             self.add(from, to, key.cloned(), key.cloned());
@@ -80,7 +80,7 @@ impl<'a> Plan<'a> {
     }
 
     /// Adds the reverse of a move. If the former place is taken, the trial goes beside it.
-    pub fn reverse(&mut self, one: &Move) {
+    pub(super) fn reverse(&mut self, one: &Move) {
         let (from, mut to) = (self.root.join(&one.to), self.root.join(&one.from));
         let keeps = one.from.starts_with(REMOVED) || from.is_file();
         let was = one.was.as_ref().map(|was| match keeps {
@@ -105,7 +105,13 @@ impl<'a> Plan<'a> {
     }
 
     /// Adds a move of a trial to a path or, if it is taken, to a free path beside it, as `NAME-2`.
-    pub fn add(&mut self, from: &Path, to: PathBuf, was: Option<TrialKey>, is: Option<TrialKey>) {
+    pub(super) fn add(
+        &mut self,
+        from: &Path,
+        to: PathBuf,
+        was: Option<TrialKey>,
+        is: Option<TrialKey>,
+    ) {
         let name = to.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let dot = name.rfind('.').filter(|_| from.is_file());
         let (stem, end) = name.split_at(dot.unwrap_or(name.len()));

@@ -90,7 +90,7 @@ pub(super) struct KnownStep {
 
 impl KnownStep {
     /// The moves that a crash cut short, if any; true if they were undoing the step.
-    pub fn left(&self) -> Option<(&[Move], bool)> {
+    pub(super) fn left(&self) -> Option<(&[Move], bool)> {
         match &self.undoing {
             Some(moves) => Some((moves, true)),
             None => (!self.is_done).then_some((&self.step.moves, false)),
@@ -187,7 +187,7 @@ pub(super) struct Steps {
 
 impl Steps {
     /// Waits until no other program has the list of steps open, and opens it.
-    pub fn open(library: &Path) -> Result<Self, LibraryError> {
+    pub(super) fn open(library: &Path) -> Result<Self, LibraryError> {
         let folder = library.join(REMOVED);
         let path = folder.join(STEPS);
         let fail = |error| failed(&path, error);
@@ -201,7 +201,10 @@ impl Steps {
     }
 
     /// Adds lines to the list of steps: all of them or, after an error, none.
-    pub fn add(&mut self, lines: impl IntoIterator<Item = StepLine>) -> Result<(), LibraryError> {
+    pub(super) fn add(
+        &mut self,
+        lines: impl IntoIterator<Item = StepLine>,
+    ) -> Result<(), LibraryError> {
         let lines: Vec<StepLine> = lines.into_iter().collect();
         let is_new = matches!(lines[..], [StepLine::Began(_), ..]);
         if is_new && (self.known.len() >= MOST_STEPS || self.end > MOST_BYTES) {

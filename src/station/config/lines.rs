@@ -61,7 +61,7 @@ const SENSOR: &str = "sensor";
 
 /// The configuration text for a station with only this sensor, from a survey of its lines.
 /// Fails if the sensor's rate cannot be measured, or no column measures.
-pub fn fitting(address: &LinesAddress, survey: &Survey) -> Result<String, String> {
+pub(crate) fn fitting(address: &LinesAddress, survey: &Survey) -> Result<String, String> {
     // The name consists of letters only, so it is a valid id.
     let id = SourceId::new(SENSOR).expect("letters name a source");
     let Some(stream) = survey.stream(id) else {

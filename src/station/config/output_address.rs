@@ -64,13 +64,13 @@ impl std::fmt::Display for HttpAddress {
 }
 
 /// Whether a text is valid as one segment of a topic on every broker.
-pub fn is_segment(text: &str) -> bool {
+pub(crate) fn is_segment(text: &str) -> bool {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
     (1..=64).contains(&text.len()) && text.chars().all(plain)
 }
 
 /// The default name of a station, which is the name of its machine.
-pub fn machine_name() -> String {
+pub(crate) fn machine_name() -> String {
     let name = std::fs::read_to_string("/proc/sys/kernel/hostname")
         .or_else(|_| std::env::var("COMPUTERNAME"))
         .unwrap_or_default();

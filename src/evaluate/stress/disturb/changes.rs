@@ -13,12 +13,12 @@ use crate::trial::{Image, Series, Signal, Trial};
 const FORCE_POWER: f64 = 0.7;
 
 /// Multiplies every analog series by a factor, like a higher gain of all amplifiers.
-pub fn gain(x: f64, _: ChannelSpread, factor: f64) -> f64 {
+pub(super) fn gain(x: f64, _: ChannelSpread, factor: f64) -> f64 {
     factor * x
 }
 
 /// Presses harder: loads grow by a factor, vibrations less, and reflectance stays the same.
-pub fn force(spec: &SourceSpec, series: &mut Series, factor: f64, _: &mut ChaCha8Rng) {
+pub(super) fn force(spec: &SourceSpec, series: &mut Series, factor: f64, _: &mut ChaCha8Rng) {
     let gain = match spec.id.as_str() {
         "ir" => 1.0,
         "fr" => factor,
@@ -28,18 +28,18 @@ pub fn force(spec: &SourceSpec, series: &mut Series, factor: f64, _: &mut ChaCha
 }
 
 /// Adds a constant to each channel; the level is in standard deviations of the channel.
-pub fn offset(x: f64, spread: ChannelSpread, level: f64) -> f64 {
+pub(super) fn offset(x: f64, spread: ChannelSpread, level: f64) -> f64 {
     x + level * spread.deviation
 }
 
 /// Clips each channel at a distance from its mean: level · (peak − |mean|).
-pub fn saturation(x: f64, spread: ChannelSpread, share: f64) -> f64 {
+pub(super) fn saturation(x: f64, spread: ChannelSpread, share: f64) -> f64 {
     let limit = share * (spread.peak - spread.mean.abs()).max(spread.deviation);
     spread.mean + (x - spread.mean).clamp(-limit, limit)
 }
 
 /// Rounds to a number of bits, with the channel's largest magnitude as full scale.
-pub fn quantisation(x: f64, spread: ChannelSpread, bits: f64) -> f64 {
+pub(super) fn quantisation(x: f64, spread: ChannelSpread, bits: f64) -> f64 {
     let step = 2.0 * spread.peak / bits.exp2();
     if step > 0.0 { (x / step).round() * step } else { x }
 }
@@ -51,7 +51,7 @@ const IN_THE_AIR: f64 = 0.02;
 
 /// The stylus sticks and slips five times a second: at each slip, every signal of the drag loses a
 /// share of its strength, which is the level, and then swells again.
-pub fn stick_slip(spec: &SourceSpec, series: &mut Series, depth: f64, _: &mut ChaCha8Rng) {
+pub(super) fn stick_slip(spec: &SourceSpec, series: &mut Series, depth: f64, _: &mut ChaCha8Rng) {
     if spec.sigma.is_some() {
         return;
     }
@@ -65,7 +65,7 @@ pub fn stick_slip(spec: &SourceSpec, series: &mut Series, depth: f64, _: &mut Ch
 
 /// The stylus leaves the surface for 100 ms at a time, in all sources at once. The level is the mean
 /// share of the drag in the air.
-pub fn lift_offs(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaCha8Rng) {
+pub(super) fn lift_offs(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaCha8Rng) {
     let pieces = (trial.longest_s(|_| true).unwrap_or(0.0) / LIFT_S).ceil() as usize;
     let up: Vec<bool> = (0..pieces).map(|_| uniform(rng) < level).collect();
     for (id, signal) in &mut trial.signals {
@@ -81,7 +81,7 @@ pub fn lift_offs(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut 
 }
 
 /// Makes sensors dead, as many as the level says: series become zeros, and pictures black.
-pub fn dead(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaCha8Rng) {
+pub(super) fn dead(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaCha8Rng) {
     for signal in picked(trial, touches, level, rng) {
         match signal {
             Signal::Series(series) => series.view_mut().fill(0.0),
@@ -91,7 +91,7 @@ pub fn dead(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaCh
 }
 
 /// Makes sensors stuck, as many as the level says: a series repeats its first value.
-pub fn stuck(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaCha8Rng) {
+pub(super) fn stuck(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaCha8Rng) {
     for signal in picked(trial, touches, level, rng) {
         if let Signal::Series(series) = signal {
             let first = series.view().row(0).to_owned();
@@ -101,7 +101,7 @@ pub fn stuck(trial: &mut Trial, touches: Touches<'_>, level: f64, rng: &mut ChaC
 }
 
 /// Rotates the channels by the level: if it is 1, the second takes the place of the first, and so on.
-pub fn swapped(_: &SourceSpec, series: &mut Series, by: f64, _: &mut ChaCha8Rng) {
+pub(super) fn swapped(_: &SourceSpec, series: &mut Series, by: f64, _: &mut ChaCha8Rng) {
     for mut row in series.view_mut().rows_mut() {
         if let Some(row) = row.as_slice_mut() {
             let by = by as usize % row.len();
@@ -130,7 +130,7 @@ fn picked<'t>(
 const GAP_S: f64 = 0.05;
 
 /// Drops exactly a share of the frames, at random places; later frames move up.
-pub fn dropped(_: &SourceSpec, series: &mut Series, share: f64, rng: &mut ChaCha8Rng) {
+pub(super) fn dropped(_: &SourceSpec, series: &mut Series, share: f64, rng: &mut ChaCha8Rng) {
     let mut left = series.frames();
     let mut wanted = ((1.0 - share) * left as f64).round() as usize;
     // Selection sampling (Knuth, The Art of Computer Programming 2, 3.4.2, algorithm S).
@@ -146,7 +146,7 @@ pub fn dropped(_: &SourceSpec, series: &mut Series, share: f64, rng: &mut ChaCha
 }
 
 /// Holds the last value during gaps of 50 ms; the level is the mean share of time in gaps.
-pub fn gaps(_: &SourceSpec, series: &mut Series, share: f64, rng: &mut ChaCha8Rng) {
+pub(super) fn gaps(_: &SourceSpec, series: &mut Series, share: f64, rng: &mut ChaCha8Rng) {
     let (channels, piece) = (series.channels(), (GAP_S * series.rate_hz()).ceil() as usize);
     let mut samples = series.samples().to_vec();
     for start in (piece..series.frames()).step_by(piece.max(1)) {
@@ -162,19 +162,19 @@ pub fn gaps(_: &SourceSpec, series: &mut Series, share: f64, rng: &mut ChaCha8Rn
 }
 
 /// Makes the clock wrong by the level, in percent, so that pitch and length change.
-pub fn clock(_: &SourceSpec, series: &mut Series, percent: f64, _: &mut ChaCha8Rng) {
+pub(super) fn clock(_: &SourceSpec, series: &mut Series, percent: f64, _: &mut ChaCha8Rng) {
     stretch(series, 1.0 + percent / 100.0);
 }
 
 /// Keeps only the first seconds of the drag; the level is their number.
-pub fn short(_: &SourceSpec, series: &mut Series, seconds: f64, _: &mut ChaCha8Rng) {
+pub(super) fn short(_: &SourceSpec, series: &mut Series, seconds: f64, _: &mut ChaCha8Rng) {
     let frames = (seconds * series.rate_hz()).round() as usize;
     *series = series.crop(0, frames);
 }
 
 /// Moves the hand slower by a factor, the level, in a scan of the same length. So the time between
 /// independent samples is longer than T* by that factor.
-pub fn slow(_: &SourceSpec, series: &mut Series, factor: f64, _: &mut ChaCha8Rng) {
+pub(super) fn slow(_: &SourceSpec, series: &mut Series, factor: f64, _: &mut ChaCha8Rng) {
     let frames = series.frames();
     *series = series.crop(0, (frames as f64 / factor).ceil() as usize);
     stretch(series, 1.0 / factor);
@@ -205,19 +205,19 @@ const HUM_HZ: [f64; 3] = [50.0, 100.0, 150.0];
 const HUM_SHARE: f64 = 0.2;
 
 /// Adds white noise; the level is the ratio of the signal's deviation to the noise's, in dB.
-pub fn white(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
+pub(super) fn white(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
     add(series, db, rng, |rng, frames, _| {
         (0..frames).map(|_| f64::from(nearly_normal(rng))).collect()
     });
 }
 
 /// Adds noise that is strongest at low frequencies, as from handling, cables and drift.
-pub fn red(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
+pub(super) fn red(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
     add(series, db, rng, red_noise);
 }
 
 /// Adds room noise to the microphone's sources: red noise that swells and fades, and hum.
-pub fn room(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
+pub(super) fn room(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
     add(series, db, rng, room_noise);
 }
 
@@ -266,19 +266,19 @@ fn add(
 }
 
 /// Darkens pictures by a factor; dark areas lose detail to rounding.
-pub fn dark(rgb: &[u8], factor: f64) -> Vec<u8> {
+pub(super) fn dark(rgb: &[u8], factor: f64) -> Vec<u8> {
     rgb.iter().map(|&x| (f64::from(x) * factor).round() as u8).collect()
 }
 
 /// Makes the light warmer, in that the ratio of red to blue grows by a factor.
-pub fn tint(rgb: &[u8], ratio: f64) -> Vec<u8> {
+pub(super) fn tint(rgb: &[u8], ratio: f64) -> Vec<u8> {
     let gains = [ratio.sqrt(), 1.0, 1.0 / ratio.sqrt()];
     let channel = |(i, &x): (usize, &u8)| (f64::from(x) * gains[i % 3]).round() as u8;
     rgb.iter().enumerate().map(channel).collect()
 }
 
 /// Shifts pictures by the level, in pixels, along rows and columns, cyclically.
-pub fn shift(rgb: &[u8], pixels: f64) -> Vec<u8> {
+pub(super) fn shift(rgb: &[u8], pixels: f64) -> Vec<u8> {
     let width = Image::COLS * 3;
     let mut moved = rgb.to_vec();
     moved.rotate_left(pixels as usize % Image::ROWS * width);
@@ -289,7 +289,7 @@ pub fn shift(rgb: &[u8], pixels: f64) -> Vec<u8> {
 }
 
 /// Blurs pictures. A pixel becomes the mean over a square that extends `radius` pixels to each side.
-pub fn blur(rgb: &[u8], radius: f64) -> Vec<u8> {
+pub(super) fn blur(rgb: &[u8], radius: f64) -> Vec<u8> {
     let radius = radius as usize;
     let across = blur_lines(rgb, Image::ROWS, Image::COLS, Image::COLS * 3, 3, radius);
     blur_lines(&across, Image::COLS, Image::ROWS, 3, Image::COLS * 3, radius)

@@ -15,7 +15,7 @@ use crate::seed::uniform;
 use crate::trial::{Image, Series, Signal, Trial};
 
 /// The description of a source that a disturbance touches; `None` for other sources.
-pub type Touches<'a> = &'a dyn Fn(&SourceId) -> Option<&'a SourceSpec>;
+pub(crate) type Touches<'a> = &'a dyn Fn(&SourceId) -> Option<&'a SourceSpec>;
 
 /// How a disturbance changes what it touches in a query, or how it changes the library. The numbers
 /// are levels.
@@ -213,7 +213,7 @@ impl ChannelSpread {
 }
 
 /// Keeps at most `most` trials of each surface, picked at random.
-pub fn few(library: Vec<Entry>, most: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
+pub(crate) fn few(library: Vec<Entry>, most: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
     let mut drawn: Vec<(f64, Entry)> =
         library.into_iter().map(|entry| (uniform(rng), entry)).collect();
     drawn.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -227,7 +227,7 @@ pub fn few(library: Vec<Entry>, most: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
 }
 
 /// Gives about a `share` of the trials the name of another surface.
-pub fn mislabelled(mut library: Vec<Entry>, share: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
+pub(crate) fn mislabelled(mut library: Vec<Entry>, share: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
     let mut surfaces: Vec<String> = library.iter().map(|e| e.key.surface.clone()).collect();
     surfaces.sort();
     surfaces.dedup();
@@ -244,7 +244,7 @@ pub fn mislabelled(mut library: Vec<Entry>, share: f64, rng: &mut ChaCha8Rng) ->
 }
 
 /// Adds a twin of every surface: the surface's own trials at a pitch `percent` % higher.
-pub fn twins(mut library: Vec<Entry>, percent: f64, _: &mut ChaCha8Rng) -> Vec<Entry> {
+pub(crate) fn twins(mut library: Vec<Entry>, percent: f64, _: &mut ChaCha8Rng) -> Vec<Entry> {
     let twin = |entry: &Entry| {
         let mut twin = entry.clone().changed(move |mut trial: Trial| {
             for signal in trial.signals.values_mut() {

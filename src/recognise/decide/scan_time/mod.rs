@@ -26,7 +26,7 @@ use crate::recognise::follow::LOOK_S;
 const RATIO: f64 = 1.15;
 
 /// The looks (steps of 0.1 s, counted from 1) at which a trial of `scan_s` seconds is named.
-pub fn looked_after(scan_s: f64) -> impl Iterator<Item = usize> {
+pub(crate) fn looked_after(scan_s: f64) -> impl Iterator<Item = usize> {
     let last = looks_in(scan_s);
     let next = |&look: &usize| Some((look + 1).max((look as f64 * RATIO) as usize));
     std::iter::successors(Some(1), next).take_while(move |look| *look <= last)
@@ -34,7 +34,7 @@ pub fn looked_after(scan_s: f64) -> impl Iterator<Item = usize> {
 
 /// The people and surfaces of a library.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct LibraryCounts {
+pub(crate) struct LibraryCounts {
     pub people: usize,
     /// Whether all trials of each person were left out together, one person at a time.
     pub across_people: bool,
