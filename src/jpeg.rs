@@ -10,7 +10,6 @@ use crate::trial::Image;
 /// Quality of all JPEG files written, from 1 to 100. The files are for viewing, not for comparing.
 const QUALITY: u8 = 80;
 
-/// Encodes a picture as a JPEG file.
 pub(crate) fn encode(image: &Image) -> ImageResult<Vec<u8>> {
     encode_rgb(image.rgb(), (Image::COLS as u32, Image::ROWS as u32))
 }

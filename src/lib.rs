@@ -56,8 +56,7 @@
 //! from these pages: the command line, the drivers, and the parts that only the project's tests and
 //! tools use. In the recording format, and in JSON below `/api/v1`, fields are only ever added.
 
-#![warn(missing_docs)]
-#![warn(unreachable_pub)]
+#![cfg_attr(not(test), warn(unreachable_pub))]
 
 // Lets helpers in tests/common, which unit tests include too, name this crate `surfaced`.
 #[cfg(test)]

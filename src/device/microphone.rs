@@ -250,7 +250,6 @@ const LIMIT: f32 = 0.99;
 /// Number of consecutive samples at a limit from which on sound counts as clipped.
 const RUN: usize = 3;
 
-/// Watches the level of one channel with full scale ±1.
 #[derive(Clone, Debug, Default)]
 struct LevelWatch {
     /// Number of samples in the present window, and the lowest and highest of them.

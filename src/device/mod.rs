@@ -5,8 +5,6 @@
 //! buffer per stream. Through its [`DeviceLink`], it reports its state, and the marks where scans
 //! begin and end. Nothing downstream can tell a recording from a sensor.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 #[doc(hidden)]
 pub mod camera;
 #[doc(hidden)]
@@ -114,7 +112,6 @@ pub enum DeviceReportKind {
     Mark(Mark),
     /// The rate in Hz measured for all streams of the device; sent before the first frame.
     Rate(f64),
-    /// A problem that did not stop the device.
     Warning(String),
     /// The result of the device's thread, which has ended; sent by the session.
     Ended(Result<(), DeviceError>),

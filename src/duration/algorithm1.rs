@@ -87,7 +87,6 @@ impl Default for Algorithm1Settings {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct CurvePoint {
     pub lag: usize,
-    /// Mean of HSIC_b over the draws.
     pub hsic_mean: f64,
     /// Lower end of the two-sided (1 − α) interval of `hsic_mean`.
     pub hsic_low: f64,

@@ -31,8 +31,6 @@
 //! in 14 of 20 cases. If dependence falls slowly, a small error moves the crossing of the threshold
 //! far. `tools/charts/duration-study` measures both, and keeps the tables beside it.
 
-#![allow(missing_docs)] // Some names say enough.
-
 mod algorithm1;
 mod figure;
 mod online;

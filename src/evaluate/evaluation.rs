@@ -105,7 +105,6 @@ pub struct Run<'a, 'm> {
 
 pub struct Query {
     pub prepared: Prepared,
-    /// The sources that were left out, and why.
     pub left_out: Vec<String>,
     /// The moment when the query's raw samples were in memory and preparation began.
     pub started: Instant,

@@ -5,8 +5,6 @@
 //! detection of unknown surfaces, and [`EnrolmentOutcome`] the gain from enrolling. `chart`,
 //! `plan`, `stress` and `paper` each combine many runs for a command.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 mod answers;
 pub(crate) mod chart;
 mod check;

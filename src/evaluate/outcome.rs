@@ -126,7 +126,6 @@ pub struct Outcome {
     pub accuracy_std: f64,
     /// Mean over classes of the precision TP/(TP+FP), taken as 0 for a class that is never the answer.
     pub precision_mean: f64,
-    /// Number of surfaces that could be the answer.
     pub classes: usize,
     /// Surfaces that could be the answer, but have no query.
     pub never_queried: Vec<String>,

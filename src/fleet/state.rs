@@ -12,7 +12,7 @@ use crate::serve::unix_ms;
 const MOST: usize = 1000;
 /// How many recent answers are shown for each station.
 const RECENT: usize = 5;
-/// Answers of this recent time are counted for each station.
+/// The answers of each station are counted over this time.
 const COUNTED: Duration = Duration::from_secs(600);
 /// How long an answer may be on its way before it counts as missing.
 const ON_THEIR_WAY: Duration = Duration::from_secs(10);
@@ -44,7 +44,6 @@ struct Station {
 }
 
 impl Stations {
-    /// The stations of a cache, with their last answers.
     pub(super) fn of(cache: &Cache) -> Self {
         let mut stations = Self::default();
         cache.heads().for_each(|head| stations.answered(&head));

@@ -26,7 +26,6 @@ pub(crate) struct HistoryRow {
     pub correction: Option<Correction>,
     /// The trial of the library that the scan became, as `SURFACE/TRIAL`.
     pub became: Option<String>,
-    /// Whether the signals of the scan are on disk.
     pub kept: bool,
 }
 
@@ -57,7 +56,6 @@ pub(super) struct HistoryState {
 }
 
 impl HistoryState {
-    /// Writes a change to the log, then applies it.
     pub(super) fn change(&mut self, line: LogLine) -> Result<(), HistoryError> {
         let span = self.disk.as_mut().map(|disk| disk.log.append(&json_text(&line))).transpose()?;
         self.take(line, span.unwrap_or_default());

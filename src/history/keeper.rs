@@ -22,7 +22,6 @@ use crate::trial::{Signal, Trial, TrialKey};
 /// How many scans may wait in the queue of each thread. Scans of ten seconds then take some 50 MB.
 const QUEUE: usize = 16;
 
-/// Keeps the scans of a station.
 #[derive(Debug)]
 pub struct Keeper {
     scans: Option<Sender<Arc<AnsweredScan>>>,

@@ -111,7 +111,6 @@ impl Log {
         Ok(Self { _lock: Some(lock), ..Self::open(&folder.join(name), false)? })
     }
 
-    /// Opens the log for reading, and for writing unless `read_only`.
     pub(crate) fn open(path: &Path, read_only: bool) -> Result<Self, HistoryError> {
         let fail = HistoryError::io(path);
         let mut options = OpenOptions::new();

@@ -13,8 +13,6 @@
 //! [`Keeper`] listens to a station and writes its scans; the page and the commands read
 //! [`History`]. Nothing here uses the network.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 mod csv;
 mod entries;
 mod folder;
@@ -65,7 +63,6 @@ pub struct History {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Extent {
     pub scans: usize,
-    /// Number of answers with signals on disk.
     pub with_signals: usize,
     pub bytes: u64,
     /// Limit of the bytes on disk; `None` for a history in memory.
@@ -212,7 +209,6 @@ impl History {
         })
     }
 
-    /// Like [`Self::rows`], as JSON.
     pub(crate) fn values(&self) -> impl Iterator<Item = std::io::Result<Value>> + '_ {
         self.rows().map(|row| Ok(serde_json::to_value(row?)?))
     }

@@ -13,7 +13,6 @@ pub(crate) const WINDOW: usize = 4096;
 /// Lowest rate of a sound that can be listened to.
 const AUDIBLE_HZ: f64 = 8000.0;
 
-/// A trial, small enough to draw.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct TrialView {
     /// The views of all sources that are series, sorted by name.

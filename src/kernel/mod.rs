@@ -3,6 +3,8 @@
 //! Samples are arrays of shape (n, channels), in the order in which they were drawn. Functions do
 //! no I/O, and compute in f64 unless their comments name another type.
 
+#![warn(missing_docs)]
+
 mod hsic;
 mod length_scale;
 mod line;

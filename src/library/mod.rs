@@ -1,7 +1,5 @@
 //! A library: labelled trials that scans are compared with. Trials are read when they are needed.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 pub mod cache;
 pub(crate) mod files;
 pub(crate) mod loader;

@@ -5,6 +5,8 @@
 //! answers that have not arrived. Each is sent after the one before it has arrived.
 //! A receiver recognises a repeated answer by its `id`.
 
+#![warn(missing_docs)]
+
 pub(crate) mod http;
 mod message;
 pub(crate) mod mqtt;
@@ -256,7 +258,6 @@ pub(crate) struct OutputTest {
     pub said: String,
 }
 
-/// Sends one answer to each output of a configuration.
 pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryError> {
     let answer = Answer {
         reasons: vec!["a test of this output, and no scan".into()],

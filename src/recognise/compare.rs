@@ -42,7 +42,6 @@ pub(crate) struct Comparison {
 pub(crate) struct TestOptions {
     /// Number of samples drawn from each source of a trial, n.
     pub samples: usize,
-    /// Number of repetitions, R.
     pub repetitions: usize,
     pub permutations: usize,
     pub alpha: f64,

@@ -42,7 +42,6 @@ pub struct GuessSoFar {
     pub scan_s: f64,
     /// Up to five surfaces with their probabilities, the most probable first.
     pub named: Vec<(String, f64)>,
-    /// The p-value, see [`super::Ranking::p_value`].
     pub p_value: Option<f64>,
     /// The settled answer, if any: its surface, and the scan time at which it was settled.
     pub settled: Option<(String, f64)>,

@@ -10,8 +10,6 @@
 //! likeness. [`Reference`] is the paper's method, exactly; [`Embedding`] is the default; the others of
 //! [`MethodName`] are the paper's comparison classifiers.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 pub(crate) mod classify;
 mod compare;
 mod decide;

@@ -13,7 +13,6 @@ pub struct Candidate {
     pub log_ds: f64,
 }
 
-/// A surface and how unlike the query it is.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct RankedSurface {
     pub surface: String,

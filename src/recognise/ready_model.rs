@@ -25,7 +25,6 @@ pub struct PreparedLibrary {
     pub trials: Vec<Option<Prepared>>,
     /// Problems with the cache, one line of text each. The trials can be used in spite of them.
     pub remarks: Vec<String>,
-    /// Number of trials read from the cache.
     pub from_cache: usize,
 }
 

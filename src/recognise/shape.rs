@@ -50,7 +50,6 @@ impl LibraryShape {
         self.sources.get(id).copied()
     }
 
-    /// Hash of the whole shape.
     pub fn key(&self) -> u64 {
         seed::stable_hash(&[format!("{:?}", self.sources).as_bytes()])
     }

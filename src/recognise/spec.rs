@@ -28,13 +28,11 @@ macro_rules! methods {
                 match self { $(Self::$name => $text,)* }
             }
 
-            /// A short description of the method.
             pub(crate) fn help(self) -> &'static str {
                 match self { $(Self::$name => $help,)* }
             }
         }
 
-        /// A method with its settings.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
         #[serde(tag = "method")]
         pub enum MethodSpec {
@@ -42,7 +40,6 @@ macro_rules! methods {
         }
 
         impl From<MethodName> for MethodSpec {
-            /// The method with its default settings.
             fn from(name: MethodName) -> Self {
                 match name { $(MethodName::$name => Self::$name(<$options>::default()),)* }
             }
@@ -92,11 +89,9 @@ methods! {
 #[serde(deny_unknown_fields)]
 pub struct NoOptions {}
 
-/// Settings of the tree-based methods.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TreeOptions {
-    /// Seed of all random draws.
     pub seed: u64,
 }
 

@@ -3,8 +3,6 @@
 //! A trial is written into a folder that readers skip, and the folder is renamed when it is
 //! complete. So a crash may leave an unfinished folder, but never half a trial.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 pub mod edit;
 pub(crate) mod folder_name;
 #[cfg(feature = "mcap")]

@@ -9,8 +9,6 @@
 //! - `push` never blocks, for sensors that cannot wait, so data that do not fit are lost and counted;
 //! - `push_waiting` waits for room, for sources that can wait, so nothing is lost.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 

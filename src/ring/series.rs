@@ -33,7 +33,6 @@ pub(crate) type ImageTap = RingTap<Arc<Image>>;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Piece<'a, T = f32> {
     Samples(&'a [T]),
-    /// This many frames are missing here.
     Missing(u64),
 }
 

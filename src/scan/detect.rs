@@ -113,8 +113,8 @@ impl Detector {
     }
 }
 
-/// Finds where a tap begins in another stream, which is the first hop in `window` that reaches
-/// `onset` after a hop below `onset`. `levels` holds one level per hop, from hop `first` on.
+/// Finds the hop at which a tap begins in a stream other than the one that detected it: the first hop in
+/// `window` that reaches `onset` after a hop below it. `levels` holds a level per hop, from `first` on.
 pub(crate) fn onset_in(
     levels: &[f64],
     first: u64,

@@ -5,8 +5,6 @@
 //! each on its own thread, and sends [`Event`]s. A [`Scan`] holds the data from the rings; its true
 //! label is kept apart from these.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 pub(crate) mod clock;
 mod collect;
 pub mod detect;

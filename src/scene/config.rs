@@ -13,7 +13,6 @@ struct SceneFile {
     name: Option<String>,
     /// Text for readers of the file; the program ignores it.
     notes: Option<String>,
-    /// Whether a generator made the library.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     synthetic: bool,
     #[serde(default)]

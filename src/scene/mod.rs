@@ -2,8 +2,6 @@
 //!
 //! Module `config` reads and checks a file; the program works with [`Scene`] and [`SourceSpec`].
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 pub(crate) mod config;
 
 pub use config::LibraryToml;

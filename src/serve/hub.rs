@@ -53,7 +53,6 @@ pub(crate) struct HubState {
     latency_s: Histogram,
     subscribers: Subscribers,
     tracer: Tracer,
-    /// The latest picture of each camera stream.
     pub pictures: BTreeMap<SourceId, Arc<Image>>,
     meters: Vec<StreamMeter>,
     enrolls: bool,
@@ -122,7 +121,6 @@ impl HubState {
         }
     }
 
-    /// Updates the state with an event, and publishes the change.
     fn take(&mut self, notice: &StationEvent) {
         let (advice, enrolling) = (self.state.advice.clone(), self.state.enrolling.clone());
         self.state.take(notice);

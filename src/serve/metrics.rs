@@ -51,7 +51,6 @@ pub(super) struct Metrics<'a> {
     pub subscribers: usize,
     /// Number of events that subscribers missed.
     pub dropped: u64,
-    /// Number of events that the server missed.
     pub missed: u64,
     pub outputs: &'a [OutputView],
     /// The share of right answers among those that a person reviewed.

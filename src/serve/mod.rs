@@ -11,8 +11,6 @@
 //!
 //! A subscriber that is slow misses events and is told how many. It never delays other subscribers.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 pub(crate) mod api;
 mod guard;
 mod hub;

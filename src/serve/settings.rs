@@ -32,11 +32,8 @@ pub struct Settings {
     pub library: Option<LibraryFolder>,
     /// The function that audits the library, if the library may be edited.
     pub check: Option<Audit>,
-    /// Past scans.
     pub history: Arc<History>,
-    /// The view of the camera, if there is one.
     pub viewfinder: Option<Viewfinder>,
-    /// The state of each output of answers.
     pub outputs: Vec<OutputHealth>,
 }
 

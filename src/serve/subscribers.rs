@@ -86,7 +86,6 @@ impl EventFilter {
     }
 }
 
-/// Encodes an event as a server-sent event.
 pub(super) fn encode(kind: EventKind, data: &impl Serialize) -> Bytes {
     Bytes::from(format!("event: {}\ndata: {}\n\n", kind.name(), json_text(data)))
 }

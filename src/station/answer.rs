@@ -140,7 +140,6 @@ impl Answer {
         }
     }
 
-    /// The warning that the scan was not named, with the reasons.
     pub(crate) fn not_named(&self) -> String {
         format!("scan {} was not named: {}", self.scan, self.reasons.join("; "))
     }

@@ -5,8 +5,6 @@
 //! or the HTTP API sends a [`Command`]. Listeners and senders know nothing of each other, and
 //! neither can delay a device.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 mod answer;
 mod assemble;
 mod certainty;

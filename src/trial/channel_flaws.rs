@@ -190,7 +190,6 @@ impl ChannelFlaws {
     }
 }
 
-/// Finds the flaws of a series frame by frame.
 #[derive(Clone, Debug)]
 pub struct SeriesFlaws(Vec<ChannelFlaws>);
 

@@ -1,7 +1,5 @@
 //! One recorded interaction with one surface, with all its sources as they came from the sensors.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 mod channel_flaws;
 mod label;
 

@@ -81,7 +81,7 @@ pub(super) fn metal(contact: &Contact<'_>, conducts: bool) -> Vec<f32> {
 
 /// Number of random values in a drag, between which ln of the force changes linearly.
 const DRIFT_KNOTS: usize = 12;
-/// Number of frames in which the gain that the force causes changes linearly.
+/// The gain follows the force, linearly within each block of this many frames.
 const BLOCK: usize = 64;
 
 #[derive(Debug)]

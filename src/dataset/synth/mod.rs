@@ -12,8 +12,6 @@
 //! the paper, and all eight within 3. `cargo run --release --example synth_pattern -- --users 10` prints
 //! the comparison, which must not be used to rank methods.
 
-#![allow(missing_docs)] // Names that say everything need no comment.
-
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;

@@ -139,8 +139,7 @@ const TRIAL_S: f64 = 5.0;
 /// A frame can come late, but not early. The start of the stream is thus estimated as the smallest
 /// difference between a frame's arrival time and its own time in the stream. If this difference
 /// grows by more than the usual delay, frames are missing. If it shrinks again, the frames counted
-/// as missing were only late. Late sound must not change the estimate, or each interruption would
-/// count twice.
+/// as missing were only late. They leave the estimate as it is, or one interruption would count twice.
 #[derive(Default)]
 struct Pace {
     /// The estimated start of the stream, and the time of the estimate, in seconds.

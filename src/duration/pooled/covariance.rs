@@ -101,7 +101,6 @@ impl Grid {
         self.frames = self.frames.div_ceil(2);
     }
 
-    /// Covariance at lag 0, over all trials.
     fn at_once(&self, trials: usize) -> Array2<f64> {
         let mut mean = Array2::zeros((self.columns.len(), self.columns.len()));
         let starts = 0..trials * self.frames;

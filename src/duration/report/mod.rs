@@ -54,7 +54,6 @@ pub struct PooledSettings {
     pub dependence: f64,
 }
 
-/// T* of one surface and source.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct SourceDuration {
     pub surface: String,
@@ -75,7 +74,6 @@ pub struct SourceDuration {
     pub by_rule: ByRule,
 }
 
-/// Results of a rule besides T*.
 #[derive(Clone, Debug, serde::Serialize)]
 #[serde(untagged)]
 pub enum ByRule {
@@ -90,7 +88,6 @@ pub enum ByRule {
     Pooled(PooledRow),
 }
 
-/// Results of `pooled` besides T*.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 #[serde(tag = "rule", rename = "pooled")]
 pub struct PooledRow {

@@ -107,7 +107,6 @@ pub(crate) struct Chart {
     pub protocol: String,
     /// All sources; a point may have used fewer.
     pub sources: Vec<String>,
-    /// Number of surfaces that could be the answer.
     pub surfaces: usize,
     pub library_trials: usize,
     pub threads: usize,
@@ -246,7 +245,6 @@ fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
 
 type Colours<'a> = BTreeMap<&'a str, RGBColor>;
 
-/// The colour of each method, assigned in the order of the chart.
 fn colours(chart: &Chart) -> Colours<'_> {
     let mut methods: Vec<&str> = Vec::new();
     for point in chart.methods() {

@@ -48,14 +48,12 @@ pub enum FaultKind {
     Level,
 }
 
-/// A fault of one kind, and the trials of a library that have it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Finding {
     pub kind: FaultKind,
     pub source: Option<SourceId>,
     pub trials: Vec<String>,
     pub text: String,
-    /// The command that fixes the fault, if there is one.
     pub command: Option<String>,
 }
 

@@ -28,7 +28,6 @@ const FOR_UNKNOWN: usize = 99;
 
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct CheckReport {
-    /// Number of trials that could be used.
     pub trials: usize,
     /// How many of the left-out trials were named correctly; `None` if no trial could be left out.
     #[serde(flatten, serialize_with = "left_out_share")]

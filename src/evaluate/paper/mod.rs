@@ -158,7 +158,6 @@ impl<'a> PaperRun<'a> {
         groups.into_iter().map(fold).collect()
     }
 
-    /// ln of the scores of one stream, for each query.
     fn score(&self, stream: SampledSource) -> Result<BTreeMap<usize, LogScores>, EvaluateError> {
         let mut scores = BTreeMap::new();
         let Some(scene) = stream.scene(&self.library.scene) else { return Ok(scores) };

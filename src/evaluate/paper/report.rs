@@ -22,12 +22,10 @@ pub(crate) struct Shard {
 impl Shard {
     pub(crate) const WHOLE: Self = Self { number: 1, of: 1 };
 
-    /// Whether the query with this index belongs to the shard.
     pub(crate) fn has(self, query: usize) -> bool {
         query % self.of == self.number - 1
     }
 
-    /// Name of the file that holds the shard's result.
     pub(crate) fn file_name(self) -> String {
         format!("shard-{:04}-of-{:04}.json", self.number, self.of)
     }
@@ -61,6 +59,7 @@ pub(crate) struct RowPart {
     pub missing: Vec<String>,
     pub not_run: Option<String>,
     pub folds: Vec<String>,
+    /// Number of trials in the largest library of a fold.
     pub library_trials: usize,
     pub labels: Vec<String>,
     /// Fold, query and nearest library trial of each answer, sorted.
@@ -158,7 +157,6 @@ pub(crate) struct ReportRow {
     pub precision_mean: Option<f64>,
     pub classes: usize,
     pub queries: usize,
-    /// Number of trials in the largest library of a fold.
     pub library_trials: usize,
     /// Our accuracy minus the paper's, in percentage points.
     pub difference_points: Option<f64>,

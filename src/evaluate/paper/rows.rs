@@ -210,7 +210,6 @@ fn pairs(rows: &mut Vec<Row>) {
     }
 }
 
-/// How samples are drawn from a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum SampleView {
     /// Equidistant in time.

@@ -31,7 +31,6 @@ pub struct Expected {
     pub scan_s: f64,
 }
 
-/// A plan: the setting to use for a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
     pub library: String,

@@ -138,7 +138,6 @@ pub struct Rejection {
     pub across_people: bool,
     /// Lower end of the 95 % interval of the rate, given these trials.
     pub rate_low: f64,
-    /// Upper end of that interval.
     pub rate_high: f64,
 }
 
@@ -182,7 +181,6 @@ impl Rejection {
         Ok(Self { rate, trials, across_people, rate_low, rate_high })
     }
 
-    /// Whether a query with this p-value is called unknown.
     pub fn rejects(&self, p_value: f64) -> bool {
         p_value <= self.rate + 1e-12
     }

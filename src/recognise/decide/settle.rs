@@ -115,7 +115,6 @@ impl FollowedTrial {
         stops(self.looks.iter().enumerate().map(look), (self.whole, self.drag_s))
     }
 
-    /// Whether a stored trial is valid for this number of classes.
     pub(crate) fn is_sound(&self, classes: usize) -> bool {
         let labels = self.looks.iter().map(|look| look.class).chain([self.truth, self.whole]);
         self.looks.len() == looks_in(self.drag_s) && labels.max() < Some(classes)
@@ -141,7 +140,6 @@ pub struct Settling {
     pub rule: Option<SettleRule>,
     /// The loss that is allowed: a share of all trials.
     pub stated_loss: f64,
-    /// Number of left-out trials.
     pub trials: usize,
     /// How many of these trials are named right by their whole length and wrong where the rule stops.
     pub lost: usize,

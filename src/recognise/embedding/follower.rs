@@ -301,8 +301,8 @@ impl ScanSoFar {
                 || self.pictures.get(id).is_some_and(of_picture))
     }
 
-    /// The standardised vector of the `sound` sources so far. It is exact if `trial` is given, which
-    /// must consist of the same samples.
+    /// The standardised vector of the samples so far, from the sources named in `sound`. Moments about
+    /// the mean are approximate, unless the finished `trial` of the same samples is given.
     fn vector(
         &self,
         model: &EmbeddingModel,

@@ -214,7 +214,6 @@ impl JointEmbedder {
         Ok(())
     }
 
-    /// Number of columns of a vector.
     pub(super) fn dims(&self) -> usize {
         self.stretches.last().map_or(0, |stretch| stretch.columns.end)
     }

@@ -18,10 +18,10 @@ use super::training::Training;
 use crate::recognise::decide::conformal::{Calibration, Conformity, nonconformity};
 use crate::recognise::follow::LOOK_S;
 
-/// Lengths of beginnings at which left-out trials are examined, as shares of the median drag.
+/// Each left-out trial is also examined after these shares of the median length of a drag.
 const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];
 
-/// Share of the library's trials that is shorter than a whole scan.
+/// A scan counts as whole if it is longer than this share of the library's trials.
 const SHORTER: f64 = 0.05;
 
 /// Most trials with beginnings to examine; more would not change any stated digit.

@@ -358,7 +358,6 @@ fn rotate(a: &mut [f64], v: &mut [f64], n: usize, (p, q): (usize, usize)) {
 mod tests {
     use super::*;
 
-    /// A symmetric, positive definite matrix.
     fn matrix(n: usize) -> Array2<f64> {
         let b = Array2::from_shape_fn((n, n), |(i, j)| ((i * 31 + j * 17) as f64).sin());
         b.t().dot(&b) + Array2::<f64>::eye(n) * 0.5

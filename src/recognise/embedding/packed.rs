@@ -54,7 +54,6 @@ fn numbers<const N: usize, T, E: Error>(
     Ok(parts.iter().map(|part| number(*part)).collect())
 }
 
-/// A list of 16-bit numbers.
 pub(super) mod list {
     use super::*;
 

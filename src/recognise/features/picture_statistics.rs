@@ -125,7 +125,6 @@ impl Texture {
 mod tests {
     use super::*;
 
-    /// Number of colour statistics.
     const COLOURS: usize = 9;
 
     fn picture(pixel: impl Fn(usize, usize) -> [u8; 3]) -> Vec<f64> {

@@ -121,7 +121,6 @@ type QuerySource = (Arc<SampledSource>, Vec<QuerySet<Arc<SampleSet>>>);
 /// a source that the query or the trial lacks.
 type Scored = (Arc<PreparedTrial>, Vec<Option<f64>>);
 
-/// A query, prepared for comparison with a library.
 struct Query<'a> {
     method: &'a Reference,
     trial: &'a PreparedTrial,

@@ -178,7 +178,6 @@ fn nowhere(value: Spanned<DeValue<'_>>) -> Spanned<DeValue<'_>> {
     Spanned::new(NOWHERE, value)
 }
 
-/// A mistake in a file, and its place there.
 pub(super) struct Mistake {
     pub at: Range<usize>,
     pub problem: String,

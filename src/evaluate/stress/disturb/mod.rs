@@ -31,7 +31,6 @@ pub enum Kind {
     Library(fn(Vec<Entry>, f64, &mut ChaCha8Rng) -> Vec<Entry>),
 }
 
-/// A disturbance, and the severities at which it is applied.
 #[derive(Clone, Copy)]
 pub struct Disturbance {
     /// Short name, as on the command line.
@@ -171,7 +170,6 @@ fn is_picture(spec: &SourceSpec) -> bool {
     spec.domain == Domain::Image
 }
 
-/// Converts to f32 and keeps the sample finite.
 fn to_sample(x: f64) -> f32 {
     x.clamp(f64::from(-f32::MAX), f64::from(f32::MAX)) as f32
 }

@@ -36,14 +36,12 @@ pub struct AccuracyAt {
     pub accuracy: f64,
     /// Lower end of the 95 % interval of `accuracy`.
     pub accuracy_low: f64,
-    /// Upper end of this interval.
     pub accuracy_high: f64,
 }
 
 /// Why no scan time, or only the length of whole trials, can be given.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shortfall {
-    /// No trial can be left out.
     NothingLeftOut {
         /// the surfaces with too few trials, and how many trials each lacks
         lacking: Vec<(String, usize)>,

@@ -32,7 +32,6 @@ pub(crate) fn looked_after(scan_s: f64) -> impl Iterator<Item = usize> {
     std::iter::successors(Some(1), next).take_while(move |look| *look <= last)
 }
 
-/// The people and surfaces of a library.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct LibraryCounts {
     pub people: usize,
