@@ -5,8 +5,8 @@
 //! While the reader hangs, the state is "stalled", and nothing waits for it. The trait `Video`
 //! hides V4L2 (video for Linux); the crate's feature `camera` adds the implementation.
 
+mod compared_region;
 mod frame;
-mod upright;
 #[cfg(feature = "camera")]
 mod v4l;
 mod viewfinder;
@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
-use self::upright::compared;
+use self::compared_region::compared;
 use super::{
     Device, DeviceError, DeviceLink, DeviceState, Disconnected, LONGEST_RETRY, OpenError,
     StreamSpec, keep_connected,
@@ -25,7 +25,7 @@ use super::{
 use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
 
-pub use upright::Turn;
+pub use compared_region::Turn;
 pub use viewfinder::{FlashState, Viewfinder};
 
 pub(crate) use frame::Frame;

@@ -13,8 +13,8 @@ use crossbeam_channel::{Receiver, Select};
 
 use super::event_queue::EventQueue;
 use super::marked_scan::{Marked, cut, next_snapshot, trace};
+use super::recent_frames::Stream;
 use super::scan_detector::ScanDetector;
-use super::stream::Stream;
 use super::{Event, Options, ScanCommand, Totals};
 use crate::device::{DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark};
 use crate::ring::Stop;

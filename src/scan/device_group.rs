@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use super::detect::{
     Detector, DetectorConfig, DetectorEvent, HOP_S, SensorKind, StreamLevel, onset_in,
 };
-use super::stream::{Stream, StreamBuffer};
+use super::recent_frames::{Stream, StreamBuffer};
 use crate::scene::SourceId;
 
 /// Number of levels that are kept, which cover 10 s.

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::Scan;
-use super::stream::{SeriesHistory, Stream, StreamBuffer, image, narrow};
+use super::recent_frames::{SeriesHistory, Stream, StreamBuffer, image, narrow};
 use crate::device::{Begin, CutFrom, Mark, Open};
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Image, Series, Signal, Trial, TrialKey};

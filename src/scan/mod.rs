@@ -11,9 +11,9 @@ pub mod detect;
 mod device_group;
 mod event_queue;
 mod marked_scan;
+mod recent_frames;
 mod scan_detector;
 mod session;
-mod stream;
 
 pub use crate::device::CutFrom;
 pub use marked_scan::{Fresh, Progress, Trace};

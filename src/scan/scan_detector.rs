@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use super::detect::DetectorEvent;
 use super::device_group::DeviceGroup;
-use super::stream::{Stream, StreamBuffer};
+use super::recent_frames::{Stream, StreamBuffer};
 use super::{CutFrom, Detection, ScanCommand};
 use crate::device::{Begin, Mark, Open};
 use crate::scene::Phase;

@@ -12,8 +12,8 @@ use crossbeam_channel::{Receiver, Sender};
 use super::clock::Clock;
 use super::collect::Collector;
 use super::event_queue::EventQueue;
+use super::recent_frames::{RecentImages, SeriesHistory, Stream, StreamBuffer};
 use super::scan_detector::ScanDetector;
-use super::stream::{RecentImages, SeriesHistory, Stream, StreamBuffer};
 use super::{Event, Options, ScanCommand, Totals};
 use crate::device::{
     Device, DeviceError, DeviceLink, DeviceReport, DeviceReportKind, StreamKind, StreamSpec,

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use image::RgbImage;
 use serde::Serialize;
 
-use super::upright::{Region, region, small};
+use super::compared_region::{Region, region, small};
 use crate::jpeg;
 use crate::scene::SourceId;
 
