@@ -80,7 +80,7 @@ fn a_stress_run_measures_draws_and_says_where_methods_break() {
     assert!(said.contains("| `embedding` | `naive-bayes` |"), "{said}");
     std::fs::write(json, "[]").unwrap();
     let refused = surfaced(&["stress", json, "--out", again]);
-    assert_eq!(refused.status.code(), Some(2));
+    assert_eq!(refused.status.code(), Some(1));
     let said = String::from_utf8(refused.stderr).unwrap();
     assert!(said.contains("expected what `surfaced stress` writes"), "{said}");
 }
