@@ -76,7 +76,7 @@ fn import_mcap(mcap: &Path, library: &Path) -> Done {
 
 /// Refuses `surfaced export`, since this build has no MCAP.
 #[cfg(not(feature = "mcap"))]
-pub fn export(_: &ExportArgs) -> Done {
+pub(super) fn export(_: &ExportArgs) -> Done {
     Err(left_out())
 }
 
