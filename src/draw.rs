@@ -58,7 +58,6 @@ pub(crate) fn put(area: &Area<'_>, text: impl Into<String>, at: (i32, i32), size
     Ok(area.draw(&Text::new(text.into(), at, ("sans-serif", size)))?)
 }
 
-/// A panel with the axes that [`axes`] draws.
 pub(crate) type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
 
 /// Draws the title, if there is one, the grid, and the axes of a panel. `x` and `y` are the ranges of

@@ -27,7 +27,6 @@ pub(crate) enum DomainName {
     Image,
 }
 
-/// One source as a file describes it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SourceBlock {

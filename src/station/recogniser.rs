@@ -30,7 +30,7 @@ pub struct Recogniser {
     pub needed_s: Option<f64>,
     scene: Scene,
     pub library: LibraryState,
-    /// Where the library's trials are, so that the trial nearest to a scan can be shown.
+    /// The library's trials, which are read when the one nearest to a scan is shown.
     pub(crate) trials: BTreeMap<TrialKey, Entry>,
 }
 

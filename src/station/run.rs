@@ -331,6 +331,11 @@ impl<'a> StationRun<'a> {
         }
     }
 
+    /// Whether the first library is still being read, so that scans wait to be named.
+    fn awaits_library(&self) -> bool {
+        self.naming.is_err() && self.loading.is_some()
+    }
+
     /// Starts to read the library. Until it is read, the old one stays in use, or scans wait.
     fn reload(&mut self) {
         let Some(load) = self.load.clone() else {
@@ -392,7 +397,7 @@ impl<'a> StationRun<'a> {
 
     fn hand_on(&mut self) {
         while let Some(job) = self.to_do.pop_front() {
-            if self.naming.is_err() && self.loading.is_some() {
+            if self.awaits_library() {
                 return self.to_do.push_front(job);
             }
             let (trial, number) = match &job {
@@ -448,7 +453,7 @@ impl<'a> StationRun<'a> {
                 unnamed.push_back(scan.number);
             }
         }
-        let busy = match self.naming.is_err() && self.loading.is_some() {
+        let busy = match self.awaits_library() {
             true => "the library was still being read",
             false => "time had run out",
         };

@@ -225,7 +225,6 @@ mod tests {
     use super::super::products::dot;
     use super::*;
 
-    /// One covariance of a block, by its definition.
     fn plain(features: &Features, lag: Lag, block: usize, i: usize, j: usize) -> f64 {
         let parts = BLOCKS.div_ceil(features.trials);
         let (trial, part) = (block / parts, block % parts);

@@ -119,9 +119,7 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
 /// Q trials of L frames of each channel.
 #[derive(Clone, Debug)]
 pub(super) struct Samples {
-    /// Q, the number of trials.
     pub trials: usize,
-    /// L, the number of frames of each trial.
     pub frames: usize,
     /// The values of each channel, one trial after another: frame i of trial q at q·L + i.
     pub channels: Vec<Vec<f32>>,

@@ -123,9 +123,8 @@ pub(crate) fn check(
     let mut advice = opened.library.remarks;
     advice.extend(of_sources);
     let (mut predictions, mut outcome) = (Vec::new(), None);
-    match measure(&entries, audited, progress) {
-        Ok((measured, better)) => {
-            advice.extend(better);
+    match measure(&entries, audited, progress, Some(&mut advice)) {
+        Ok(measured) => {
             (predictions, outcome) = (measured.predictions, Some(measured.outcome));
         }
         Err(why) => advice.push(why),
@@ -140,9 +139,9 @@ pub(crate) fn check(
         .filter(|entry| !damaged.contains(&entry.name_in(audited.root)))
         .cloned()
         .collect();
-    let measured = || Some(measure(&sound, audited, progress).ok()?.0.predictions);
-    let of_sound = if sound.len() < entries.len() { measured() } else { None };
-    let judged = of_sound.as_ref().unwrap_or(&predictions);
+    let of_sound = || measure(&sound, audited, progress, None).ok();
+    let of_sound = if sound.len() < entries.len() { of_sound() } else { None };
+    let judged = of_sound.as_ref().map_or(&predictions, |measured| &measured.predictions);
     let suspects = suspects(judged);
     let wrong: Vec<(String, String)> = (sound.iter())
         .filter_map(|entry| {
@@ -157,8 +156,8 @@ pub(crate) fn check(
         (false, false) => {
             let mended: Vec<Entry> =
                 sound.iter().map(|entry| relabelled(entry, &suspects)).collect();
-            let mended = measure(&mended, &Audited { cache: None, ..*audited }, progress);
-            mended.ok().map(|(measured, _)| measured.outcome.share.value())
+            let mended = measure(&mended, &Audited { cache: None, ..*audited }, progress, None);
+            mended.ok().map(|measured| measured.outcome.share.value())
         }
     };
     let each = trials(&keys, &predictions, &inspected, &suspects);
@@ -231,11 +230,13 @@ fn by_parts(keys: &[TrialKey]) -> Vec<Fold> {
     (0..most).map(fold).filter(|fold| !fold.queries.is_empty()).collect()
 }
 
+/// Names each trial when left out. Adds to `advice`, if given, that `svm` is better than the default.
 fn measure(
     entries: &[Entry],
     audited: &Audited<'_>,
     progress: ProgressFn<'_>,
-) -> Result<(Measured, Option<String>), String> {
+    advice: Option<&mut Vec<String>>,
+) -> Result<Measured, String> {
     let Audited { scene, method, cache, .. } = *audited;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let folds = left_out(&keys);
@@ -247,9 +248,12 @@ fn measure(
     let evaluation = Evaluation { cache, progress, ..Evaluation::new(scene, entries, &folds) };
     let run = evaluation.prepare(method).map_err(|error| error.to_string())?;
     let measured = run.measure().map_err(|error| error.to_string())?;
-    let is_default = method.name() == MethodName::Embedding.as_str();
-    let better = is_default.then(|| better_plain(evaluation, &measured.predictions)).flatten();
-    Ok((measured, better))
+    if let Some(advice) = advice
+        && method.name() == MethodName::Embedding.as_str()
+    {
+        advice.extend(better_plain(evaluation, &measured.predictions));
+    }
+    Ok(measured)
 }
 
 /// The trials that look mislabelled, each with the surface that it was named. This surface is not
@@ -335,7 +339,6 @@ fn missing(entries: &[Entry]) -> Vec<String> {
     all.into_iter().filter_map(of).collect()
 }
 
-/// Advice on what to record next.
 fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
     let mut advice = Vec::new();
     let most = surfaces.iter().map(|surface| surface.trials).max().unwrap_or(0).min(2 * ENOUGH);

@@ -71,7 +71,6 @@ pub fn rows() -> Vec<Row> {
     rows
 }
 
-/// Name of the setting with all sources.
 pub const ALL: &str = "all eight";
 
 fn table_1(rows: &mut Vec<Row>) {

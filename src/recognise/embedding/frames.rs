@@ -185,7 +185,6 @@ impl SourceFrames {
     }
 }
 
-/// A trial, prepared for the method `embedding`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialFrames {
     pub key: TrialKey,

@@ -6,7 +6,7 @@ export const $ = (id) => document.getElementById(id);
 const UNSEEN = /[\u0000-\u0008\u000b-\u001f\u007f-\u009f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]|[\u{e0000}-\u{e007f}]/gu;
 export const printable = (text) => String(text).replace(UNSEEN, (c) => `\\u{${c.codePointAt(0).toString(16)}}`);
 
-// Where a long name may break: after `_` and `/`, and before capital letters within a word. The
+// Places where a long name may break: after `_` and `/`, and before capital letters within a word. The
 // browser already breaks at hyphens and spaces.
 const JOINTS = /(?<=[\p{L}\p{N}][_/])(?=[\p{L}\p{N}])|(?<=\p{Ll}{2})(?=\p{Lu}\p{Ll})/u;
 

@@ -66,7 +66,7 @@ const steps = ({ devices }) => ({
 const ANSWER_WITHIN_MS = 1500;
 let last = null;
 
-// What to show; `answer` is the last answer of this session, or null.
+// The state to show; `answer` is the last answer of this session, or null.
 function stateOf(state, answer) {
   if (state.phase !== null) {
     const { scan } = state;
