@@ -10,7 +10,7 @@ use crate::library::Entry;
 use crate::trial::TrialKey;
 
 /// Version of the bytes of [`Prepared::encode`]. Raise it whenever their meaning changes.
-pub(super) const FORMAT: u64 = 3;
+pub(super) const FORMAT: u64 = 4;
 
 /// A trial, prepared for comparison. A clone is cheap.
 #[derive(Clone)]
@@ -68,7 +68,10 @@ impl Prepared {
     pub(super) fn encode(&self) -> Option<Vec<u8>> {
         let (kind, bytes) = match self {
             Self::Samples(trial) => (SAMPLES, trial.encode()),
-            Self::Frames(trial) => (FRAMES, postcard::to_allocvec(&trial.sources).ok()),
+            Self::Frames(trial) => {
+                let TrialFrames { digest, seed, sources, .. } = &**trial;
+                (FRAMES, postcard::to_allocvec(&(digest, seed, sources)).ok())
+            }
             Self::Features(trial) => (FEATURES, postcard::to_allocvec(&trial.sources).ok()),
         };
         let mut bytes = bytes?;
@@ -82,8 +85,8 @@ impl Prepared {
         Some(match bytes.split_last()? {
             (&SAMPLES, bytes) => Self::Samples(Arc::new(PreparedTrial::decode(entry, bytes)?)),
             (&FRAMES, bytes) => {
-                let sources = postcard::from_bytes(bytes).ok()?;
-                Self::Frames(Arc::new(TrialFrames { key, sources }))
+                let (digest, seed, sources) = postcard::from_bytes(bytes).ok()?;
+                Self::Frames(Arc::new(TrialFrames { key, digest, seed, sources }))
             }
             (&FEATURES, bytes) => {
                 let sources = postcard::from_bytes(bytes).ok()?;

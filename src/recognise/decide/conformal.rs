@@ -24,11 +24,6 @@ use super::interval::beta_quantile;
 /// A scan is compared with whole trials if it has at least this share of their median length.
 const WHOLE: f64 = 0.95;
 
-/// Nonconformity of a trial, from its distances to all surfaces: the smallest; infinite if empty.
-pub(crate) fn nonconformity(distances: &[f64]) -> f64 {
-    distances.iter().copied().fold(f64::INFINITY, f64::min)
-}
-
 /// Nonconformity of left-out library trials of one length.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct Calibration {

@@ -2,14 +2,14 @@
 //! at another place, or with a worse sensor.
 //!
 //! Each trial has three excerpts of 40 % and one *twin*: the whole trial with the disturbances of a
-//! worse sensor (method §11). The gain of copies varies like the force of a hand, so that training
-//! learns how much to trust level. Place and gain are drawn once for each copy; stretch, noise and
-//! loss once for each source of a copy. All draws depend only on the trial's name and the seed.
+//! worse sensor (method §11). Two of the excerpts are noisy, since a clean library has never met noise
+//! (method §12). The gain of copies varies like the force of a hand, so that training learns how much
+//! to trust level. Place and gain are drawn once for each copy; stretch, noise and loss once for each
+//! source of a copy. All draws depend only on the trial's samples and the seed, never on its name.
 
 use rand_chacha::ChaCha8Rng;
 
 use crate::seed;
-use crate::trial::TrialKey;
 
 pub(super) const EXCERPTS: usize = 3;
 
@@ -29,7 +29,10 @@ const PICTURE_LN_GAIN: f64 = 0.2;
 const LN_STRETCH: f64 = 0.06;
 
 /// White noise added to a twin, in dB below the signal: least and most.
-const NOISE_DB: (f64, f64) = (5.0, 40.0);
+const TWIN_NOISE_DB: (f64, f64) = (5.0, 40.0);
+
+/// White noise added to all excerpts except the first, in dB below the signal: least and most.
+const EXCERPT_NOISE_DB: (f64, f64) = (10.0, 60.0);
 
 /// Share of samples that is lost in half of the twins, as a power of ten: least and most.
 const LOST_LOG10: (f64, f64) = (-3.0, -1.0);
@@ -44,8 +47,9 @@ pub(super) struct Copy {
     pub quarter: usize,
 }
 
-pub(super) fn copies(key: &TrialKey, seed: u64) -> [Copy; COPIES] {
-    let mut rng = rng(key, seed, "copies");
+/// The copies of the trial with the given digest of its samples.
+pub(super) fn copies(digest: u64, seed: u64) -> [Copy; COPIES] {
+    let mut rng = rng(digest, seed, "copies");
     std::array::from_fn(|i| Copy {
         place: (i < EXCERPTS).then(|| seed::uniform(&mut rng)),
         ln_gain: LN_GAIN * seed::normal(&mut rng),
@@ -54,37 +58,54 @@ pub(super) fn copies(key: &TrialKey, seed: u64) -> [Copy; COPIES] {
     })
 }
 
-fn rng(key: &TrialKey, seed: u64, purpose: &str) -> ChaCha8Rng {
-    seed::rng(seed, &[purpose.as_bytes(), key.to_string().as_bytes()])
+fn rng(digest: u64, seed: u64, purpose: &str) -> ChaCha8Rng {
+    seed::rng(seed, &[purpose.as_bytes(), &digest.to_le_bytes()])
 }
 
 /// The samples of a copy of a series: an excerpt, or the twin. `samples` are interleaved; `source` is
 /// the name of the source.
 pub(super) fn samples(
     copy: &Copy,
-    (key, seed, source): (&TrialKey, u64, &str),
+    (digest, seed, source): (u64, u64, &str),
     channels: usize,
     samples: &[f32],
 ) -> Vec<f32> {
+    let mut rng = rng(digest, seed, &format!("copy {} {source}", copy.quarter));
     let Some(place) = copy.place else {
-        return twin(&mut rng(key, seed, &format!("twin {source}")), channels, samples);
+        return twin(&mut rng, channels, samples);
     };
     let frames = samples.len() / channels;
     let length = ((SHARE * frames as f64).round() as usize).max(1);
     let first = (place * (frames - length.min(frames)) as f64).round() as usize;
-    samples[first * channels..(first + length).min(frames) * channels].to_vec()
+    let mut excerpt = samples[first * channels..(first + length).min(frames) * channels].to_vec();
+    if copy.quarter > 0 {
+        let noise = noise(between(&mut rng, EXCERPT_NOISE_DB), channels, samples);
+        for frame in excerpt.chunks_exact_mut(channels) {
+            for (x, noise) in frame.iter_mut().zip(&noise) {
+                *x += noise * seed::nearly_normal(&mut rng);
+            }
+        }
+    }
+    excerpt
+}
+
+fn between(rng: &mut ChaCha8Rng, (low, high): (f64, f64)) -> f64 {
+    low + (high - low) * seed::uniform(rng)
+}
+
+/// Deviation of white noise on each channel, `db` below the signal.
+fn noise(db: f64, channels: usize, samples: &[f32]) -> Vec<f32> {
+    let share = 10f64.powf(-db / 20.0);
+    deviations(channels, samples).iter().map(|deviation| (share * deviation) as f32).collect()
 }
 
 /// A series as a worse sensor would have recorded it: stretched, with white noise. In half of the
 /// cases, single samples are lost and later samples move up.
 fn twin(rng: &mut ChaCha8Rng, channels: usize, samples: &[f32]) -> Vec<f32> {
-    let mut between = |(low, high): (f64, f64)| low + (high - low) * seed::uniform(rng);
-    let pace = between((-LN_STRETCH, LN_STRETCH)).exp();
-    let noise = 10f64.powf(-between(NOISE_DB) / 20.0);
-    let lost = 10f64.powf(between(LOST_LOG10));
+    let pace = between(rng, (-LN_STRETCH, LN_STRETCH)).exp();
+    let noise = noise(between(rng, TWIN_NOISE_DB), channels, samples);
+    let lost = 10f64.powf(between(rng, LOST_LOG10));
     let lost = if seed::uniform(rng) < 0.5 { lost } else { 0.0 };
-    let noise: Vec<f32> =
-        deviations(channels, samples).iter().map(|deviation| (noise * deviation) as f32).collect();
     let last = samples.len() / channels - 1;
     let frames = ((last as f64 / pace) as usize + 1).max(1);
     let mut twin = Vec::with_capacity(frames * channels);
@@ -119,50 +140,44 @@ fn deviations(channels: usize, samples: &[f32]) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    fn key(number: u32) -> TrialKey {
-        TrialKey::new("oak", "expert", number)
-    }
-
     fn wave() -> Vec<f32> {
         (0..2000).map(|i| (i as f32 * 0.05).sin()).collect()
     }
 
     #[test]
-    fn copies_depend_on_trial_and_seed_alone() {
-        assert_eq!(copies(&key(1), 1), copies(&key(1), 1));
-        assert_ne!(copies(&key(1), 1), copies(&key(2), 1));
-        assert_ne!(copies(&key(1), 1), copies(&key(1), 2));
-        assert_eq!(
-            copies(&key(1), 1).map(|copy| copy.place.is_none()),
-            [false, false, false, true]
-        );
-        let of = |source| samples(&copies(&key(1), 1)[EXCERPTS], (&key(1), 1, source), 1, &wave());
+    fn copies_depend_on_samples_and_seed_alone() {
+        assert_eq!(copies(1, 1), copies(1, 1));
+        assert_ne!(copies(1, 1), copies(2, 1));
+        assert_ne!(copies(1, 1), copies(1, 2));
+        assert_eq!(copies(1, 1).map(|copy| copy.place.is_none()), [false, false, false, true]);
+        let of = |source| samples(&copies(1, 1)[EXCERPTS], (1, 1, source), 1, &wave());
         assert_eq!(of("ac"), of("ac"));
         assert_ne!(of("ac"), of("fr"));
     }
 
     #[test]
-    fn an_excerpt_is_cut_to_the_sample() {
+    fn an_excerpt_is_cut_to_the_sample_and_only_the_first_stays_clean() {
         let given: Vec<f32> = (0..2 * 1001).map(|i| i as f32).collect();
-        for number in 1..50 {
-            for copy in &copies(&key(number), 3)[..EXCERPTS] {
-                let cut = samples(copy, (&key(number), 3, "ac"), 2, &given);
+        for digest in 1..50 {
+            for copy in &copies(digest, 3)[..EXCERPTS] {
+                let cut = samples(copy, (digest, 3, "ac"), 2, &given);
                 assert_eq!(cut.len(), 800);
-                assert!(cut[0] % 2.0 == 0.0 && cut.windows(2).all(|w| w[1] == w[0] + 1.0));
+                let clean = cut[0] % 2.0 == 0.0 && cut.windows(2).all(|w| w[1] == w[0] + 1.0);
+                assert_eq!(clean, copy.quarter == 0);
             }
         }
-        let copy = copies(&key(1), 3)[0];
-        assert_eq!(samples(&copy, (&key(1), 3, "ac"), 2, &given[..2]).len(), 2, "a single frame");
+        let copy = copies(1, 3)[0];
+        assert_eq!(samples(&copy, (1, 3, "ac"), 2, &given[..2]).len(), 2, "a single frame");
     }
 
     #[test]
     fn a_twin_is_as_long_as_clock_and_losses_leave_it() {
-        for number in 1..30 {
-            let copy = copies(&key(number), 1)[EXCERPTS];
-            let twin = samples(&copy, (&key(number), 1, "ac"), 1, &wave());
+        for digest in 1..30 {
+            let copy = copies(digest, 1)[EXCERPTS];
+            let twin = samples(&copy, (digest, 1, "ac"), 1, &wave());
             let share = twin.len() as f64 / 2000.0;
             assert!((0.83..1.07).contains(&share), "{share}");
-            let rest = samples(&copy, (&key(number), 1, "ac"), 1, &[0.25; 400]);
+            let rest = samples(&copy, (digest, 1, "ac"), 1, &[0.25; 400]);
             assert!(rest.iter().all(|&x| x == 0.25), "a channel at rest stays at rest");
         }
     }

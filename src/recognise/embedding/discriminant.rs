@@ -1,23 +1,19 @@
-//! The shrinkage discriminant: linear discriminant analysis of embeddings. One is trained on all
-//! trials, and one for each group on the trials outside the group.
+//! The shrinkage discriminant of one member: linear discriminant analysis of a subspace of the features.
+//! One is trained on all trials, and one for each group on the trials outside the group.
 //!
 //! Each training vector has a label. A label below the number of classes is the class of a whole
 //! trial; higher labels are for copies. The class mean m_c is over whole trials only. The scatter W
-//! pools all vectors, each minus the mean of its label. The metric is S = (1 − γ)·W + γ·(tr W/D)·I.
-//! The distances d_c = ‖u − m_c‖² are computed in the space that the class means span after whitening
-//! by S. They order classes like the full Mahalanobis distance, since directions outside that space do
-//! not separate classes.
-//!
-//! S = L·Lᵀ is factored once. Leaving out the rows of a group subtracts R_gᵀ·Q·R_g from W. R_g are the
-//! group's rows minus the means of their labels. Q⁻¹ is I minus 1/n between rows of the same label
-//! with n rows in all, since the means move, too. With V = L⁻¹·R_gᵀ, the inverse in white coordinates
-//! is I + V·(Q⁻¹ − VᵀV)⁻¹·Vᵀ (Woodbury), which is cheap for a small group.
+//! pools all vectors, each minus the mean of its label. The metric is S = (1 − γ)·W + γ·(tr W/d)·I. The
+//! shrinkage γ is estimated (Ledoit and Wolf 2004, "A well-conditioned estimator for large-dimensional
+//! covariance matrices"); each trial with its copies counts as one observation. The distances
+//! ‖u − m_c‖² are computed in the space that the class means span after whitening by S. They order
+//! classes like the full Mahalanobis distance, since directions outside that space do not separate
+//! classes.
 
-use ndarray::{Array1, Array2, ArrayView1, Axis, s};
-use rayon::prelude::*;
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use serde::{Deserialize, Serialize};
 
-use super::linear::{Residuals, cholesky, matrix, solve_lower, solve_lower_transposed};
+use super::linear::{cholesky, lower_gram, solve_lower, solve_lower_transposed};
 use super::packed;
 
 /// Variance within classes counts as at least this share of all variance, since a detector that has
@@ -28,9 +24,12 @@ const LEAST_WITHIN: f64 = 1e-3;
 /// is below this share of the largest squared length of a mean.
 const INSIDE: f64 = 1e-10;
 
+/// Least and greatest shrinkage.
+const SHRINKAGE: (f64, f64) = (1e-4, 1.0);
+
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Discriminant {
-    /// Matrix from features to the whitened space of the class means; shape (r, D), r < C.
+    /// Matrix from the member's features to the whitened space of the class means; shape (r, d), r < C.
     #[serde(with = "packed::matrix")]
     projection: Array2<f32>,
     origin: Array1<f64>,
@@ -40,56 +39,97 @@ pub(crate) struct Discriminant {
     present: Vec<bool>,
 }
 
-pub(crate) struct Vectors<'a> {
-    pub rows: &'a Array2<f32>,
+/// What each row of the training vectors is.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rows {
     /// Label of each row: the class of a whole trial, or `classes` and above for a copy.
-    pub labels: &'a [usize],
+    pub labels: Vec<usize>,
     /// Group of each row. Groups are left out one at a time.
-    pub groups: &'a [usize],
+    pub groups: Vec<usize>,
+    /// Trial of each row.
+    pub trials: Vec<usize>,
     pub classes: usize,
     pub group_count: usize,
 }
 
-/// The metric S of training vectors, factored.
-struct Metric<'a> {
-    vectors: &'a Vectors<'a>,
-    residuals: Residuals,
-    /// L in S = L·Lᵀ.
-    factor: Array2<f64>,
-    /// Weight of Σ r·rᵀ in S.
-    weight: f64,
-    freedom: f64,
+impl Rows {
+    /// Number of rows with each label, among those that `keep` chooses.
+    fn counts(&self, keep: impl Fn(usize) -> bool) -> Vec<f64> {
+        let mut counts = vec![0.0; self.labels.iter().max().map_or(0, |last| last + 1)];
+        let kept = (0..self.labels.len()).filter(|&row| keep(row));
+        kept.for_each(|row| counts[self.labels[row]] += 1.0);
+        counts
+    }
 }
 
 impl Discriminant {
-    /// Trains on all vectors, and on those outside each group. `dims` is D in tr W/D, the number of
-    /// features; there are fewer columns if these are coordinates in a subspace. `shrinkage` is γ.
+    /// Trains on all vectors, shape (N, d), and on those outside each group.
     ///
     /// Gives `None` if all vectors are equal, no label has two, or fewer than two classes occur.
-    pub(crate) fn train(
-        vectors: &Vectors<'_>,
-        dims: usize,
-        shrinkage: f64,
-    ) -> (Option<Self>, Vec<Option<Self>>) {
-        let Some(metric) = Metric::new(vectors, dims, shrinkage) else {
-            return (None, vec![None; vectors.group_count]);
+    pub(crate) fn train(vectors: Array2<f32>, rows: &Rows) -> (Option<Self>, Vec<Option<Self>>) {
+        let total = total_variance(&vectors.view());
+        let counts = rows.counts(|_| true);
+        let (means, residuals) = residuals(vectors, &rows.labels, &counts);
+        let scatter = lower_gram(&residuals.view());
+        let shrinkage = shrinkage(&residuals, &scatter, &rows.trials);
+        let of = |scatter: Array2<f64>, counts: &[f64], means: Array2<f64>| {
+            Self::of_scatter(scatter, counts, means, total?, shrinkage)
         };
-        let without = (0..vectors.group_count).into_par_iter();
-        (metric.all(), without.map(|group| metric.without(group)).collect())
+        let whole = means.slice(s![..rows.classes, ..]);
+        let without = |group: usize| {
+            let left = rows.counts(|row| rows.groups[row] != group);
+            let (moved, sums) = left_out(&residuals, rows, group, (&counts, &left));
+            let mut means = whole.to_owned();
+            for (class, mut mean) in means.rows_mut().into_iter().enumerate() {
+                mean.scaled_add(-1.0 / left[class].max(1.0), &sums.row(class));
+            }
+            of(&scatter - &lower_gram(&moved.view()), &left, means)
+        };
+        let without = (0..rows.group_count).map(without).collect();
+        (of(scatter.clone(), &counts, whole.to_owned()), without)
     }
 
-    /// Takes the class means in white coordinates, shape (D, C); their product with the inverse of the
-    /// metric; the factor L; the centre of the means; and a factor for all distances. The means of
-    /// classes without vectors are 0.
+    /// Takes the lower triangle of Σ r·rᵀ, the number of rows with each label, and the class means.
+    fn of_scatter(
+        mut factor: Array2<f64>,
+        counts: &[f64],
+        means: Array2<f64>,
+        total: f64,
+        shrinkage: f64,
+    ) -> Option<Self> {
+        let freedom: f64 = counts.iter().filter(|n| **n > 0.5).map(|n| n - 1.0).sum();
+        let present: Vec<bool> = counts[..means.nrows()].iter().map(|n| *n > 0.5).collect();
+        let known: Vec<usize> = (0..present.len()).filter(|&class| present[class]).collect();
+        if known.len() < 2 || freedom < 0.5 {
+            return None;
+        }
+        let within = factor.diag().sum() / freedom / factor.nrows() as f64;
+        factor *= (1.0 - shrinkage) / freedom;
+        let ridge = shrinkage * within.max(LEAST_WITHIN * total);
+        factor.diag_mut().map_inplace(|x| *x += ridge);
+        let factor = cholesky(factor)?;
+        let centre = means.select(Axis(0), &known).sum_axis(Axis(0)) / known.len() as f64;
+        let mut white = means - &centre;
+        for (mut mean, &present) in white.rows_mut().into_iter().zip(&present) {
+            if !present {
+                mean.fill(0.0);
+            }
+        }
+        let mut white = white.reversed_axes().as_standard_layout().into_owned();
+        solve_lower(&factor, &mut white);
+        Self::of_white(&white, &factor, &centre, present)
+    }
+
+    /// Takes the class means in white coordinates, shape (d, C), the factor L of the metric, and the
+    /// centre of the means. The means of classes without vectors are 0.
     fn of_white(
-        (white, inverse): (&Array2<f64>, &Array2<f64>),
+        white: &Array2<f64>,
         factor: &Array2<f64>,
         centre: &Array1<f64>,
         present: Vec<bool>,
-        scale: f64,
     ) -> Option<Self> {
         // Cholesky factor of the means' inner products; a mean that depends on others adds no column.
-        let inner = white.t().dot(inverse);
+        let inner = white.t().dot(white);
         let largest = inner.diag().iter().copied().fold(0.0, f64::max);
         let classes = present.len();
         let mut means = Array2::<f64>::zeros((classes, classes));
@@ -106,26 +146,25 @@ impl Discriminant {
                 independent.push(class);
             }
         }
-        let space = independent.len();
-        let means = means.slice_move(s![.., ..space]);
-        let mut back = inverse.select(Axis(1), &independent);
+        let means = means.slice_move(s![.., ..independent.len()]);
+        let mut back = white.select(Axis(1), &independent);
         solve_lower_transposed(factor, &mut back);
         let mut projection = back.reversed_axes().as_standard_layout().into_owned();
         solve_lower(&means.select(Axis(0), &independent), &mut projection);
-        let scale = scale.sqrt();
-        let origin = projection.dot(centre) * scale;
-        let (projection, means) = (projection.mapv(|x| (x * scale) as f32), means * scale);
+        let origin = projection.dot(centre);
+        let projection = projection.mapv(|x| x as f32);
         let sound = projection.iter().all(|x| x.is_finite()) && means.iter().all(|x| x.is_finite());
         sound.then_some(Self { projection, origin, means, present })
     }
 
-    /// A discriminant with plain Euclidean distances to the class means of whole trials.
-    pub(crate) fn of_means(vectors: &Vectors<'_>) -> Self {
-        let Residuals { counts, means, .. } = Residuals::new(vectors.rows, vectors.labels);
-        let means = means.slice_move(s![..vectors.classes, ..]);
-        let present = counts[..vectors.classes].iter().map(|&n| n > 0.5).collect();
-        let dims = means.ncols();
-        Self { projection: Array2::eye(dims), origin: Array1::zeros(dims), means, present }
+    /// A discriminant that tells nothing apart: all classes are at the same distance.
+    pub(crate) fn indifferent(classes: usize, dims: usize) -> Self {
+        Self {
+            projection: Array2::zeros((0, dims)),
+            origin: Array1::zeros(0),
+            means: Array2::zeros((classes, 0)),
+            present: vec![true; classes],
+        }
     }
 
     pub(crate) fn is_of(&self, classes: usize, dims: usize) -> bool {
@@ -139,165 +178,115 @@ impl Discriminant {
         self.present[class]
     }
 
-    /// The same discriminant for vectors of `dims` columns. Its own columns are the given `columns`; all
-    /// others have no weight.
-    pub(crate) fn spread(self, columns: &[usize], dims: usize) -> Self {
-        if columns.len() == dims {
-            return self;
-        }
-        let mut projection = Array2::zeros((self.projection.nrows(), dims));
-        for (narrow, &column) in self.projection.columns().into_iter().zip(columns) {
-            projection.column_mut(column).assign(&narrow);
-        }
-        Self { projection, ..self }
-    }
-
-    /// u: the projection of a vector into the space of the class means.
-    fn project(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
-        self.less_origin(self.projection.dot(&vector).view())
-    }
-
-    fn less_origin(&self, projected: ArrayView1<'_, f32>) -> Vec<f64> {
-        projected.iter().zip(&self.origin).map(|(&x, origin)| f64::from(x) - origin).collect()
-    }
-
-    /// w_c, shape (C, D), and b_c such that u·m_c = w_c·x − b_c, where the vector x projects to u.
+    /// w_c, shape (C, d), and b_c such that u·m_c = w_c·x − b_c, where the vector x projects to u.
     pub(crate) fn weights(&self) -> (Array2<f32>, Array1<f64>) {
         let of_class = self.means.mapv(|x| x as f32).dot(&self.projection);
         (of_class, self.means.dot(&self.origin))
     }
 
-    /// Squared distance d_c to each class mean; infinite for classes without training vectors.
-    pub(crate) fn distances(&self, vector: ArrayView1<'_, f32>) -> Vec<f64> {
-        self.distances_in_space(&self.project(vector))
-    }
-
-    /// The distances d_c of several vectors of D features, by one matrix product.
-    pub(crate) fn distances_of_each(&self, vectors: &[Vec<f32>]) -> Vec<Vec<f64>> {
-        if vectors.is_empty() {
-            return Vec::new();
-        }
-        let projected = matrix(vectors).dot(&self.projection.t());
-        let of_row = |u| self.distances_in_space(&self.less_origin(u));
-        projected.rows().into_iter().map(of_row).collect()
-    }
-
-    /// The squared distances d_c of u, a vector already projected.
-    fn distances_in_space(&self, u: &[f64]) -> Vec<f64> {
-        let distance = |(mean, &present): (ArrayView1<'_, f64>, &bool)| {
-            if present {
-                mean.iter().zip(u).map(|(m, u)| (m - u).powi(2)).sum()
-            } else {
-                f64::INFINITY
-            }
+    /// Squared distance of each vector, shape (n, d), to each class mean; infinite for classes without
+    /// training vectors.
+    pub(crate) fn distances(&self, vectors: ArrayView2<'_, f32>) -> Vec<Vec<f64>> {
+        let distances = |projected: ArrayView1<'_, f32>| {
+            let u: Vec<f64> =
+                projected.iter().zip(&self.origin).map(|(&x, o)| f64::from(x) - o).collect();
+            let of_class = |(mean, &present): (ArrayView1<'_, f64>, &bool)| {
+                if present {
+                    mean.iter().zip(&u).map(|(m, u)| (m - u).powi(2)).sum()
+                } else {
+                    f64::INFINITY
+                }
+            };
+            self.means.rows().into_iter().zip(&self.present).map(of_class).collect()
         };
-        self.means.rows().into_iter().zip(&self.present).map(distance).collect()
+        if vectors.nrows() == 1 {
+            // One row is multiplied faster as a vector.
+            return vec![distances(self.projection.dot(&vectors.row(0)).view())];
+        }
+        vectors.dot(&self.projection.t()).rows().into_iter().map(distances).collect()
     }
 }
 
-impl<'a> Metric<'a> {
-    fn new(vectors: &'a Vectors<'a>, dims: usize, shrinkage: f64) -> Option<Self> {
-        let residuals = Residuals::new(vectors.rows, vectors.labels);
-        let there = || residuals.counts.iter().filter(|n| **n > 0.5);
-        let freedom: f64 = there().map(|n| n - 1.0).sum();
-        let known = residuals.counts.iter().take(vectors.classes).filter(|n| **n > 0.5).count();
-        if known < 2 || freedom < 0.5 {
-            return None;
-        }
-        let n = vectors.rows.nrows() as f64;
-        let square: f64 = vectors.rows.iter().map(|x| f64::from(*x).powi(2)).sum();
-        let sum = |column: ArrayView1<'_, f32>| column.iter().map(|x| f64::from(*x)).sum::<f64>();
-        let overall: f64 = vectors.rows.columns().into_iter().map(|c| (sum(c) / n).powi(2)).sum();
-        let total = (square / n - overall) / dims as f64;
-        // The sums of squares have a relative error of about 1e-6; a smaller variance is only noise.
-        if total.is_nan() || total <= 1e-5 * square / n / dims as f64 {
-            return None;
-        }
-        let mut factor = residuals.scatter();
-        let within = factor.diag().sum() / freedom / dims as f64;
-        let weight = (1.0 - shrinkage) / freedom;
-        factor *= weight;
-        let ridge = shrinkage * within.max(LEAST_WITHIN * total);
-        factor.diag_mut().map_inplace(|x| *x += ridge);
-        Some(Self { factor: cholesky(factor)?, vectors, residuals, weight, freedom })
-    }
+/// Variance of all vectors about their mean, per feature; `None` if they are all alike.
+fn total_variance(vectors: &ArrayView2<'_, f32>) -> Option<f64> {
+    let (n, dims) = (vectors.nrows() as f64, vectors.ncols() as f64);
+    let square: f64 = vectors.iter().map(|x| f64::from(*x).powi(2)).sum();
+    let sum = vectors.fold_axis(Axis(0), 0.0, |sum: &f64, &x| sum + f64::from(x));
+    let overall: f64 = sum.iter().map(|sum| (sum / n).powi(2)).sum();
+    let total = (square / n - overall) / dims;
+    // The sums of squares have a relative error of about 1e-6; a smaller variance is only noise.
+    (total > 1e-5 * square / n / dims).then_some(total)
+}
 
-    /// The class means of whole trials, minus `centre`, as columns in white coordinates.
-    fn white(&self, centre: &Array1<f64>, present: &[bool]) -> Array2<f64> {
-        let mut white = self.residuals.means.slice(s![..present.len(), ..]).to_owned();
-        for (mut mean, &present) in white.rows_mut().into_iter().zip(present) {
-            if present { mean -= centre } else { mean.fill(0.0) }
-        }
-        let mut white = white.reversed_axes().as_standard_layout().into_owned();
-        solve_lower(&self.factor, &mut white);
-        white
+/// The mean of each label, shape (labels, d), and the vectors minus the mean of their label.
+fn residuals(
+    mut vectors: Array2<f32>,
+    labels: &[usize],
+    counts: &[f64],
+) -> (Array2<f64>, Array2<f32>) {
+    let mut means = Array2::<f64>::zeros((counts.len(), vectors.ncols()));
+    for (row, &label) in vectors.rows().into_iter().zip(labels) {
+        means.row_mut(label).zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
     }
+    for (mut mean, &n) in means.rows_mut().into_iter().zip(counts) {
+        mean /= f64::max(n, 1.0);
+    }
+    for (mut row, &label) in vectors.rows_mut().into_iter().zip(labels) {
+        row.zip_mut_with(&means.row(label), |x, mean| *x -= *mean as f32);
+    }
+    (means, vectors)
+}
 
-    fn all(&self) -> Option<Discriminant> {
-        let classes = self.vectors.classes;
-        let present: Vec<bool> =
-            self.residuals.counts[..classes].iter().map(|n| *n > 0.5).collect();
-        let centre = self.centre(&present);
-        let white = self.white(&centre, &present);
-        Discriminant::of_white((&white, &white), &self.factor, &centre, present, 1.0)
-    }
+/// γ = [Σ_trials Σ_{a,b of the trial} (r_a·r_b)²/N² − ‖S‖²/n] / ‖S − μI‖². The r_a are the N residuals
+/// of n trials, S = Σ r_a·r_aᵀ/N and μ = tr(S)/d. If copies counted as separate observations, γ would
+/// be half as large.
+fn shrinkage(residuals: &Array2<f32>, scatter: &Array2<f64>, trials: &[usize]) -> f64 {
+    let (n, d) = (residuals.nrows() as f64, residuals.ncols() as f64);
+    let trace = scatter.diag().sum() / n;
+    let lower = |(i, row): (usize, ArrayView1<'_, f64>)| {
+        let off: f64 = row.iter().take(i).map(|x| x * x).sum();
+        2.0 * off + row[i] * row[i]
+    };
+    let square = scatter.rows().into_iter().enumerate().map(lower).sum::<f64>() / (n * n);
+    let mut of_trial: Vec<Vec<usize>> = vec![Vec::new(); trials.iter().max().map_or(0, |t| t + 1)];
+    trials.iter().enumerate().for_each(|(row, &trial)| of_trial[trial].push(row));
+    let within = |own: &Vec<usize>| -> f64 {
+        let inner = |a: usize, b: usize| f64::from(residuals.row(a).dot(&residuals.row(b)));
+        own.iter().flat_map(|&a| own.iter().map(move |&b| inner(a, b).powi(2))).sum()
+    };
+    let spread = square - trace * trace / d;
+    let within = of_trial.iter().map(within).sum::<f64>() / (n * n);
+    let shrinkage = (within - square / of_trial.len().max(1) as f64) / spread;
+    if shrinkage.is_nan() { SHRINKAGE.1 } else { shrinkage.clamp(SHRINKAGE.0, SHRINKAGE.1) }
+}
 
-    fn centre(&self, present: &[bool]) -> Array1<f64> {
-        let known: Vec<usize> = (0..present.len()).filter(|&c| present[c]).collect();
-        self.residuals.means.select(Axis(0), &known).sum_axis(Axis(0)) / known.len().max(1) as f64
+/// Rows whose scatter is what the scatter loses without a group, and the sum of the group's residuals
+/// for each class. The mean of a label with n rows moves when k of them leave: Σ r·rᵀ loses
+/// Σ_group r·rᵀ + s·sᵀ/(n − k), with s = Σ_group r. That is the scatter of r + β·s, where
+/// (1 + β·k)² = n/(n − k).
+fn left_out(
+    residuals: &Array2<f32>,
+    rows: &Rows,
+    group: usize,
+    (counts, left): (&[f64], &[f64]),
+) -> (Array2<f32>, Array2<f64>) {
+    let members: Vec<usize> =
+        (0..rows.labels.len()).filter(|&row| rows.groups[row] == group).collect();
+    let mut sums = Array2::<f64>::zeros((counts.len(), residuals.ncols()));
+    let mut moved = residuals.select(Axis(0), &members);
+    for (row, &member) in moved.rows().into_iter().zip(&members) {
+        let mut sum = sums.row_mut(rows.labels[member]);
+        sum.zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
     }
-
-    fn without(&self, group: usize) -> Option<Discriminant> {
-        let Vectors { labels, groups, classes, .. } = *self.vectors;
-        let rows: Vec<usize> = (0..labels.len()).filter(|&row| groups[row] == group).collect();
-        let mut left = self.residuals.counts.clone();
-        rows.iter().for_each(|&row| left[labels[row]] -= 1.0);
-        let freedom: f64 = left.iter().filter(|n| **n > 0.5).map(|n| n - 1.0).sum();
-        let present: Vec<bool> = left[..classes].iter().map(|n| *n > 0.5).collect();
-        let known = present.iter().filter(|p| **p).count();
-        if known < 2 || freedom < 0.5 {
-            return None;
+    for (mut row, &member) in moved.rows_mut().into_iter().zip(&members) {
+        let label = rows.labels[member];
+        let (n, k) = (counts[label], counts[label] - left[label]);
+        if left[label] > 0.5 {
+            let beta = ((n / left[label]).sqrt() - 1.0) / k;
+            row.zip_mut_with(&sums.row(label), |x, sum| *x += (beta * sum) as f32);
         }
-        let selected = self.residuals.rows.select(Axis(0), &rows).mapv(f64::from);
-        let mut moved = selected.reversed_axes().as_standard_layout().into_owned();
-        solve_lower(&self.factor, &mut moved);
-        // Q⁻¹ divided by the weight, minus VᵀV.
-        let mut rest = moved.t().dot(&moved);
-        rest.map_inplace(|x| *x = -*x);
-        for (i, &a) in rows.iter().enumerate() {
-            rest[[i, i]] += 1.0 / self.weight;
-            for (j, &b) in rows.iter().enumerate() {
-                if labels[a] == labels[b] && left[labels[a]] > 0.5 {
-                    rest[[i, j]] -= 1.0 / (self.residuals.counts[labels[a]] * self.weight);
-                }
-            }
-        }
-        let rest = cholesky(rest)?;
-        // The class means move when the group's whole trials are left out.
-        let mut centre = self.centre(&present);
-        let mut white = self.white(&centre, &present);
-        let mut move_by = Array2::<f64>::zeros((rows.len(), classes));
-        for (i, &row) in rows.iter().enumerate().filter(|(_, row)| labels[**row] < classes) {
-            if present[labels[row]] {
-                move_by[[i, labels[row]]] = -1.0 / left[labels[row]];
-            }
-        }
-        let of_centre = move_by.sum_axis(Axis(1)) / known as f64;
-        for (mut column, _) in move_by.columns_mut().into_iter().zip(&present).filter(|p| *p.1) {
-            column -= &of_centre;
-        }
-        white += &moved.dot(&move_by);
-        for (&row, &by) in rows.iter().zip(&of_centre) {
-            let residual = self.residuals.rows.row(row);
-            centre.zip_mut_with(&residual, |x, r| *x += by * f64::from(*r));
-        }
-        let mut along = moved.t().dot(&white);
-        solve_lower(&rest, &mut along);
-        solve_lower_transposed(&rest, &mut along);
-        let inverse = &white + &moved.dot(&along);
-        let scale = freedom / self.freedom;
-        Discriminant::of_white((&white, &inverse), &self.factor, &centre, present, scale)
     }
+    (moved, sums)
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ use super::joint::{Present, SourceEmbedder, Stretch};
 use super::model::{EmbeddingModel, Posterior};
 use super::moments::GrowingMoments;
 use super::packed::PackedFrames;
+use super::passed::{self, Passed};
 use super::series::SeriesEmbedder;
 use super::tiles::PictureTiles;
 use crate::recognise::decide::conformal::Rejection;
@@ -61,6 +62,8 @@ struct GrowingSeries {
     broken: bool,
     frames: [BandSums; 2],
     moments: GrowingMoments,
+    /// The series that moments are taken from, where it is limited to the band.
+    passed: Option<Passed>,
     /// For each view, the samples that later frames need; all samples, until one frame is complete.
     pending: [Vec<f32>; 2],
 }
@@ -265,7 +268,7 @@ impl ScanSoFar {
     /// Adds the frames due by `scan_s` seconds of drag to the sums; frames of taps are always due.
     fn pass_on(&mut self, model: &EmbeddingModel, scan_s: f64) -> Result<(), RecogniseError> {
         for (id, series) in self.series.iter_mut().filter(|(_, series)| !series.broken) {
-            let view = &series.views.0[0];
+            let view = &series.views.frames[0];
             let there = series.waiting.len() / view.channels;
             let due = samples_by(scan_s, view.rate_hz).saturating_sub(series.samples);
             let frames = if series.drag { there.min(due) } else { there };
@@ -277,7 +280,7 @@ impl ScanSoFar {
                     return Err(RecogniseError::Rates {
                         source_name: id.clone(),
                         query_hz: view.rate_hz,
-                        library_hz: library.views.0[0].rate_hz,
+                        library_hz: library.views.frames[0].rate_hz,
                         trial: "the scan's library".into(),
                     });
                 }
@@ -292,7 +295,7 @@ impl ScanSoFar {
     fn says(&self, stretch: &Stretch, sound: &BTreeSet<SourceId>) -> bool {
         let id = &stretch.spec.id;
         let of_series = |series: &GrowingSeries| {
-            series.samples >= series.views.0[1].points
+            series.samples >= series.views.frames[1].points
                 && (stretch.has_switch() || !series.moments.so_far().is_constant())
         };
         let of_picture = |picture: &TakenPicture| picture.vector.is_some();
@@ -327,15 +330,16 @@ impl ScanSoFar {
 
 impl GrowingSeries {
     fn new(views: SourceViews, drag: bool) -> Self {
-        let channels = views.0[0].channels;
+        let channels = views.channels();
         Self {
             drag,
             waiting: Vec::new(),
             samples: 0,
             flaws: SeriesFlaws::new(channels),
             broken: false,
-            frames: views.0.each_ref().map(|view| BandSums::new(view.channels, view.width())),
+            frames: views.frames.each_ref().map(|view| BandSums::new(view.channels, view.width())),
             moments: GrowingMoments::new(channels, views.block()),
+            passed: views.passed.then(|| Passed::new(&views.frames[0])),
             pending: Default::default(),
             views,
         }
@@ -343,24 +347,32 @@ impl GrowingSeries {
 
     /// Number of frames received, whether added to the sums or still waiting.
     fn received(&self) -> usize {
-        self.samples + self.waiting.len() / self.views.0[0].channels
+        self.samples + self.waiting.len() / self.views.channels()
     }
 
     /// Adds the first `frames` waiting frames to the sums.
     fn pass_on(&mut self, frames: usize) {
-        let samples: Vec<f32> = self.waiting.drain(..frames * self.views.0[0].channels).collect();
+        let samples: Vec<f32> = self.waiting.drain(..frames * self.views.channels()).collect();
         self.samples += frames;
         self.flaws.add(&samples);
         self.broken = !samples.iter().all(|x| x.is_finite());
         if self.broken {
             return;
         }
-        self.moments.extend(&samples);
-        for ((view, pending), sums) in
-            self.views.0.iter().zip(&mut self.pending).zip(&mut self.frames)
-        {
+        if self.passed.is_none() {
+            self.moments.extend(&samples);
+        }
+        let views = self.views.frames.iter().zip(&mut self.pending).zip(&mut self.frames);
+        for (number, ((view, pending), sums)) in views.enumerate() {
             pending.extend_from_slice(&samples);
-            let fresh = view.whole_frames(pending);
+            let fresh = match &mut self.passed {
+                Some(passed) if number == 0 => {
+                    let (fresh, parts) = view.whole_frames_and_passed(pending);
+                    self.moments.extend(passed.add(&parts));
+                    fresh
+                }
+                _ => view.whole_frames(pending),
+            };
             pending.drain(..view.hop() * view.channels * (fresh.len() / view.width()));
             sums.add(&PackedFrames::new(&fresh).values());
         }
@@ -368,15 +380,30 @@ impl GrowingSeries {
 
     fn vector(&self, embedder: &SeriesEmbedder, whole: Option<&Signal>) -> Vec<f32> {
         let mut frames = self.frames.clone();
-        for (v, view) in self.views.0.iter().enumerate() {
+        for (v, view) in self.views.frames.iter().enumerate() {
             if frames[v].frames() == 0 {
                 frames[v].add(&PackedFrames::new(&view.frames(&self.pending[v])).values());
             }
         }
-        let moments = match whole {
-            Some(Signal::Series(series)) => self.moments.whole(series.samples()),
+        let moments_of = |samples: &[f32], finished: bool| {
+            let mut moments = GrowingMoments::new(self.views.channels(), self.views.block());
+            moments.extend(samples);
+            if finished { moments.whole(samples) } else { moments.so_far() }
+        };
+        let moments = match (&self.passed, whole) {
+            (Some(_), whole) if self.frames[0].frames() == 0 => {
+                let samples = passed::short(&self.views.frames[0], &self.pending[0]);
+                moments_of(&samples, whole.is_some())
+            }
+            (Some(passed), Some(_)) => {
+                let (mut moments, known) = (self.moments.clone(), passed.len());
+                let samples = passed.clone().finished();
+                moments.extend(&samples[known..]);
+                moments.whole(&samples)
+            }
+            (None, Some(Signal::Series(series))) => self.moments.whole(series.samples()),
             _ => self.moments.so_far(),
         };
-        embedder.vector(&frames, &moments, self.views.0[0].rate_hz, 0.0)
+        embedder.vector(&frames, &moments, self.views.moments_hz(), 0.0)
     }
 }

@@ -7,13 +7,15 @@
 //! too. It has at most a quarter of the library's median trial. A short frame is a quarter of a long
 //! one. The shape of the library sets the frames of its trials and of all queries.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::copies::{self, copies};
+use super::copies::{self, COPIES, Copy, copies};
 use super::moments::{GrowingMoments, Moments};
 use super::packed::PackedFrames;
+use super::passed::{self, Passed};
 use super::tiles::PictureTiles;
 use crate::recognise::error::{RecogniseError, of_known_sources};
 use crate::recognise::features::windowed_frames::FrameView;
@@ -33,12 +35,20 @@ const SHORTER: usize = 4;
 const FEWEST: usize = 4;
 /// Most bands in a long frame and in a short frame.
 const BANDS: [usize; 2] = [40, 24];
+/// A band that covers at least this share of all frequencies counts as all of them.
+const NEARLY_ALL: f64 = 0.9;
 /// Highest frequency in Hz if no band is configured.
 const UNSAID_HZ: f64 = 500.0;
 
-/// How the series of one source are cut into frames: long frames first, then short frames.
+/// How the series of one source are cut into frames and summed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct SourceViews(pub [FrameView; 2]);
+pub struct SourceViews {
+    /// Long frames first, then short frames.
+    pub frames: [FrameView; 2],
+    /// Whether moments are taken from the part of the series within the band: the band leaves out more
+    /// than a few of the frequencies.
+    pub passed: bool,
+}
 
 impl SourceViews {
     /// The views of a recording, with its rate in Hz and its length in frames, in a library of this
@@ -60,17 +70,35 @@ impl SourceViews {
         let view = |points: usize, bands| {
             FrameView::of_points(at_rate(points), rate_hz, spec.channels, band_hz, bands)
         };
-        Self([view(long.max(FEWEST), BANDS[0]), view(short, BANDS[1])])
+        Self {
+            frames: [view(long.max(FEWEST), BANDS[0]), view(short, BANDS[1])],
+            passed: spec.domain.band_hz().is_some()
+                && band_hz.1 - band_hz.0 < NEARLY_ALL * 0.5 * library_hz,
+        }
+    }
+
+    /// The rate in Hz of the series that moments are taken from.
+    pub fn moments_hz(&self) -> f64 {
+        let long = &self.frames[0];
+        if !self.passed {
+            return long.rate_hz;
+        }
+        long.rate_hz * long.passed_points() as f64 / long.points as f64
     }
 
     /// Whether the bands of both cover the same frequencies; their rates may differ.
     pub fn comparable(&self, other: &Self) -> bool {
-        self.0.iter().zip(&other.0).all(|(a, b)| a.comparable(b))
+        self.frames.iter().zip(&other.frames).all(|(a, b)| a.comparable(b))
     }
 
     /// Samples a channel in a block of moments: the step from one long frame to the next.
     pub fn block(&self) -> usize {
-        self.0[0].hop()
+        let long = &self.frames[0];
+        if self.passed { long.passed_points().div_ceil(2) } else { long.hop() }
+    }
+
+    pub fn channels(&self) -> usize {
+        self.frames[0].channels
     }
 }
 
@@ -83,18 +111,33 @@ pub struct Piece {
 
 impl Piece {
     fn new(views: &SourceViews, samples: &[f32]) -> Self {
-        let mut sums = GrowingMoments::new(views.0[0].channels, views.block());
-        sums.extend(samples);
-        Self::of_sums(views, samples, &sums)
-    }
-
-    /// The piece whose samples were added to `sums`.
-    fn of_sums(views: &SourceViews, samples: &[f32], sums: &GrowingMoments) -> Self {
+        let (frames, summed) = long_frames(views, samples);
+        let short = &views.frames[1];
+        let mut sums = GrowingMoments::new(views.channels(), views.block());
+        sums.extend(&summed);
         Self {
-            frames: views.0.each_ref().map(|view| PackedFrames::new(&view.frames(samples))),
-            moments: sums.whole(samples),
+            frames: [&frames, &short.frames(samples)].map(|frames| PackedFrames::new(frames)),
+            moments: sums.whole(&summed),
         }
     }
+}
+
+/// The long frames of a series or a piece of one, and the samples that its moments are taken from.
+pub(super) fn long_frames<'a>(
+    views: &SourceViews,
+    samples: &'a [f32],
+) -> (Vec<f32>, Cow<'a, [f32]>) {
+    let long = &views.frames[0];
+    if !views.passed {
+        return (long.frames(samples), samples.into());
+    }
+    let (frames, parts) = long.whole_frames_and_passed(samples);
+    if frames.is_empty() {
+        return (long.frames(samples), passed::short(long, samples).into());
+    }
+    let mut passed = Passed::new(long);
+    passed.add(&parts);
+    (frames, passed.finished().into())
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -118,49 +161,61 @@ impl SeriesFrames {
         Self { whole, samples: series.frames(), views, copies: Vec::new(), looks: Vec::new() }
     }
 
-    /// Cuts a recording of a library, and its copies, into frames. Key and seed determine the copies.
+    /// Cuts a recording of a library, and its copies, into frames. The trial's digest and the seed
+    /// determine the copies.
     fn of_library(
         views: SourceViews,
         series: &Series,
         spec: &SourceSpec,
-        (key, seed): (&TrialKey, u64),
+        (digest, seed): (u64, u64),
     ) -> Self {
         let (channels, samples) = (series.channels(), series.samples());
-        let source = (key, seed, spec.id.as_str());
-        let copy = |copy: &copies::Copy| {
+        let source = (digest, seed, spec.id.as_str());
+        let copy = |copy: &Copy| {
             Piece::new(&views, &copies::samples(copy, source, channels, samples))
         };
-        let copies = copies(key, seed).iter().map(copy).collect();
-        let (mut looks, mut looked_at) = (Vec::new(), 0);
+        let copies = copies(digest, seed).iter().map(copy).collect();
+        let [long, short] = &views.frames;
+        let (frames, summed) = long_frames(&views, samples);
+        let mut looks = Vec::new();
         let mut growing = GrowingMoments::new(channels, views.block());
+        let mut known = 0;
         if spec.phase == Phase::Drag {
             let end = |look: usize| samples_by(look as f64 * LOOK_S, series.rate_hz());
             for end in (1..).map(end).take_while(|end| *end <= series.frames()) {
-                growing.extend(&samples[looked_at * channels..end * channels]);
-                looked_at = end;
                 let so_far = &samples[..end * channels];
                 let padded = |view: &FrameView| {
-                    if end < view.points {
-                        PackedFrames::new(&view.frames(so_far))
-                    } else {
-                        PackedFrames::default()
-                    }
+                    if end < view.points { view.frames(so_far) } else { Vec::new() }
                 };
-                let frames = views.0.each_ref().map(padded);
+                let frames = [long, short].map(|view| PackedFrames::new(&padded(view)));
+                if views.passed && end < long.points {
+                    let summed = passed::short(long, so_far);
+                    let mut beginning = GrowingMoments::new(channels, views.block());
+                    beginning.extend(&summed);
+                    looks.push(Piece { frames, moments: beginning.so_far() });
+                    continue;
+                }
+                let by_now = match views.passed {
+                    true => Passed::new(long).samples_after(long.frames_in(end)),
+                    false => end,
+                };
+                growing.extend(&summed[known * channels..by_now * channels]);
+                known = by_now;
                 looks.push(Piece { frames, moments: growing.so_far() });
             }
         }
-        growing.extend(&samples[looked_at * channels..]);
-        let whole = Piece::of_sums(&views, samples, &growing);
+        growing.extend(&summed[known * channels..]);
+        let frames = [&frames, &short.frames(samples)].map(|frames| PackedFrames::new(frames));
+        let whole = Piece { frames, moments: growing.whole(&summed) };
         Self { whole, samples: series.frames(), views, copies, looks }
     }
 
     pub fn rate_hz(&self) -> f64 {
-        self.views.0[0].rate_hz
+        self.views.frames[0].rate_hz
     }
 
     pub fn is_a_frame_long(&self) -> bool {
-        self.samples >= self.views.0[1].points
+        self.samples >= self.views.frames[1].points
     }
 
     pub fn duration_s(&self) -> f64 {
@@ -188,11 +243,20 @@ impl SourceFrames {
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialFrames {
     pub key: TrialKey,
+    /// Hash of the samples, whatever the trial is called. It orders a library's trials.
+    pub digest: u64,
+    /// Seed of the copies.
+    pub seed: u64,
     /// The sources of the trial that the scene describes.
     pub sources: BTreeMap<SourceId, SourceFrames>,
 }
 
 impl TrialFrames {
+    /// The copies of the trial, in the order of [`SeriesFrames::copies`].
+    pub(super) fn copies(&self) -> [Copy; COPIES] {
+        copies(self.digest, self.seed)
+    }
+
     pub(super) fn forget_copies(&mut self) {
         for source in self.sources.values_mut() {
             if let SourceFrames::Series(series) = source {
@@ -213,17 +277,18 @@ impl TrialFrames {
         shape: &LibraryShape,
         seed: Option<u64>,
     ) -> Result<Self, RecogniseError> {
+        let digest = digest(trial);
         let sources = of_known_sources(key, trial, scene, |spec, signal| match signal {
             Signal::Image(image) => SourceFrames::Picture(PictureTiles::new(image)),
             Signal::Series(series) => {
                 let views = SourceViews::new(spec, (series.rate_hz(), series.frames()), shape);
                 SourceFrames::Series(match seed {
-                    Some(seed) => SeriesFrames::of_library(views, series, spec, (key, seed)),
+                    Some(seed) => SeriesFrames::of_library(views, series, spec, (digest, seed)),
                     None => SeriesFrames::new(views, series),
                 })
             }
         })?;
-        Ok(Self { key: key.clone(), sources })
+        Ok(Self { key: key.clone(), digest, seed: seed.unwrap_or(0), sources })
     }
 
     /// Hash of how the sources of a scene are cut into frames and copied in a library of this shape.
@@ -239,6 +304,24 @@ impl TrialFrames {
     }
 }
 
+/// Hash of the sources of a trial and their samples, the same on every machine.
+fn digest(trial: &Trial) -> u64 {
+    let of_source = |(id, signal): (&SourceId, &Signal)| {
+        let mut sum = crc32fast::Hasher::new();
+        match signal {
+            Signal::Image(image) => sum.update(image.rgb()),
+            Signal::Series(series) => {
+                for samples in series.samples().chunks(1024) {
+                    sum.update(samples.iter().map(|x| x.to_le_bytes()).collect::<Vec<_>>().as_flattened());
+                }
+            }
+        }
+        let (sum, frames) = (sum.finalize(), signal.frames() as u64);
+        [id.as_str().as_bytes(), &sum.to_le_bytes(), &frames.to_le_bytes()].concat()
+    };
+    crate::seed::stable_hash(&[&trial.signals.iter().flat_map(of_source).collect::<Vec<u8>>()])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -248,7 +331,7 @@ mod tests {
         let spec = scene.get(id).unwrap();
         let shape = SourceShape { rate_hz, channels: spec.channels, median_frames };
         let shape = LibraryShape::from_iter([(spec.id.clone(), shape)]);
-        SourceViews::new(spec, (at_hz, 100), &shape).0
+        SourceViews::new(spec, (at_hz, 100), &shape).frames
     }
 
     #[test]

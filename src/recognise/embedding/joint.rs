@@ -1,19 +1,16 @@
 //! Puts all sources of a trial into one vector. The features of each source are standardised by the
-//! mean and deviation of the library, and written in a basis of the directions in which the library
-//! varies. The *stretch* of a source is its range of columns in the vector.
+//! mean and deviation of the library. The *stretch* of a source is its range of columns in the vector.
 
 use std::ops::Range;
 use std::sync::Arc;
 
-use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut1, Axis, s};
+use ndarray::{Array2, ArrayView1, ArrayViewMut1, ArrayViewMut2, s};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::BandSums;
-use super::copies::{COPIES, Copy, copies};
+use super::copies::{COPIES, Copy};
 use super::frames::{SeriesFrames, SourceFrames, TrialFrames, samples_by};
-use super::linear::{matrix, varying_directions};
-use super::packed;
 use super::picture::PictureEmbedder;
 use super::series::SeriesEmbedder;
 use crate::recognise::error::{RecogniseError, nothing_in_common};
@@ -24,10 +21,6 @@ use crate::trial::TrialKey;
 /// Standardised features are clipped to ± this value.
 const CLIP: f32 = 8.0;
 
-/// Directions are left out as long as no feature loses more than this share of its variance. They are
-/// drowned by the shrinkage, and would make a large library's training several times slower.
-const LEAST_VARIANCE: f64 = 0.003;
-
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) enum SourceEmbedder {
     Series(Box<SeriesEmbedder>),
@@ -36,7 +29,7 @@ pub(super) enum SourceEmbedder {
 
 impl SourceEmbedder {
     /// Makes the embedder of a source from the `trials` of a library that have it, at least one.
-    fn new(spec: &SourceSpec, trials: &[&SourceFrames]) -> Self {
+    fn new(trials: &[&SourceFrames]) -> Self {
         let series: Vec<_> = trials.iter().filter_map(|source| source.series()).collect();
         if series.is_empty() {
             let picture = |source: &&SourceFrames| match source {
@@ -46,7 +39,7 @@ impl SourceEmbedder {
             let counts: Vec<_> = trials.iter().filter_map(picture).collect();
             return Self::Picture(PictureEmbedder::new(&counts));
         }
-        Self::Series(Box::new(SeriesEmbedder::new(&series, spec.domain.band_hz())))
+        Self::Series(Box::new(SeriesEmbedder::new(&series)))
     }
 
     fn dims(&self) -> usize {
@@ -62,7 +55,7 @@ impl SourceEmbedder {
             (Self::Series(embedder), SourceFrames::Series(series)) => {
                 let copied = copy.and_then(|(i, copy)| Some((series.copies.get(i)?, copy.ln_gain)));
                 let (piece, ln_gain) = copied.unwrap_or((&series.whole, 0.0));
-                embedder.embed(piece, series.rate_hz(), ln_gain)
+                embedder.embed(piece, series.views.moments_hz(), ln_gain)
             }
             (Self::Picture(embedder), SourceFrames::Picture(tiles)) => {
                 let ln_gain = copy.map_or(0.0, |(_, copy)| copy.picture_ln_gain);
@@ -85,17 +78,10 @@ pub(super) struct Stretch {
     mean: Vec<f32>,
     /// 1/(standard deviation) of each feature.
     factor: Vec<f32>,
-    /// Orthonormal directions in which the features vary, shape (columns, features).
-    #[serde(with = "packed::matrix")]
-    basis: Array2<f32>,
     pub columns: Range<usize>,
 }
 
 impl Stretch {
-    pub(super) fn features(&self) -> usize {
-        self.mean.len()
-    }
-
     fn standardise(&self, mut features: ArrayViewMut1<'_, f32>) {
         for ((x, mean), factor) in features.iter_mut().zip(&self.mean).zip(&self.factor) {
             *x = ((*x - mean) * factor).clamp(-CLIP, CLIP);
@@ -103,27 +89,21 @@ impl Stretch {
         debug_assert!(features.iter().all(|x| x.is_finite()));
     }
 
-    /// The columns of the source, from rows of its features.
-    fn columns_of(&self, mut rows: Array2<f32>) -> Array2<f32> {
-        rows.rows_mut().into_iter().for_each(|row| self.standardise(row));
-        match rows.nrows() {
-            // One row is multiplied faster as a vector.
-            1 => self.basis.dot(&rows.row(0)).insert_axis(Axis(0)),
-            _ => rows.dot(&self.basis.t()),
-        }
-    }
-
-    /// Sets the mean and deviation of each feature from those of whole trials, shape (n, features).
-    fn standardise_by(&mut self, wholes: &ArrayView2<'_, f32>) {
-        let n = wholes.nrows().max(1) as f64;
+    /// Sets the mean and deviation of each feature from the rows of whole trials, and standardises the
+    /// rows that are `there`. The first `wholes` rows are of whole trials.
+    fn standardise_by(&mut self, mut rows: ArrayViewMut2<'_, f32>, there: &[usize], wholes: usize) {
+        let whole: Vec<usize> = there.iter().copied().filter(|&row| row < wholes).collect();
+        let n = whole.len().max(1) as f64;
         let scale = |feature: ArrayView1<'_, f32>| {
-            let mean = feature.iter().map(|x| f64::from(*x)).sum::<f64>() / n;
-            let variance = feature.iter().map(|x| (f64::from(*x) - mean).powi(2)).sum::<f64>() / n;
+            let values = || whole.iter().map(|&row| f64::from(feature[row]));
+            let mean = values().sum::<f64>() / n;
+            let variance = values().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
             // A feature that hardly varies is not magnified.
             let deviation = variance.sqrt().max(1e-6 + 1e-3 * mean.abs());
             (mean as f32, (1.0 / deviation) as f32)
         };
-        (self.mean, self.factor) = wholes.columns().into_iter().map(scale).unzip();
+        (self.mean, self.factor) = rows.columns().into_iter().map(scale).unzip();
+        there.iter().for_each(|&row| self.standardise(rows.row_mut(row)));
     }
 
     /// Whether a channel of the source is constant in the library and compared by its level.
@@ -139,7 +119,7 @@ impl Stretch {
                 Err(RecogniseError::Rates {
                     source_name: self.spec.id.clone(),
                     query_hz: series.rate_hz(),
-                    library_hz: library.views.0[0].rate_hz,
+                    library_hz: library.views.frames[0].rate_hz,
                     trial: self.first.to_string(),
                 })
             }
@@ -158,22 +138,21 @@ pub(super) struct JointEmbedder {
 pub(super) type Present = Vec<bool>;
 
 impl JointEmbedder {
-    /// Takes the scales of each source from a library. `training_rows` sets means, deviations and
-    /// bases.
+    /// Takes the scales of each source from a library. `training_rows` sets means and
+    /// deviations.
     pub(super) fn new(scene: &Scene, library: &[Arc<TrialFrames>]) -> Self {
         let mut stretches: Vec<Stretch> = Vec::new();
         for spec in scene.sources() {
             let with = |trial: &&Arc<TrialFrames>| trial.sources.contains_key(&spec.id);
             let Some(first) = library.iter().find(with) else { continue };
             let trials: Vec<_> = library.iter().filter_map(|t| t.sources.get(&spec.id)).collect();
-            let embedder = SourceEmbedder::new(spec, &trials);
+            let embedder = SourceEmbedder::new(&trials);
             stretches.push(Stretch {
                 spec: spec.clone(),
                 embedder,
                 first: first.key.clone(),
                 mean: Vec::new(),
                 factor: Vec::new(),
-                basis: Array2::zeros((0, 0)),
                 columns: 0..0,
             });
         }
@@ -184,13 +163,12 @@ impl JointEmbedder {
     pub(super) fn is_of(&self, scene: &Scene) -> bool {
         let mut dims = 0;
         let follows = |stretch: &Stretch| {
-            let Stretch { spec, embedder, mean, factor, basis, columns, .. } = stretch;
-            let (features, first) = (embedder.dims(), dims);
+            let Stretch { spec, embedder, mean, factor, columns, .. } = stretch;
+            let first = dims;
             dims = columns.end;
             columns.start == first
                 && scene.get(spec.id.as_str()) == Some(spec)
-                && [mean.len(), factor.len()] == [features; 2]
-                && basis.dim() == (columns.len(), features)
+                && [mean.len(), factor.len(), columns.len()] == [embedder.dims(); 3]
         };
         self.stretches.iter().all(follows)
     }
@@ -246,25 +224,25 @@ impl JointEmbedder {
         let mut present = vec![false; self.stretches.len()];
         for ((stretch, features), has) in self.stretches.iter().zip(features).zip(&mut present) {
             if let Some(features) = features {
-                let columns = stretch.columns_of(matrix(&[features]));
-                columns.row(0).assign_to(&mut vector[stretch.columns.clone()]);
+                let columns = &mut vector[stretch.columns.clone()];
+                columns.copy_from_slice(&features);
+                stretch.standardise(columns.into());
                 *has = true;
             }
         }
         (vector, present)
     }
 
-    /// Embeds a library and the copies of its trials, drawn with `seed`, and sets the mean and deviation
-    /// of each feature, and the bases. Gives the vectors as rows: one for each whole trial, then those
-    /// of each trial's copies. `done` is called with each trial after it was embedded.
+    /// Embeds a library and the copies of its trials, and sets the mean and deviation of each feature.
+    /// Gives the vectors as rows: one for each whole trial, then those of each trial's copies. `done` is
+    /// called with each trial after it was embedded.
     pub(super) fn training_rows(
         &mut self,
         library: &mut [Arc<TrialFrames>],
-        seed: u64,
         done: impl Fn(&mut Arc<TrialFrames>) + Sync,
     ) -> Array2<f32> {
         let embed = |trial: &mut Arc<TrialFrames>| {
-            let copies = copies(&trial.key, seed);
+            let copies = trial.copies();
             let copies = copies.iter().enumerate().map(|copy| self.features(trial, Some(copy)));
             let all: Vec<_> = std::iter::once(self.features(trial, None)).chain(copies).collect();
             done(trial);
@@ -273,34 +251,23 @@ impl JointEmbedder {
         let mut vectors: Vec<Vec<Vec<Option<Vec<f32>>>>> =
             library.par_iter_mut().map(embed).collect();
         let trials = vectors.len();
-        let mut columns = 0;
-        let mut of_sources = Vec::new();
+        let dims = self.stretches.iter().map(|stretch| stretch.embedder.dims()).sum();
+        let mut all = Array2::zeros((trials * (1 + COPIES), dims));
+        let mut first = 0;
         for (source, stretch) in self.stretches.iter_mut().enumerate() {
-            let mut rows = Array2::zeros((trials * (1 + COPIES), stretch.embedder.dims()));
-            let mut has = vec![false; rows.nrows()];
-            for (row, mut values) in rows.rows_mut().into_iter().enumerate() {
+            stretch.columns = first..first + stretch.embedder.dims();
+            first = stretch.columns.end;
+            let mut there = Vec::new();
+            for row in 0..all.nrows() {
                 let (trial, vector) = place(row, trials);
                 if let Some(features) = vectors[trial][vector][source].take() {
-                    values.assign(&ArrayView1::from(&features));
-                    has[row] = true;
+                    let columns = s![row, stretch.columns.clone()];
+                    all.slice_mut(columns).assign(&ArrayView1::from(&features));
+                    there.push(row);
                 }
             }
-            let there: Vec<usize> = (0..rows.nrows()).filter(|&row| has[row]).collect();
-            let mut rows =
-                if there.len() < has.len() { rows.select(Axis(0), &there) } else { rows };
-            let whole = there.iter().filter(|&&row| row < trials).count();
-            stretch.standardise_by(&rows.slice(s![..whole, ..]));
-            rows.rows_mut().into_iter().for_each(|row| stretch.standardise(row));
-            stretch.basis = varying_directions(&rows, LEAST_VARIANCE);
-            stretch.columns = columns..columns + stretch.basis.nrows();
-            columns = stretch.columns.end;
-            of_sources.push((there, rows.dot(&stretch.basis.t())));
-        }
-        let mut all = Array2::zeros((trials * (1 + COPIES), columns));
-        for (stretch, (there, rows)) in self.stretches.iter().zip(of_sources) {
-            for (row, values) in there.into_iter().zip(rows.rows()) {
-                all.slice_mut(s![row, stretch.columns.clone()]).assign(&values);
-            }
+            let columns = all.slice_mut(s![.., stretch.columns.clone()]);
+            stretch.standardise_by(columns, &there, trials);
         }
         all
     }
@@ -325,9 +292,10 @@ impl JointEmbedder {
         let mut all = vec![whole.to_vec(); looks.len()];
         for (stretch, features) in self.stretches.iter().zip(parts) {
             let Some(features) = features.filter(|looks| !looks.is_empty()) else { continue };
-            let columns = stretch.columns_of(matrix(&features));
-            for (vector, values) in all.iter_mut().zip(columns.rows()) {
-                values.assign_to(&mut vector[stretch.columns.clone()]);
+            for (vector, features) in all.iter_mut().zip(features) {
+                let columns = &mut vector[stretch.columns.clone()];
+                columns.copy_from_slice(&features);
+                stretch.standardise(columns.into());
             }
         }
         all
@@ -361,20 +329,20 @@ pub(super) fn columns(stretches: &[Stretch], present: &Present) -> Vec<usize> {
 
 /// The features of the beginnings of a series at each of `looks` up to its end.
 fn beginnings(embedder: &SeriesEmbedder, series: &SeriesFrames, looks: &[usize]) -> Vec<Vec<f32>> {
-    let rate_hz = series.rate_hz();
-    let mut sums = series.views.0.each_ref().map(|view| BandSums::new(view.channels, view.width()));
+    let (rate_hz, moments_hz) = (series.rate_hz(), series.views.moments_hz());
+    let mut sums = series.views.frames.each_ref().map(|view| BandSums::new(view.channels, view.width()));
     let mut taken = [0; 2];
     let of_look = |&number: &usize| {
         let look = series.looks.get(number.checked_sub(1)?)?;
         let samples = samples_by(number as f64 * LOOK_S, rate_hz);
-        for (v, view) in series.views.0.iter().enumerate() {
+        for (v, view) in series.views.frames.iter().enumerate() {
             let end = view.frames_in(samples).max(taken[v]);
             sums[v].add(&series.whole.frames[v].part(view.width(), taken[v]..end));
             taken[v] = end;
         }
         let mut filled = sums.clone();
         filled.iter_mut().zip(&look.frames).for_each(|(sums, frame)| sums.add(&frame.values()));
-        Some(embedder.vector(&filled, &look.moments, rate_hz, 0.0))
+        Some(embedder.vector(&filled, &look.moments, moments_hz, 0.0))
     };
     looks.iter().map_while(of_look).collect()
 }

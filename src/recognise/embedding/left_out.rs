@@ -1,21 +1,20 @@
-//! Leaves library trials out, group by group. Finds how sure a model may be, how far from all surfaces
-//! a known trial can lie, and which trials are named right.
+//! Leaves library trials out, group by group. Finds how far from all surfaces a known trial can lie,
+//! and which trials are named right.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use ndarray::ArrayView1;
+use ndarray::{ArrayView1, ArrayView2, Axis};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::calibrated_probability::{HeldOut, Temperature};
 use super::copies::{EXCERPTS, SHARE};
-use super::discriminant::Discriminant;
+use super::ensemble::{Answer, Ensemble};
 use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present};
 use super::labels::Labels;
 use super::training::Training;
-use crate::recognise::decide::conformal::{Calibration, Conformity, nonconformity};
+use crate::recognise::decide::conformal::{Calibration, Conformity};
 use crate::recognise::follow::LOOK_S;
 
 /// Each left-out trial is also examined after these shares of the median length of a drag.
@@ -27,13 +26,12 @@ const SHORTER: f64 = 0.05;
 /// Most trials with beginnings to examine; more would not change any stated digit.
 const MOST_BEGUN: usize = 400;
 
-/// Discriminants for one set of sources: trained on all trials, and without each group.
+/// Ensembles for one set of sources: trained on all trials, and without each group.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Trained {
-    /// Trained on all trials. If that is not possible, gives plain distances to the class means.
-    pub all: Discriminant,
+    pub all: Ensemble,
     /// Trained without each group; `None` if too few trials are left.
-    pub without: Vec<Option<Discriminant>>,
+    pub without: Vec<Option<Ensemble>>,
     /// How far left-out trials lie from all surfaces by these sources.
     pub conformity: Conformity,
 }
@@ -49,7 +47,7 @@ struct Begun {
 
 impl Trained {
     fn new(joint: &JointEmbedder, training: &Training, present: &Present) -> Self {
-        let (all, without) = training.discriminants(joint, present);
+        let (all, without) = training.ensembles(joint, present);
         Self { all, without, conformity: Conformity::default() }
     }
 
@@ -75,13 +73,16 @@ impl Trained {
         present: &Present,
         (drag_s, begun): (f64, &Begun),
     ) {
-        let full: Vec<usize> = (0..labels.class.len())
-            .filter(|&i| present.iter().zip(&training.present[i]).all(|(want, has)| has | !want))
+        let full: Vec<bool> = (training.present.iter())
+            .map(|of_trial| present.iter().zip(of_trial).all(|(want, has)| has | !want))
             .collect();
-        let strange = |trial: usize, vector: ArrayView1<'_, f32>| {
-            let group = labels.group[trial];
-            let without = self.without[group].as_ref()?;
-            Some((group, nonconformity(&without.distances(vector))))
+        let trials = || (0..full.len()).filter(|&i| full[i]);
+        let calibrate = |scan_s: f64, of_each: usize, vectors: Vec<(usize, ArrayView1<'_, f32>)>| {
+            let strange = self.of_left_out(labels, &vectors).into_iter();
+            let scans = strange.map(|(at, answer)| {
+                (labels.group[vectors[at].0], answer.strangeness)
+            });
+            Calibration::new(scan_s, of_each, scans)
         };
         let excerpt_s = SHARE * drag_s;
         let longest_s = if labels.across_users { f64::INFINITY } else { excerpt_s - 1e-9 };
@@ -89,28 +90,49 @@ impl Trained {
             .map(|(at, look)| (at, *look as f64 * LOOK_S))
             .filter(|(_, scan_s)| *scan_s < longest_s)
             .map(|(at, scan_s)| {
-                let kept = begun.trials.iter().filter(|(trial, _)| full.contains(trial));
-                let scans = kept
-                    .filter_map(|(trial, vectors)| strange(*trial, ArrayView1::from(&vectors[at])));
-                Calibration::new(scan_s, 1, scans)
+                let kept = begun.trials.iter().filter(|(trial, _)| full[*trial]);
+                let vectors = kept.map(|(trial, vectors)| (*trial, ArrayView1::from(&vectors[at])));
+                calibrate(scan_s, 1, vectors.collect())
             })
             .collect();
         if begun.looks.is_empty() || !labels.across_users {
-            let excerpts =
-                full.iter().flat_map(|&i| training.excerpts(i).map(move |vector| (i, vector)));
-            let scans = excerpts.filter_map(|(i, vector)| strange(i, vector));
-            by_length.push(Calibration::new(excerpt_s, EXCERPTS, scans));
+            let excerpts = trials().flat_map(|i| training.excerpts(i).map(move |x| (i, x)));
+            by_length.push(calibrate(excerpt_s, EXCERPTS, excerpts.collect()));
         }
         if labels.across_users {
-            let wholes = full.iter().filter_map(|&i| strange(i, training.whole(i)));
-            by_length.push(Calibration::new(drag_s, 1, wholes));
+            let wholes = trials().map(|i| (i, training.whole(i)));
+            by_length.push(calibrate(drag_s, 1, wholes.collect()));
         }
         self.conformity = Conformity::new(by_length);
     }
 
-    pub(super) fn p_value(&self, vector: ArrayView1<'_, f32>, scan_s: f64) -> Option<f64> {
-        let of_group = |without: &Option<Discriminant>| {
-            without.as_ref().map_or(f64::INFINITY, |w| nonconformity(&w.distances(vector)))
+    /// The answers to vectors of library trials by the ensembles without their groups. Each vector comes
+    /// with its trial, each answer with the index of its vector. There is none where the ensemble does
+    /// not know the trial's class.
+    pub(super) fn of_left_out(
+        &self,
+        labels: &Labels,
+        vectors: &[(usize, ArrayView1<'_, f32>)],
+    ) -> Vec<(usize, Answer)> {
+        let of_group = |(group, without): (usize, &Option<Ensemble>)| {
+            let own = (0..vectors.len()).filter(|&at| {
+                let trial = vectors[at].0;
+                let knows = |ensemble: &Ensemble| ensemble.knows(labels.class[trial]);
+                labels.group[trial] == group && without.as_ref().is_some_and(knows)
+            });
+            let own: Vec<usize> = own.collect();
+            let views: Vec<ArrayView1<'_, f32>> = own.iter().map(|&at| vectors[at].1).collect();
+            // The vectors are equally long.
+            let matrix = ndarray::stack(Axis(0), &views).ok();
+            let answers = matrix.zip(without.as_ref()).map(|(x, without)| without.answers(x.view()));
+            own.into_iter().zip(answers.unwrap_or_default()).collect::<Vec<_>>()
+        };
+        self.without.iter().enumerate().flat_map(of_group).collect()
+    }
+
+    pub(super) fn p_value(&self, vector: ArrayView2<'_, f32>, scan_s: f64) -> Option<f64> {
+        let of_group = |without: &Option<Ensemble>| {
+            without.as_ref().map_or(f64::INFINITY, |w| w.answers(vector)[0].strangeness)
         };
         let scores: Vec<f64> = self.without.par_iter().map(of_group).collect();
         self.conformity.p_value(scan_s, |group| scores[group])
@@ -119,17 +141,15 @@ impl Trained {
 
 #[derive(Serialize, Deserialize)]
 pub(super) struct LeftOut {
-    /// Temperature τ of probabilities, as a function of the length of a scan.
-    pub temperature: Temperature,
-    /// Distances of whole left-out trials, with their classes.
-    pub held_out: Vec<HeldOut>,
+    /// Number of trials that a model without their group can name.
+    pub held_out: usize,
     /// Median length of the drag, in seconds, of the trials that have all sources; 0 if there are none.
     pub drag_s: f64,
     /// Scans of at least this many seconds count as whole. In a library of several people, all trials
     /// except a share [`SHORTER`] reach it. In a library of one person, half of the trials do, since
     /// whole scans are compared with excerpts there.
     whole_from_s: f64,
-    /// Discriminants for each set of sources that occurs in the library.
+    /// Ensembles for each set of sources that occurs in the library.
     pub trained: BTreeMap<Present, Arc<Trained>>,
 }
 
@@ -146,9 +166,9 @@ impl LeftOut {
             let train = || Trained::new(joint, training, present);
             trained.entry(present.clone()).or_insert_with(train);
         }
-        let without = |i: usize| {
+        let is_known = |i: usize| {
             let without = trained[&training.present[i]].without[labels.group[i]].as_ref();
-            without.filter(|without| without.knows(labels.class[i]))
+            without.is_some_and(|without| without.knows(labels.class[i]))
         };
         let is_full = |i: &usize| training.present[*i].iter().all(|has| *has);
         let mut lengths: Vec<f64> =
@@ -167,33 +187,19 @@ impl LeftOut {
         looks.dedup();
         let last_s = looks.last().map_or(f64::INFINITY, |last| *last as f64 * LOOK_S);
         let begun = |i: usize| {
-            without(i)?;
             let long_enough = joint.drag_s(&library[i])? >= last_s;
             let begin = || joint.beginnings(&library[i], training.whole(i), &looks);
             long_enough.then(|| (i, begin()))
         };
-        let trials = evenly(library.len()).into_par_iter().filter_map(begun).collect();
+        let trials = evenly(library.len()).into_par_iter().filter(|&i| is_known(i));
+        let trials = trials.filter_map(begun).collect();
         let begun = Begun { looks, trials };
-        let held_out = |i: usize, vector: ArrayView1<'_, f32>| -> Option<HeldOut> {
-            Some((without(i)?.distances(vector), labels.class[i]))
-        };
-        let whole: Vec<HeldOut> = (0..library.len())
-            .into_par_iter()
-            .filter_map(|i| held_out(i, training.whole(i)))
-            .collect();
-        let of_look = |(at, look): (usize, &usize)| -> (f64, Vec<HeldOut>) {
-            let trials = begun.trials.iter();
-            let held_out = trials.filter_map(|(i, vectors)| held_out(*i, (&vectors[at]).into()));
-            (*look as f64 * LOOK_S, held_out.collect())
-        };
-        let mut by_length: Vec<_> = begun.looks.iter().enumerate().map(of_look).collect();
-        by_length.push((drag_s, whole.clone()));
+        let held_out = (0..library.len()).filter(|&i| is_known(i)).count();
         trained.iter_mut().for_each(|(present, trained)| {
             trained.measure(training, labels, present, (drag_s, &begun));
         });
         Self {
-            temperature: Temperature::fit(&by_length),
-            held_out: whole,
+            held_out,
             drag_s,
             whole_from_s,
             trained: trained.into_iter().map(|(has, trained)| (has, Arc::new(trained))).collect(),
@@ -205,17 +211,6 @@ impl LeftOut {
     pub(super) fn ended_s(&self, drag_s: Option<f64>) -> f64 {
         let drag_s = drag_s.unwrap_or(f64::INFINITY);
         if drag_s >= self.whole_from_s { drag_s.max(self.drag_s) } else { drag_s }
-    }
-
-    /// The discriminant trained without a trial's group; `None` if it does not know the trial's class.
-    pub(super) fn without(
-        &self,
-        labels: &Labels,
-        present: &Present,
-        trial: usize,
-    ) -> Option<&Discriminant> {
-        let without = self.trained.get(present)?.without.get(labels.group[trial])?.as_ref();
-        without.filter(|without| without.knows(labels.class[trial]))
     }
 }
 

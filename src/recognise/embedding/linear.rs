@@ -162,15 +162,9 @@ fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, 
     }
 }
 
-/// The matrix that has these rows; they are equally long.
-pub(crate) fn matrix(rows: &[Vec<f32>]) -> Array2<f32> {
-    let dims = rows.first().map_or(0, Vec::len);
-    Array2::from_shape_fn((rows.len(), dims), |(row, column)| rows[row][column])
-}
-
 /// Σ z·zᵀ over the rows of a matrix of shape (n, D). The result has shape (D, D); only its lower
 /// triangle is filled.
-fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
+pub(crate) fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
     let (n, dims) = vectors.dim();
     let mut gram = Array2::zeros((dims, dims));
     let blocks: Vec<_> = gram.axis_chunks_iter_mut(Axis(1), COLUMNS_A_SUM).enumerate().collect();
@@ -185,91 +179,6 @@ fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
         }
     });
     gram
-}
-
-/// An orthonormal basis, shape (k, D), of the directions in which the rows of a matrix of shape (n, D)
-/// vary. Projecting the rows on these k directions loses a mean square of at most about `tolerance`.
-///
-/// If there are more rows than columns, the bound holds for each column, otherwise for each row. The
-/// smaller of the two products of the matrix with itself is factored.
-pub(crate) fn varying_directions(rows: &Array2<f32>, tolerance: f64) -> Array2<f32> {
-    let (n, dims) = rows.dim();
-    let mut basis = if dims <= n {
-        let moments = lower_gram(&rows.view()) / n.max(1) as f64;
-        let factor = pivoted_cholesky(&moments, tolerance).1;
-        Array2::from_shape_fn((factor.len(), dims), |(i, j)| factor[i][j])
-    } else {
-        let products = lower_gram(&rows.t()) / dims as f64;
-        rows.select(Axis(0), &pivoted_cholesky(&products, tolerance).0).mapv(f64::from)
-    };
-    // Positive definite, since every pivot exceeds the tolerance.
-    if let Some(factor) = cholesky(basis.dot(&basis.t())) {
-        solve_lower(&factor, &mut basis);
-    }
-    basis.mapv(|x| x as f32)
-}
-
-/// An incomplete Cholesky factor of a positive semidefinite matrix: its pivots (indices of diagonal
-/// elements) and a row for each pivot. Reads only the lower triangle. Each step takes the largest
-/// remaining diagonal element as pivot; the last step is the one after which none exceeds `tolerance`
-/// (Higham 1990, "Analysis of the Cholesky decomposition of a semi-definite matrix").
-fn pivoted_cholesky(a: &Array2<f64>, tolerance: f64) -> (Vec<usize>, Vec<Vec<f64>>) {
-    let n = a.nrows();
-    let mut rest = a.diag().to_vec();
-    let (mut pivots, mut rows): (Vec<usize>, Vec<Vec<f64>>) = (Vec::new(), Vec::new());
-    while rows.len() < n {
-        let most = (0..n).max_by(|&i, &j| rest[i].total_cmp(&rest[j])).unwrap_or(0);
-        if rest[most] <= tolerance {
-            break;
-        }
-        let mut row: Vec<f64> = (0..n).map(|i| a[[i.max(most), i.min(most)]]).collect();
-        for other in &rows {
-            let part = other[most];
-            row.iter_mut().zip(other).for_each(|(x, y)| *x -= part * y);
-        }
-        let root = rest[most].sqrt();
-        row.iter_mut().for_each(|x| *x /= root);
-        rest.iter_mut().zip(&row).for_each(|(rest, x)| *rest -= x * x);
-        rest[most] = 0.0;
-        pivots.push(most);
-        rows.push(row);
-    }
-    (pivots, rows)
-}
-
-/// Training vectors minus the mean of their label.
-pub(crate) struct Residuals {
-    pub counts: Vec<f64>,
-    /// Mean of each label, shape (labels, D).
-    pub means: Array2<f64>,
-    /// Rows minus the mean of their label, shape (n, D).
-    pub rows: Array2<f32>,
-}
-
-impl Residuals {
-    /// The residuals of `rows`; `labels` gives the label of each row.
-    pub(crate) fn new(rows: &Array2<f32>, labels: &[usize]) -> Self {
-        let count = labels.iter().max().map_or(0, |last| last + 1);
-        let mut counts = vec![0.0; count];
-        let mut means = Array2::<f64>::zeros((count, rows.ncols()));
-        for (row, &label) in rows.rows().into_iter().zip(labels) {
-            counts[label] += 1.0;
-            means.row_mut(label).zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
-        }
-        for (mut mean, &n) in means.rows_mut().into_iter().zip(&counts) {
-            mean /= f64::max(n, 1.0);
-        }
-        let mut residuals = rows.clone();
-        for (mut row, &label) in residuals.rows_mut().into_iter().zip(labels) {
-            row.zip_mut_with(&means.row(label), |x, mean| *x -= *mean as f32);
-        }
-        Self { counts, means, rows: residuals }
-    }
-
-    /// Σ r·rᵀ over the rows; only the lower triangle is filled.
-    pub(crate) fn scatter(&self) -> Array2<f64> {
-        lower_gram(&self.rows.view())
-    }
 }
 
 /// Eigenvalues and eigenvectors of a small symmetric matrix.
@@ -392,30 +301,6 @@ mod tests {
         let lower = lower_gram(&vectors.view());
         for ((i, j), expected) in full.indexed_iter().filter(|((i, j), _)| j <= i) {
             assert!((lower[[i, j]] - expected).abs() < 1e-5 * full[[i, i]], "{i}, {j}");
-        }
-    }
-
-    #[test]
-    fn the_varying_directions_are_orthonormal_and_leave_little_over() {
-        for (n, dims) in [(60, 30), (30, 60)] {
-            // Five directions, and a little of everything.
-            let value = |(i, j): (usize, usize)| {
-                let wave =
-                    |k: usize| ((i * (k + 2) * 7 + k) as f64).sin() * ((j * (k + 1)) as f64).cos();
-                let little = 1e-3 * ((i * 31 + j * 17) as f64).sin();
-                ((0..5).map(wave).sum::<f64>() + little) as f32
-            };
-            let vectors = Array2::from_shape_fn((n, dims), value);
-            let basis = varying_directions(&vectors, 1e-4).mapv(f64::from);
-            assert_eq!(basis.nrows(), 5);
-            let off = basis.dot(&basis.t()) - Array2::<f64>::eye(5);
-            assert!(off.iter().all(|x| x.abs() < 1e-5));
-            let vectors = vectors.mapv(f64::from);
-            let rest = &vectors - &vectors.dot(&basis.t()).dot(&basis);
-            for column in rest.columns() {
-                assert!(column.iter().map(|x| x * x).sum::<f64>() / (n as f64) < 1e-4);
-            }
-            assert_eq!(varying_directions(&Array2::zeros((n, dims)), 1e-4).dim(), (0, dims));
         }
     }
 

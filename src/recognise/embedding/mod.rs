@@ -14,9 +14,9 @@
 //! margin is the log of the odds. Only the band of a source's configuration is used.
 
 mod band_sums;
-pub(crate) mod calibrated_probability;
 mod copies;
 pub(crate) mod discriminant;
+mod ensemble;
 mod follower;
 mod fourier;
 pub(super) mod frames;
@@ -28,7 +28,9 @@ pub(crate) mod linear;
 mod model;
 mod moments;
 mod packed;
+mod passed;
 mod picture;
+mod quantiles;
 mod series;
 mod tiles;
 mod training;
@@ -90,7 +92,8 @@ impl Embedding {
         mut library: Vec<Arc<TrialFrames>>,
         shape: &Arc<LibraryShape>,
     ) -> Result<EmbeddingModel, RecogniseError> {
-        library.sort_by(|a, b| a.key.cmp(&b.key));
+        // In an order that no name decides.
+        library.sort_by(|a, b| a.digest.cmp(&b.digest).then_with(|| a.key.cmp(&b.key)));
         check_surfaces(library.iter().map(|trial| &trial.key))?;
         EmbeddingModel::train(&self.scene, shape, library, self.options.seed)
     }

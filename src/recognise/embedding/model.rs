@@ -5,19 +5,19 @@ use std::collections::{BTreeSet, HashMap};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use ndarray::{ArrayView1, s};
+use ndarray::{ArrayView1, Axis, s};
 use rayon::prelude::*;
 use serde::Deserialize;
 
 use super::NAME;
-use super::calibrated_probability::{held_back, log_posterior};
+use super::ensemble::Answer;
 use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch, columns};
 use super::labels::Labels;
 use super::left_out::{LeftOut, Trained, evenly};
 use super::training::Training;
 use crate::library::Entry;
-use crate::recognise::decide::conformal::{Rejection, RejectionError, nonconformity};
+use crate::recognise::decide::conformal::{Rejection, RejectionError};
 use crate::recognise::decide::scan_time::{Goal, LeftOutAccuracy, LibraryCounts, ScanTime};
 use crate::recognise::decide::settle::{FollowedTrial, LeftOutLook, Settling, looks_in};
 use crate::recognise::error::RecogniseError;
@@ -32,13 +32,13 @@ use crate::trial::{Trial, TrialKey};
 pub struct EmbeddingModel {
     pub(super) scene: Scene,
     pub(super) shape: Arc<LibraryShape>,
-    /// The keys of the library's trials, sorted.
+    /// The keys of the library's trials, in the order of their samples' digests.
     keys: Vec<TrialKey>,
     pub(super) labels: Labels,
     pub(super) joint: JointEmbedder,
     training: Training,
     pub(super) left_out: LeftOut,
-    /// Discriminants for sets of sources that a query has had, but no library trial has.
+    /// Ensembles for sets of sources that a query has had, but no library trial has.
     trained: Mutex<HashMap<Present, Arc<Trained>>>,
     /// The library's trials, kept until `followed` is computed from them.
     unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
@@ -50,7 +50,7 @@ pub struct EmbeddingModel {
 
 /// The probability of each surface for a query, and the p-value.
 pub(super) struct Posterior {
-    /// ln of softmax(−distance/2τ).
+    /// ln of the ensemble's probability of each surface.
     pub log_posterior: Vec<f64>,
     /// Probability of each surface, limited to what left-out library trials can show.
     pub probabilities: Vec<f64>,
@@ -136,20 +136,19 @@ impl EmbeddingModel {
         trained
     }
 
-    /// Makes a posterior from the distances to all surfaces, the p-value and the length of a scan.
-    fn posterior_of(&self, distances: &[f64], p_value: Option<f64>, scan_s: f64) -> Posterior {
-        let log_posterior = log_posterior(distances, self.left_out.temperature.at(scan_s));
-        Posterior {
-            probabilities: held_back(&log_posterior, self.left_out.held_out.len()),
-            log_posterior,
-            p_value,
-        }
+    /// Makes a posterior from the answer of an ensemble, and a p-value.
+    fn posterior_of(&self, answer: Answer, p_value: Option<f64>) -> Posterior {
+        let log_posterior = answer.probabilities.iter().map(|p| p.ln()).collect();
+        let probabilities = held_back(answer.probabilities, self.left_out.held_out);
+        Posterior { log_posterior, probabilities, p_value }
     }
 
     pub(super) fn posterior(&self, vector: &[f32], present: &Present, scan_s: f64) -> Posterior {
         let trained = self.trained(present);
-        let p_value = trained.p_value(vector.into(), scan_s);
-        self.posterior_of(&trained.all.distances(vector.into()), p_value, scan_s)
+        let vector = ArrayView1::from(vector).insert_axis(Axis(0));
+        let p_value = trained.p_value(vector, scan_s);
+        // One vector has one answer.
+        self.posterior_of(trained.all.answers(vector).remove(0), p_value)
     }
 
     fn stretches<'a>(&'a self, present: &'a Present) -> impl Iterator<Item = &'a Stretch> {
@@ -171,8 +170,7 @@ impl EmbeddingModel {
         let sources = self.stretches(present).map(|stretch| stretch.spec.id.clone()).collect();
         // There is a candidate, since a library has at least two surfaces.
         let mut ranking = rank(candidates, 1, sources).expect("at least two candidates");
-        let calibrated = !self.left_out.held_out.is_empty();
-        ranking.confidence = calibrated.then(|| posterior.probabilities[best]);
+        ranking.confidence = (self.left_out.held_out > 0).then(|| posterior.probabilities[best]);
         ranking.p_value = posterior.p_value;
         ranking
     }
@@ -190,13 +188,13 @@ impl EmbeddingModel {
         self.keys[nearest.unwrap_or(0)].clone()
     }
 
-    /// The share of each source in the distance to each surface, divided by 2τ. The sum over sources
-    /// is −ln posterior, up to a constant that is the same for all surfaces.
-    fn evidence(&self, vector: &[f32], present: &Present, scan_s: f64) -> Evidence {
+    /// The share of each source in half the distance to each surface, as a mean over members. The sum
+    /// over sources is the mean of their −ln posterior, up to a constant that is the same for all
+    /// surfaces.
+    fn evidence(&self, vector: &[f32], present: &Present) -> Evidence {
         let columns: Vec<_> = self.stretches(present).map(|s| s.columns.clone()).collect();
         let trained = &self.trained(present).all;
-        let scale = 1.0 / (2.0 * self.left_out.temperature.at(scan_s));
-        let (weights, offsets) = trained.weights();
+        let (weights, offsets) = trained.weights(self.joint.dims());
         // u·m_c. The distance to class c is |u|² + |m_c|² − 2·u·m_c.
         let inner = |class: usize, vector: ArrayView1<'_, f32>, columns: &Range<usize>| {
             let columns = s![columns.clone()];
@@ -209,7 +207,7 @@ impl EmbeddingModel {
             for (of_source, columns) in terms.iter_mut().zip(&columns) {
                 let of_mean = inner(class, mean.view(), columns) - offset;
                 let of_query = inner(class, ArrayView1::from(vector), columns) - offset;
-                of_source[class] = scale * (of_mean - 2.0 * of_query);
+                of_source[class] = 0.5 * of_mean - of_query;
             }
         }
         let of_source = |(stretch, terms): (&Stretch, Vec<f64>)| SourceEvidence {
@@ -240,28 +238,29 @@ impl EmbeddingModel {
 
     /// Follows a library trial like a follower, but with a model trained without the trial.
     fn follow_one(&self, frames: &TrialFrames, trial: usize) -> Option<FollowedTrial> {
-        let present = &self.training.present[trial];
-        let without = self.left_out.without(&self.labels, present, trial)?;
-        let conformity = &self.left_out.trained.get(present)?.conformity;
+        let trained = self.left_out.trained.get(&self.training.present[trial])?;
         let drag_s = self.joint.drag_s(frames)?;
         let whole = self.training.whole(trial);
         let looks: Vec<usize> = (1..=looks_in(drag_s)).collect();
-        let vectors = self.joint.beginnings(frames, whole, &looks);
-        let look = |(number, distances): (&usize, Vec<f64>)| {
-            let scan_s = *number as f64 * LOOK_S;
+        let beginnings = self.joint.beginnings(frames, whole, &looks);
+        let views = beginnings.iter().map(|vector| ArrayView1::from(vector)).chain([whole]);
+        let vectors: Vec<_> = views.map(|view| (trial, view)).collect();
+        let mut answers = trained.of_left_out(&self.labels, &vectors);
+        let (_, whole) = answers.pop()?;
+        let look = |(at, answer): (usize, Answer)| {
+            let scan_s = looks[at] as f64 * LOOK_S;
             // Only the model without this trial measures it, so this value is used for every group.
-            let p_value = conformity.p_value(scan_s, |_| nonconformity(&distances));
-            let posterior = self.posterior_of(&distances, p_value, scan_s);
+            let p_value = trained.conformity.p_value(scan_s, |_| answer.strangeness);
+            let posterior = self.posterior_of(answer, p_value);
             let class = posterior.best();
             LeftOutLook { class, probability: posterior.log_posterior[class].exp(), p_value }
         };
-        let distances = without.distances_of_each(&vectors);
         Some(FollowedTrial {
             group: self.labels.group[trial],
             truth: self.labels.class[trial],
-            whole: self.posterior_of(&without.distances(whole), None, f64::INFINITY).best(),
+            whole: self.posterior_of(whole, None).best(),
             drag_s,
-            looks: looks.iter().zip(distances).map(look).collect(),
+            looks: answers.into_iter().map(look).collect(),
         })
     }
 
@@ -288,9 +287,9 @@ impl EmbeddingModel {
         let joint = stored.joint;
         let training = stored.training.restored(&labels, joint.dims())?;
         let fits = |trained: &Arc<Trained>| {
-            let all = std::iter::once(&trained.all).chain(trained.without.iter().flatten());
+            let mut all = std::iter::once(&trained.all).chain(trained.without.iter().flatten());
             trained.without.len() == labels.groups
-                && all.into_iter().all(|d| d.is_of(labels.classes, joint.dims()))
+                && all.all(|ensemble| ensemble.is_of(labels.classes, joint.dims()))
         };
         let sound = joint.is_of(scene)
             && stored.left_out.trained.values().all(fits)
@@ -329,7 +328,7 @@ impl Model for EmbeddingModel {
     fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
         let query = query.frames(NAME)?;
         let (vector, present) = self.embed(query)?;
-        Ok(Some(self.evidence(&vector, &present, self.left_out.ended_s(self.joint.drag_s(query)))))
+        Ok(Some(self.evidence(&vector, &present)))
     }
 
     fn as_any(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
@@ -419,5 +418,35 @@ impl QueryVector {
         }
         let posterior = self.model.posterior(&self.vector, &chosen, f64::INFINITY);
         Some(&self.model.labels.surfaces[posterior.best()])
+    }
+}
+
+/// Probabilities, mixed with equal shares so that none is above (m + ½)/(m + 1). With m = `trials`
+/// left-out trials no more can be shown, even if all are named right.
+fn held_back(mut probabilities: Vec<f64>, trials: usize) -> Vec<f64> {
+    let classes = probabilities.len() as f64;
+    let doubt = 0.5 / (trials as f64 + 1.0);
+    let shared = (doubt / (1.0 - 1.0 / classes)).min(1.0);
+    probabilities.iter_mut().for_each(|p| *p = (1.0 - shared) * *p + shared / classes);
+    probabilities
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_probability_is_beyond_what_the_left_out_trials_can_show() {
+        for (trials, classes) in [(0, 2), (7, 3), (200, 20)] {
+            let mut sure = vec![0.0; classes];
+            sure[0] = 1.0;
+            let held = held_back(sure, trials);
+            let most = (trials as f64 + 0.5) / (trials as f64 + 1.0);
+            assert!(
+                (held[0] - most).abs() < 1e-12 && (held.iter().sum::<f64>() - 1.0).abs() < 1e-12
+            );
+        }
+        let even = held_back(vec![0.5; 2], 3);
+        assert!((even[0] - 0.5).abs() < 1e-12);
     }
 }

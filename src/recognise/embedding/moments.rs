@@ -8,6 +8,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::lanes::{about, dot, extremes, powers};
+use super::quantiles::{Histograms, QUANTILES};
 use crate::recognise::features::windowed_frames::sum;
 
 /// Number of lags of the products x_t·x_{t−l}: 0 … 3 samples.
@@ -75,13 +76,15 @@ impl Sums {
         Self { channels, moved: false, values }
     }
 
-    fn add(&mut self, of_block: &[f32]) {
+    /// Adds the sums of a block. Tells whether they count, and whether those before do.
+    fn add(&mut self, of_block: &[f32]) -> (bool, bool) {
         let extreme = |of: Of, c: usize| of_block[place(of, c)];
         let moves = (0..self.channels).any(|c| extreme(Of::Least, c) != extreme(Of::Greatest, c));
         if self.moved && !moves {
-            return;
+            return (false, true);
         }
-        if moves && !self.moved {
+        let first = moves && !self.moved;
+        if first {
             *self = Self { moved: true, ..Self::new(self.channels) };
         }
         let powers = 1..products(self.channels, 0);
@@ -93,6 +96,7 @@ impl Sums {
                 _ => *sum += x,
             }
         }
+        (true, !first)
     }
 }
 
@@ -101,6 +105,8 @@ impl Sums {
 pub struct Moments {
     reference: Vec<f32>,
     sums: Vec<f32>,
+    /// For each channel, quantiles of x minus `reference`, then of the size of steps.
+    quantiles: Vec<f32>,
 }
 
 impl Moments {
@@ -157,11 +163,17 @@ impl Moments {
             ]);
             deviations.push(deviation * ln_gain.exp());
         }
+        let gain = ln_gain.exp();
+        let quantile = |(i, x): (usize, &f32)| {
+            let (channel, at) = (i / (2 * QUANTILES), i % (2 * QUANTILES));
+            gain * (f64::from(*x) - if at < QUANTILES { level[channel] } else { 0.0 })
+        };
+        let quantiles = self.quantiles.iter().enumerate().map(quantile).collect();
         let power = (2.0 * ln_gain).exp();
         covariances.iter_mut().flatten().for_each(|x| *x *= power);
         let mean = |(m, r): (&f64, &f32)| m + f64::from(*r);
         let means = level.iter().zip(&self.reference).map(mean).collect();
-        Statistics { moments, deviations, means, covariances }
+        Statistics { moments, deviations, means, covariances, quantiles }
     }
 }
 
@@ -178,6 +190,8 @@ pub struct Statistics {
     pub means: Vec<f64>,
     /// Γ(l) for lags of 0 to 3 samples, each of shape (C, C).
     pub covariances: Vec<Vec<f64>>,
+    /// For each channel, quantiles of x minus its mean, then of |step|; see [`QUANTILES`].
+    pub quantiles: Vec<f64>,
 }
 
 #[derive(Clone, Debug)]
@@ -190,13 +204,20 @@ pub(super) struct GrowingMoments {
     /// Samples of the block that is not complete yet.
     pending: Vec<f32>,
     sums: Sums,
+    histograms: Histograms,
 }
 
 impl GrowingMoments {
     /// Starts without samples; blocks hold `block` samples a channel.
     pub(super) fn new(channels: usize, block: usize) -> Self {
-        let sums = Sums::new(channels);
-        Self { block, reference: None, before: Vec::new(), pending: Vec::new(), sums }
+        Self {
+            block,
+            reference: None,
+            before: Vec::new(),
+            pending: Vec::new(),
+            sums: Sums::new(channels),
+            histograms: Histograms::new(channels),
+        }
     }
 
     /// Adds interleaved samples.
@@ -208,7 +229,8 @@ impl GrowingMoments {
         let mut blocks = pending.chunks_exact(size);
         for block in &mut blocks {
             let reference = self.reference.get_or_insert_with(|| means(block, channels));
-            self.sums.add(&block_sums(block, &self.before, reference, channels));
+            let counts = self.sums.add(&block_sums(block, &self.before, reference, channels));
+            self.histograms.add(counts, block, &self.before, reference);
             let kept = block.len().min((LAGS - 1) * channels);
             self.before.extend_from_slice(&block[block.len() - kept..]);
             let surplus = self.before.len().saturating_sub((LAGS - 1) * channels);
@@ -220,11 +242,16 @@ impl GrowingMoments {
     pub(super) fn so_far(&self) -> Moments {
         let channels = self.sums.channels;
         let reference = self.reference.clone().unwrap_or_else(|| means(&self.pending, channels));
-        let mut sums = self.sums.clone();
+        let (mut sums, mut histograms) = (self.sums.clone(), self.histograms.clone());
         if !self.pending.is_empty() {
-            sums.add(&block_sums(&self.pending, &self.before, &reference, channels));
+            let counts = sums.add(&block_sums(&self.pending, &self.before, &reference, channels));
+            histograms.add(counts, &self.pending, &self.before, &reference);
         }
-        Moments { sums: sums.values.iter().copied().map(held).collect(), reference }
+        Moments {
+            sums: sums.values.iter().copied().map(held).collect(),
+            quantiles: histograms.quantiles(),
+            reference,
+        }
     }
 
     /// The exact moments of a finished series; `samples` must be the whole series.

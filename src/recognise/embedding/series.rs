@@ -1,9 +1,7 @@
-//! Turns a series, a copy or a beginning into a vector (method §11): Fourier features of its log-band
-//! frames, means of its channels, moments and lag covariance. Features that depend on loudness occur
-//! in shape (relative to the series' own level) and in level.
-//!
-//! Means, moments and lag covariance respond to all frequencies. They are left out if a source is
-//! compared in only part of its spectrum, so that excluded frequencies do not count through them.
+//! Turns a series, a copy or a beginning into a vector (method §11 and §12): Fourier features of its
+//! log-band frames, moments, quantiles and lag covariance. Features that depend on loudness occur in
+//! shape (relative to the series' own level) and in level. The means of channels join them, except
+//! where a source is compared in only part of its spectrum ([`super::passed`]).
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -12,11 +10,21 @@ use super::band_sums::{BandSums, Counts, ViewEmbedder, median};
 use super::frames::{Piece, SeriesFrames, SourceViews};
 use super::linear::{EigenPairs, push_upper};
 use super::moments::{LOUDNESS, MOMENTS, Moments, Statistics};
+use super::quantiles::QUANTILES;
 use super::packed::PackedFrames;
 use crate::recognise::features::windowed_frames::FrameView;
 
 /// Lags in samples; the joint covariance is of the series shifted by each of them.
 const LAGS: [usize; 3] = [0, 1, 3];
+
+/// Sources with more channels than this have no lags: their covariance grows with the square of both.
+const MOST_LAGGED: usize = 16;
+
+/// Series of fewer samples have no quantiles: the frames say more of them.
+const FEWEST_RANKED: usize = 64;
+
+/// Steps count as this many times as large before the inverse hyperbolic sine.
+const STEP_GAIN: f64 = 4.0;
 
 /// Added to the eigenvalues of the covariance, in units of the library's variance.
 const RIDGE: f64 = 1e-3;
@@ -27,47 +35,44 @@ const MOST_CORRELATED: f64 = 0.99;
 /// A channel with at most this standard deviation counts as constant.
 const STILL: f64 = 2e-9;
 
-/// A band that covers at least this share of all frequencies counts as all of them.
-const NEARLY_ALL: f64 = 0.9;
-
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct SeriesEmbedder {
     pub views: SourceViews,
     frames: [ViewEmbedder; 2],
     /// Median over a library of the standard deviation of each channel.
     deviations: Vec<f64>,
-    all_frequencies: bool,
+    /// Whether the library's median trial is long enough for quantiles.
+    ranked: bool,
 }
 
 impl SeriesEmbedder {
-    /// Takes means and deviations from `trials` of a library, at least one. `band_hz` is the band in
-    /// which they are compared; `None` if no band is configured.
-    pub(super) fn new(trials: &[&SeriesFrames], band_hz: Option<(f64, f64)>) -> Self {
+    /// Takes means and deviations from `trials` of a library, at least one.
+    pub(super) fn new(trials: &[&SeriesFrames]) -> Self {
         let views = trials[0].views.clone();
         let embedder = |view: usize| {
             let counts: Vec<Counts> = (trials.par_iter())
-                .map(|trial| counted(&views.0[view], &trial.whole.frames[view]).on_surface())
+                .map(|trial| counted(&views.frames[view], &trial.whole.frames[view]).on_surface())
                 .collect();
             ViewEmbedder::new(&counts)
         };
         let frames = [embedder(0), embedder(1)];
         let all: Vec<Vec<f64>> = (trials.iter())
-            .map(|trial| trial.whole.moments.statistics(trial.rate_hz(), 0.0).deviations)
+            .map(|trial| trial.whole.moments.statistics(views.moments_hz(), 0.0).deviations)
             .collect();
         let deviation = |c: usize| median(all.iter().map(|of_trial| of_trial[c]).collect());
-        let half_hz = 0.5 * trials[0].rate_hz();
-        let is_all = |(low, high): (f64, f64)| high.min(half_hz) - low >= NEARLY_ALL * half_hz;
+        let mut lengths: Vec<usize> = trials.iter().map(|trial| trial.samples).collect();
+        lengths.sort_unstable();
         Self {
             frames,
-            deviations: (0..views.0[0].channels).map(deviation).collect(),
-            all_frequencies: band_hz.is_none_or(is_all),
+            deviations: (0..views.frames[0].channels).map(deviation).collect(),
+            ranked: lengths[lengths.len() / 2] >= FEWEST_RANKED,
             views,
         }
     }
 
     /// Whether a channel is constant in the library and compared by its level, like a switch.
     pub(super) fn has_switch(&self) -> bool {
-        self.all_frequencies && (0..self.channels()).any(|channel| !self.moves(channel))
+        !self.views.passed && (0..self.channels()).any(|channel| !self.moves(channel))
     }
 
     /// Whether a channel varies in most trials of the library.
@@ -79,23 +84,30 @@ impl SeriesEmbedder {
         self.deviations.len()
     }
 
+    /// The lags of the covariance.
+    fn lags(&self) -> &'static [usize] {
+        if self.channels() > MOST_LAGGED { &LAGS[..1] } else { &LAGS }
+    }
+
     pub(super) fn dims(&self) -> usize {
         let channels = self.channels();
-        let bands = self.frames[0].dims() + self.frames[1].dims();
-        if !self.all_frequencies {
-            return bands;
-        }
-        let stacked = LAGS.len() * channels;
-        bands
-            + (1 + MOMENTS + LOUDNESS.len()) * channels
+        let stacked = self.lags().len() * channels;
+        let of_channel = usize::from(!self.views.passed)
+            + MOMENTS
+            + LOUDNESS.len()
+            + if self.ranked { 2 * QUANTILES } else { 0 };
+        self.frames[0].dims()
+            + self.frames[1].dims()
+            + of_channel * channels
             + stacked * (stacked + 1) / 2
             + channels * (channels - 1) / 2
     }
 
-    /// The vector of a series or a copy at `rate_hz`, as if multiplied by a gain of e^`ln_gain`.
-    pub(super) fn embed(&self, piece: &Piece, rate_hz: f64, ln_gain: f64) -> Vec<f32> {
-        let sums = [0, 1].map(|view| counted(&self.views.0[view], &piece.frames[view]));
-        self.vector(&sums, &piece.moments, rate_hz, ln_gain)
+    /// The vector of a series or a copy, as if multiplied by a gain of e^`ln_gain`. `moments_hz` is
+    /// [`SourceViews::moments_hz`].
+    pub(super) fn embed(&self, piece: &Piece, moments_hz: f64, ln_gain: f64) -> Vec<f32> {
+        let sums = [0, 1].map(|view| counted(&self.views.frames[view], &piece.frames[view]));
+        self.vector(&sums, &piece.moments, moments_hz, ln_gain)
     }
 
     /// The vector of a series, or of a part of it, from its sums.
@@ -103,24 +115,32 @@ impl SeriesEmbedder {
         &self,
         views: &[BandSums; 2],
         moments: &Moments,
-        rate_hz: f64,
+        moments_hz: f64,
         ln_gain: f64,
     ) -> Vec<f32> {
         let mut vector = Vec::with_capacity(self.dims());
         for (embedder, sums) in self.frames.iter().zip(views) {
             embedder.push(&sums.on_surface(), ln_gain, &mut vector);
         }
-        let stats = moments.statistics(rate_hz, ln_gain);
-        if self.all_frequencies {
+        let stats = moments.statistics(moments_hz, ln_gain);
+        if !self.views.passed {
             let means = stats.means.iter().zip(&self.deviations);
             vector.extend(means.map(|(mean, deviation)| (mean / deviation).asinh() as f32));
-            vector.extend(stats.moments.iter().map(|&x| x as f32));
-            let gain = self.ln_gain(&stats);
-            for of_channel in stats.moments.chunks_exact(MOMENTS) {
-                vector.extend(LOUDNESS.map(|at| (of_channel[at] - gain) as f32));
-            }
-            self.push_covariance(&stats, &mut vector);
         }
+        vector.extend(stats.moments.iter().map(|&x| x as f32));
+        let gain = self.ln_gain(&stats);
+        for of_channel in stats.moments.chunks_exact(MOMENTS) {
+            vector.extend(LOUDNESS.map(|at| (of_channel[at] - gain) as f32));
+        }
+        if self.ranked {
+            let of_channels = stats.quantiles.chunks_exact(2 * QUANTILES).zip(&self.deviations);
+            for (quantiles, deviation) in of_channels {
+                let (values, steps) = quantiles.split_at(QUANTILES);
+                vector.extend(values.iter().map(|x| (x / deviation).asinh() as f32));
+                vector.extend(steps.iter().map(|x| (STEP_GAIN * x / deviation).asinh() as f32));
+            }
+        }
+        self.push_covariance(&stats, &mut vector);
         // Statistics of samples far beyond full scale may overflow; such features are set to 0.
         vector.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
         vector
@@ -139,13 +159,13 @@ impl SeriesEmbedder {
     /// al. 2006). C is the covariance of (x̃_t, x̃_{t−1}, x̃_{t−3}), and x̃ is x divided by the
     /// library's deviation. Then appends the atanh of the correlations between channels.
     fn push_covariance(&self, stats: &Statistics, vector: &mut Vec<f32>) {
-        let channels = self.channels();
-        let size = LAGS.len() * channels;
+        let (channels, lags) = (self.channels(), self.lags());
+        let size = lags.len() * channels;
         let entry = |row: usize, column: usize| {
             let ((a, i), (b, j)) =
                 ((row / channels, row % channels), (column / channels, column % channels));
-            let lag = LAGS[b].abs_diff(LAGS[a]);
-            let (later, earlier) = if LAGS[a] <= LAGS[b] { (i, j) } else { (j, i) };
+            let lag = lags[b].abs_diff(lags[a]);
+            let (later, earlier) = if lags[a] <= lags[b] { (i, j) } else { (j, i) };
             let covariance = stats.covariances[lag][later * channels + earlier];
             covariance / (self.deviations[i] * self.deviations[j])
         };

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
-use realfft::{RealFftPlanner, RealToComplex};
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 /// Added to the power of each band, so that the logarithm of a silent band is finite.
 const POWER_FLOOR: f32 = 1e-14;
@@ -86,20 +86,47 @@ impl FrameView {
 
     /// Like [`Self::frames`], but gives no frame if the recording is shorter than a frame.
     pub fn whole_frames(&self, samples: &[f32]) -> Vec<f32> {
+        self.transform(samples, None).0
+    }
+
+    /// The whole frames, and the part of each frame that lies within the bands: windowed samples at a
+    /// lower rate, shape (frames, [`Self::passed_points`], channels).
+    pub fn whole_frames_and_passed(&self, samples: &[f32]) -> (Vec<f32>, Vec<f32>) {
+        self.transform(samples, Some(self.passed_points()))
+    }
+
+    /// Number of samples that a frame takes once it is limited to the bands: a power of two.
+    pub fn passed_points(&self) -> usize {
+        let end = self.edges[self.edges.len() - 1];
+        (2 * end).next_power_of_two().clamp(2.min(self.points), self.points)
+    }
+
+    fn transform(&self, samples: &[f32], passed: Option<usize>) -> (Vec<f32>, Vec<f32>) {
         let (width, hop, channels) = (self.width(), self.hop(), self.channels);
-        let mut values = vec![0.0; self.frames_in(samples.len() / channels) * width];
-        values.par_chunks_mut(width * FRAMES_A_TASK).enumerate().for_each(|(task, rows)| {
+        let frames = self.frames_in(samples.len() / channels);
+        let mut values = vec![0.0; frames * width];
+        let block = passed.unwrap_or(0) * channels;
+        let mut parts = vec![0.0; frames * block];
+        let task = |task: usize, rows: &mut [f32], parts: &mut [f32]| {
             WORKSPACES.with_borrow_mut(|all| {
                 let new = || Workspace::new(self.points);
                 let workspace = all.entry(self.points).or_insert_with(new);
                 for (i, row) in rows.chunks_exact_mut(width).enumerate() {
                     let start = (task * FRAMES_A_TASK + i) * hop * channels;
                     let frame = &samples[start..start + self.points * channels];
-                    workspace.frame(self, frame, row);
+                    workspace.frame(self, frame, row, &mut parts[i * block..(i + 1) * block]);
                 }
             });
-        });
-        values
+        };
+        if block == 0 {
+            let rows = values.par_chunks_mut(width * FRAMES_A_TASK).enumerate();
+            rows.for_each(|(number, rows)| task(number, rows, &mut []));
+        } else {
+            let parts = parts.par_chunks_mut(block * FRAMES_A_TASK);
+            let rows = values.par_chunks_mut(width * FRAMES_A_TASK).zip(parts).enumerate();
+            rows.for_each(|(number, (rows, parts))| task(number, rows, parts));
+        }
+        (values, parts)
     }
 
     /// Whether the bands of two views cover the same frequencies; their rates may differ.
@@ -151,6 +178,8 @@ struct Workspace {
     input: Vec<f32>,
     output: Vec<Complex<f32>>,
     scratch: Vec<Complex<f32>>,
+    /// The transform back to a number of samples, made when first needed.
+    back: HashMap<usize, Arc<dyn ComplexToReal<f32>>>,
 }
 
 thread_local! {
@@ -169,12 +198,14 @@ impl Workspace {
             input: plan.make_input_vec(),
             output: plan.make_output_vec(),
             scratch: plan.make_scratch_vec(),
+            back: HashMap::new(),
             plan,
         }
     }
 
-    /// Transforms one frame of L interleaved samples a channel; fills `row`, channel by channel.
-    fn frame(&mut self, view: &FrameView, samples: &[f32], row: &mut [f32]) {
+    /// Transforms one frame of L interleaved samples a channel. Fills `row`, channel by channel, and
+    /// `part`, interleaved, with what lies within the bands; `part` may be empty.
+    fn frame(&mut self, view: &FrameView, samples: &[f32], row: &mut [f32], part: &mut [f32]) {
         for (channel, bands) in row.chunks_exact_mut(view.bands()).enumerate() {
             if view.channels == 1 {
                 self.input.copy_from_slice(samples);
@@ -197,6 +228,34 @@ impl Workspace {
                 let mean = (power * self.scale / bins.len() as f32).min(f32::MAX);
                 *slot = (mean + POWER_FLOOR).ln();
             }
+            if !part.is_empty() {
+                self.pass_back(view, mean, part, channel);
+            }
+        }
+    }
+
+    /// Writes the samples of one channel within the bands, from the spectrum in `output`. The windowed
+    /// mean belongs to them if the bands begin at 0 Hz.
+    fn pass_back(&mut self, view: &FrameView, mean: f32, part: &mut [f32], channel: usize) {
+        let points = part.len() / view.channels;
+        let plan = self.back.entry(points);
+        let plan = plan.or_insert_with(|| RealFftPlanner::new().plan_fft_inverse(points));
+        let mut bins = plan.make_input_vec();
+        let (first, end) = (view.edges[0], view.edges[view.edges.len() - 1].min(bins.len()));
+        let scale = 1.0 / view.points as f32;
+        for bin in first..end {
+            bins[bin] = self.output[bin] * scale;
+        }
+        // The transform of real samples has real ends.
+        bins[0].im = 0.0;
+        bins[points / 2].im = 0.0;
+        let mut samples = plan.make_output_vec();
+        // Fails only if a buffer has another length.
+        plan.process(&mut bins, &mut samples).expect("buffers of the plan's own lengths");
+        let mean = if first == 0 { mean } else { 0.0 };
+        let step = view.points / points;
+        for (i, x) in samples.iter().enumerate() {
+            part[i * view.channels + channel] = x + mean * self.window[i * step];
         }
     }
 }

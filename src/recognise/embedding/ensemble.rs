@@ -1,0 +1,172 @@
+//! Many small discriminants on random subspaces of the features (Ho 1998, "The random subspace method
+//! for constructing decision forests"; for discriminants Wang and Tang 2004, "Random sampling LDA for
+//! face recognition").
+//!
+//! A library of one session does not show how the next session moves the features. A discriminant in
+//! thousands of dimensions whitens by it all the same, and is certain and wrong. Each member sees d
+//! features, and they do not all err alike. As the library grows, d grows to all features, or to what
+//! training can afford.
+
+use ndarray::{Array1, Array2, ArrayView2, Axis};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::discriminant::{Discriminant, Rows};
+use crate::seed;
+
+const MEMBERS: usize = 50;
+
+/// Features of a member: twice the number of trials, within these limits. More than the greatest would
+/// cost time with its square.
+const FEATURES: (usize, usize) = (20, 600);
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Member {
+    /// The columns of the vector that are the member's features.
+    columns: Vec<usize>,
+    discriminant: Discriminant,
+}
+
+/// Discriminants whose answers are averaged.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Ensemble {
+    members: Vec<Member>,
+}
+
+/// What an ensemble says of a vector.
+#[derive(Clone, Debug)]
+pub(crate) struct Answer {
+    /// Probability of each class: the mean over members of softmax(−distance/2).
+    pub probabilities: Vec<f64>,
+    /// Mean over members of the squared distance to the nearest class mean, divided by the number of
+    /// features.
+    pub strangeness: f64,
+}
+
+impl Ensemble {
+    /// Trains on the given columns of the training vectors, shape (N, D): on all rows, and without each
+    /// group. An ensemble without a group is `None` if the remaining rows are too few or all alike. If
+    /// not even all rows can train a member, the first ensemble tells nothing apart.
+    pub(crate) fn train(
+        vectors: &Array2<f32>,
+        columns: &[usize],
+        rows: &Rows,
+        seed: u64,
+    ) -> (Self, Vec<Option<Self>>) {
+        let trials = rows.trials.iter().max().map_or(0, |last| last + 1);
+        let size = (2 * trials).clamp(FEATURES.0, env("X_DMAX", FEATURES.1)).min(columns.len());
+        let members = if size == columns.len() { 1 } else { env("X_MEMBERS", MEMBERS) };
+        let trained: Vec<_> = (0..members)
+            .into_par_iter()
+            .map(|number| {
+                let columns = drawn(columns, size, seed, number);
+                let (all, without) =
+                    Discriminant::train(vectors.select(Axis(1), &columns), rows);
+                let all = all.unwrap_or_else(|| Discriminant::indifferent(rows.classes, size));
+                let member = |discriminant| Member { columns: columns.clone(), discriminant };
+                (member(all), without.into_iter().map(|one| one.map(member)).collect::<Vec<_>>())
+            })
+            .collect();
+        let (all, by_member): (Vec<Member>, Vec<Vec<Option<Member>>>) = trained.into_iter().unzip();
+        let mut without: Vec<Option<Vec<Member>>> = vec![Some(Vec::new()); rows.group_count];
+        for of_member in by_member {
+            for (members, member) in without.iter_mut().zip(of_member) {
+                *members = members.take().zip(member).map(|(mut members, member)| {
+                    members.push(member);
+                    members
+                });
+            }
+        }
+        let ensemble = |members| Self { members };
+        (ensemble(all), without.into_iter().map(|members| members.map(ensemble)).collect())
+    }
+
+    pub(crate) fn is_of(&self, classes: usize, dims: usize) -> bool {
+        let is_sound = |member: &Member| {
+            member.discriminant.is_of(classes, member.columns.len())
+                && member.columns.iter().all(|&column| column < dims)
+        };
+        !self.members.is_empty() && self.members.iter().all(is_sound)
+    }
+
+    pub(crate) fn knows(&self, class: usize) -> bool {
+        self.members.iter().all(|member| member.discriminant.knows(class))
+    }
+
+    /// The answers to vectors, shape (n, D).
+    pub(crate) fn answers(&self, vectors: ArrayView2<'_, f32>) -> Vec<Answer> {
+        let of_member = |member: &Member| -> Vec<Answer> {
+            let own = vectors.select(Axis(1), &member.columns);
+            let features = member.columns.len().max(1) as f64;
+            let answer = |distances: Vec<f64>| {
+                let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
+                Answer { probabilities: softmax(&distances, least), strangeness: least / features }
+            };
+            member.discriminant.distances(own.view()).into_iter().map(answer).collect()
+        };
+        let mut sums: Vec<Answer> = Vec::new();
+        let all: Vec<Vec<Answer>> = self.members.par_iter().map(of_member).collect();
+        for answers in all {
+            if sums.is_empty() {
+                sums = answers;
+                continue;
+            }
+            for (sum, answer) in sums.iter_mut().zip(answers) {
+                sum.strangeness += answer.strangeness;
+                let pairs = sum.probabilities.iter_mut().zip(answer.probabilities);
+                pairs.for_each(|(sum, p)| *sum += p);
+            }
+        }
+        let share = 1.0 / self.members.len().max(1) as f64;
+        for answer in &mut sums {
+            answer.strangeness *= share;
+            answer.probabilities.iter_mut().for_each(|p| *p *= share);
+        }
+        sums
+    }
+
+    /// Mean over members of w_c, shape (C, D), and of b_c; see [`Discriminant::weights`].
+    pub(crate) fn weights(&self, dims: usize) -> (Array2<f32>, Array1<f64>) {
+        let mut sums: Option<(Array2<f32>, Array1<f64>)> = None;
+        for member in &self.members {
+            let (weights, offsets) = member.discriminant.weights();
+            let (all, sum) = sums.get_or_insert_with(|| {
+                (Array2::zeros((weights.nrows(), dims)), Array1::zeros(offsets.len()))
+            });
+            for (of_member, &column) in weights.columns().into_iter().zip(&member.columns) {
+                all.column_mut(column).scaled_add(1.0, &of_member);
+            }
+            *sum += &offsets;
+        }
+        let (weights, offsets) = sums.unwrap_or_default();
+        let members = self.members.len().max(1);
+        (weights / members as f32, offsets / members as f64)
+    }
+}
+
+fn env(name: &str, usual: usize) -> usize {
+    std::env::var(name).ok().and_then(|x| x.parse().ok()).unwrap_or(usual)
+}
+
+/// `size` of the columns, drawn without replacement; in ascending order.
+fn drawn(columns: &[usize], size: usize, seed: u64, number: usize) -> Vec<usize> {
+    let mut rng = seed::rng(seed, &[b"member", &number.to_le_bytes()]);
+    let mut columns = columns.to_vec();
+    for i in 0..size {
+        let left = (columns.len() - i) as f64;
+        columns.swap(i, i + (seed::uniform(&mut rng) * left) as usize);
+    }
+    columns.truncate(size);
+    columns.sort_unstable();
+    columns
+}
+
+/// softmax(−d/2); equal shares if all distances are infinite.
+fn softmax(distances: &[f64], least: f64) -> Vec<f64> {
+    if !least.is_finite() {
+        return vec![1.0 / distances.len() as f64; distances.len()];
+    }
+    let shares: Vec<f64> = distances.iter().map(|d| (0.5 * (least - d)).exp()).collect();
+    let total: f64 = shares.iter().sum();
+    shares.iter().map(|share| share / total).collect()
+}

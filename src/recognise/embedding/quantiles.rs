@@ -1,0 +1,136 @@
+//! Quantiles of the values and the steps of a growing series, from histograms, so that a look costs the
+//! same at any time of a scan. A bin is an eighth of an octave of |x|, and x lies evenly within it.
+
+/// The shares at which quantiles are taken.
+const SHARES: [f32; QUANTILES] = [0.02, 0.1, 0.25, 0.5, 0.75, 0.9, 0.98];
+
+/// Number of quantiles of the values of a channel, and of its steps.
+pub(super) const QUANTILES: usize = 7;
+
+/// A bin holds the values whose bits are alike above this place: exponent and three bits.
+const SHIFT: u32 = 20;
+
+/// Bits of the least magnitude that is told from 0, 2⁻³⁶. The greatest is 2²⁸ and counts for all above.
+const FIRST: u32 = (127 - 36) << 3;
+const BINS: usize = 64 << 3;
+
+/// Histograms of x and of |step| for each channel: x below 0, the greatest magnitude first, x above 0,
+/// then steps.
+#[derive(Clone, Debug)]
+pub(super) struct Histograms {
+    channels: usize,
+    counts: Vec<u32>,
+}
+
+impl Histograms {
+    pub(super) fn new(channels: usize) -> Self {
+        Self { channels, counts: vec![0; 3 * BINS * channels] }
+    }
+
+    /// Counts a block of interleaved samples, minus `reference`. `before` holds the samples before it.
+    /// `counts` tells whether the block counts, and whether the blocks before it do.
+    pub(super) fn add(
+        &mut self,
+        (counts, earlier): (bool, bool),
+        block: &[f32],
+        before: &[f32],
+        reference: &[f32],
+    ) {
+        if !earlier {
+            self.counts.fill(0);
+        }
+        if !counts {
+            return;
+        }
+        let channels = self.channels;
+        for (c, bins) in self.counts.chunks_exact_mut(3 * BINS).enumerate() {
+            let mut last = before.len().checked_sub(channels).map(|at| before[at + c]);
+            for &x in block.iter().skip(c).step_by(channels) {
+                let value = x - reference[c];
+                let bin = bin(value.abs());
+                bins[if value < 0.0 { BINS - 1 - bin } else { BINS + bin }] += 1;
+                if let Some(last) = last {
+                    bins[2 * BINS + self::bin((x - last).abs())] += 1;
+                }
+                last = Some(x);
+            }
+        }
+    }
+
+    /// For each channel, the quantiles of its values, then of its steps.
+    pub(super) fn quantiles(&self) -> Vec<f32> {
+        let of_channel = |bins: &[u32]| {
+            let (values, steps) = bins.split_at(2 * BINS);
+            let value_edge = |place: usize| match place.checked_sub(BINS) {
+                Some(bin) => edge(bin),
+                None => -edge(BINS - place),
+            };
+            [quantiles(values, value_edge), quantiles(steps, edge)].concat()
+        };
+        self.counts.chunks_exact(3 * BINS).flat_map(of_channel).collect()
+    }
+}
+
+fn bin(magnitude: f32) -> usize {
+    ((magnitude.to_bits() >> SHIFT).saturating_sub(FIRST) as usize).min(BINS - 1)
+}
+
+/// Lower edge of a bin of magnitudes.
+fn edge(bin: usize) -> f32 {
+    if bin == 0 { 0.0 } else { f32::from_bits((FIRST + bin as u32) << SHIFT) }
+}
+
+/// The quantiles of a histogram whose bin i begins at `edge(i)`; 0 where it is empty.
+fn quantiles(counts: &[u32], edge: impl Fn(usize) -> f32) -> [f32; QUANTILES] {
+    let total = counts.iter().sum::<u32>() as f32;
+    let (mut bin, mut below) = (0, 0.0);
+    SHARES.map(|share| {
+        let wanted = share * total;
+        while bin + 1 < counts.len() && below + counts[bin] as f32 <= wanted {
+            below += counts[bin] as f32;
+            bin += 1;
+        }
+        if total == 0.0 {
+            return 0.0;
+        }
+        let part = ((wanted - below) / counts[bin].max(1) as f32).clamp(0.0, 1.0);
+        let (low, high) = (edge(bin), edge(bin + 1));
+        low + part * (high - low)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_those_of_the_sorted_values_and_steps() {
+        let series: Vec<f32> = (0..2000).map(|i| (i as f32 * 0.377).sin() * 3.0 + 7.0).collect();
+        let mut histograms = Histograms::new(1);
+        let (first, second) = series.split_at(700);
+        histograms.add((true, true), first, &[], &[7.1]);
+        histograms.add((true, true), second, first, &[7.1]);
+        let found = histograms.quantiles();
+        let mut values: Vec<f32> = series.iter().map(|x| x - 7.1).collect();
+        let mut steps: Vec<f32> = series.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
+        values.sort_by(f32::total_cmp);
+        steps.sort_by(f32::total_cmp);
+        for (k, share) in SHARES.iter().enumerate() {
+            let value = values[(share * 2000.0) as usize];
+            assert!((found[k] - value).abs() < 0.15, "{share}: {} vs {value}", found[k]);
+            let step = steps[(share * 1999.0) as usize];
+            assert!((found[QUANTILES + k] - step).abs() < 0.05, "{share}: step");
+        }
+        histograms.add((true, false), &[2.0, 2.0], &[2.0], &[2.0]);
+        assert_eq!(histograms.quantiles()[QUANTILES + 3], edge(1) / 2.0, "only the last block");
+    }
+
+    #[test]
+    fn any_finite_value_has_a_bin() {
+        let mut histograms = Histograms::new(2);
+        let block = [0.0, f32::MAX, -0.0, f32::MIN, 1e-38, -1e-30];
+        histograms.add((true, true), &block, &[], &[0.0; 2]);
+        assert!(histograms.quantiles().iter().all(|x| x.is_finite()));
+        assert!(Histograms::new(1).quantiles().iter().all(|x| *x == 0.0));
+    }
+}
