@@ -194,8 +194,8 @@ fn evaluated(
             count => Some(EnrolmentOutcome::of(&run, &measured, &before, count)?),
         };
         let answer = |p: Prediction| {
-            let TrialKey { surface: truth, user, number: trial } = p.key;
-            EvalAnswer { truth, user, trial, answer: p.surface, margin: p.margin }
+            let TrialKey { surface: truth, user, number: trial, session } = p.key;
+            EvalAnswer { truth, user, trial, session, answer: p.surface, margin: p.margin }
         };
         Ok(EvalReport {
             outcome: measured.outcome,
@@ -252,6 +252,7 @@ struct EvalAnswer {
     truth: String,
     user: String,
     trial: u32,
+    session: Option<String>,
     answer: String,
     margin: f64,
 }

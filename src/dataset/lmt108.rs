@@ -375,7 +375,7 @@ mod tests {
         let mut folders: Vec<String> = path.split('/').map(str::to_ascii_lowercase).collect();
         folders.pop();
         let stem = path.rsplit('/').next().unwrap().rsplit_once('.').unwrap().0;
-        let NamePart { key: TrialKey { surface, user, number }, source, channel, .. } =
+        let NamePart { key: TrialKey { surface, user, number, .. }, source, channel, .. } =
             parse_name(&folders, stem)?;
         Ok(format!("{surface} {user} {number} {source} {channel}"))
     }

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Signal, Trial, TrialKey, normal};
+use crate::trial::{Signal, Trial, TrialKey, checked_label, normal};
 
 #[derive(Debug, thiserror::Error)]
 pub enum LibraryError {
@@ -238,8 +238,9 @@ impl Entry {
     }
 
     pub(crate) fn cache_name(&self) -> String {
-        let TrialKey { surface, user, number } = &self.key;
-        format!("{surface}\n{user}\n{number}")
+        let TrialKey { surface, user, number, session } = &self.key;
+        let session = session.as_ref().map(|session| format!("\n{session}")).unwrap_or_default();
+        format!("{surface}\n{user}\n{number}{session}")
     }
 }
 
@@ -287,8 +288,8 @@ pub(crate) fn unreadable(entries: &[Entry]) -> Vec<Unreadable> {
 /// Name of the file that describes a trial, in the trial's folder.
 pub(crate) const ABOUT_FILE: &str = "trial.toml";
 
-/// The content of `trial.toml`: surface, user, start, notes and devices of one recorded trial. Every key
-/// is optional; unknown keys are refused.
+/// The content of `trial.toml`: surface, user, session, start, notes and devices of one recorded trial.
+/// Every key is optional; unknown keys are refused.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct About {
@@ -297,6 +298,8 @@ pub struct About {
     pub user: Option<String>,
     /// The trial's number; if it is missing, the number at the end of the folder's name counts.
     pub trial: Option<u32>,
+    /// The sitting: the same person, sensor, place and day.
+    pub session: Option<String>,
     /// Time at which the recording began, as a TOML date or any text.
     #[serde(deserialize_with = "date_or_text")]
     pub started_at: Option<String>,
@@ -354,6 +357,8 @@ impl About {
         if let Some((key, _)) = names.iter().find(|(_, name)| name.as_deref() == Some("")) {
             return Err(format!("{key} = \"\"; write a name, or remove the line"));
         }
+        about.session = (about.session.as_deref().map(checked_label).transpose())
+            .map_err(|problem| format!("session {problem}"))?;
         Ok(about)
     }
 }
@@ -368,6 +373,7 @@ mod tests {
             surface: Some("steel \"A\"\n".into()),
             user: Some("expert".into()),
             trial: Some(3),
+            session: Some("monday".into()),
             started_at: Some("2025-01-31T12:00:00Z".into()),
             notes: Some("pressed hard".into()),
             synthetic: true,
@@ -377,6 +383,15 @@ mod tests {
         };
         assert_eq!(About::from_toml(&about.to_toml()), Ok(about));
         assert_eq!(About::from_toml(""), Ok(About::default()));
+    }
+
+    #[test]
+    fn a_session_is_a_label() {
+        let session = |text: &str| About::from_toml(text).map(|about| about.session);
+        assert_eq!(session("session = \" day 2 \""), Ok(Some("day 2".into())));
+        let error = session("session = \"a/b\"").unwrap_err();
+        assert!(error.starts_with("session holds '/'"), "{error}");
+        assert!(session("session = \"\"").unwrap_err().contains("is empty"));
     }
 
     #[test]

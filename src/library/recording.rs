@@ -292,13 +292,14 @@ impl<'a> RecordingOpening<'a> {
             surface: about.surface.unwrap_or_else(|| normal(surface)),
             user: about.user.unwrap_or_else(|| EXPERT.to_string()),
             number: number?,
+            session: about.session,
         };
         self.synthetic |= about.synthetic;
         if let Some((other, _)) = self.trials.get(&key) {
             // Two folders of one trial are no error: another program may be adding trials just now.
             let why = format!(
                 "not used, the same trial ({key}) as {}; remove one, or distinguish them by \
-                 `trial = N` or `user = \"…\"` in trial.toml",
+                 `trial = N`, `user = \"…\"` or `session = \"…\"` in trial.toml",
                 other.strip_prefix(self.root).unwrap_or(other).display()
             );
             self.headers.note(&folder.path, why);

@@ -195,6 +195,7 @@ fn messages(writer: &mut Writer<McapFile>, trial: &Trial, begin_s: f64) -> mcap:
             ("user".to_string(), key.user.clone()),
             ("trial".to_string(), key.number.to_string()),
         ]);
+        about.extend(key.session.clone().map(|session| ("session".to_string(), session)));
         let (name, schema) = match signal {
             Signal::Series(_) => ("surfaced.Samples", SAMPLES_SCHEMA),
             Signal::Image(_) => ("foxglove.CompressedImage", PICTURE_SCHEMA),

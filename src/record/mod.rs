@@ -185,6 +185,7 @@ impl<'a> UnfinishedTrial<'a> {
             surface: Some(normal(&key.surface)),
             user: Some(normal(&key.user)),
             trial: Some(key.number),
+            session: key.session.clone(),
             ..self.options.about.clone()
         };
         let (dir, durable) = (self.folder.path(), self.options.durable);

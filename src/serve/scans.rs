@@ -321,7 +321,7 @@ fn to_library(
     let about = About::read(folder)?;
     let opened = recording::open_trial(folder, &library.scene)?;
     let [entry] = opened.entries.as_slice() else { return refuse("this scan holds no signals") };
-    let key = TrialKey::new(surface, user, 1);
+    let key = TrialKey::new(surface, user, 1).with_session(about.session.clone());
     let trial = Trial { key, signals: entry.load()?.signals };
     let about = About { notes: Some(notes(scan)), ..about };
     let options = TrialOptions { about, durable: true };

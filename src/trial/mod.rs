@@ -54,7 +54,7 @@ pub const EXPERT: &str = "expert";
 /// The surface of a trial if its label is unknown.
 pub const UNLABELLED: &str = "unlabelled";
 
-/// Names one trial. Keys are ordered, and ties of rankings broken, by surface, user and number.
+/// Names one trial. Keys are ordered, and ties of rankings broken, by surface, user, number and session.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct TrialKey {
     pub surface: String,
@@ -62,11 +62,18 @@ pub struct TrialKey {
     pub user: String,
     /// Number of the repetition, counted from 1.
     pub number: u32,
+    /// The sitting in which the trial was recorded: the same person, sensor, place and day. `None` if
+    /// the recording names no session.
+    pub session: Option<String>,
 }
 
 impl TrialKey {
     pub fn new(surface: impl Into<String>, user: impl Into<String>, number: u32) -> Self {
-        Self { surface: surface.into(), user: user.into(), number }
+        Self { surface: surface.into(), user: user.into(), number, session: None }
+    }
+
+    pub fn with_session(self, session: Option<String>) -> Self {
+        Self { session, ..self }
     }
 
     /// The surface; `None` if it is [`UNLABELLED`].
@@ -77,7 +84,8 @@ impl TrialKey {
 
 impl std::fmt::Display for TrialKey {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} · {} · trial {}", self.surface, self.user, self.number)
+        write!(f, "{} · {} · trial {}", self.surface, self.user, self.number)?;
+        self.session.iter().try_for_each(|session| write!(f, " · session {session}"))
     }
 }
 

@@ -32,6 +32,34 @@ fn every_step_can_be_undone_and_leaves_the_bytes_as_they_were() {
 }
 
 #[test]
+fn a_session_is_read_and_stays_through_every_edit() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    let about = root.join("oak/anna-02/trial.toml");
+    let text = fs::read_to_string(&about).unwrap();
+    fs::write(&about, format!("session = \"monday\"\n{text}")).unwrap();
+    let edit = || Editor::open(root, &scene).unwrap();
+    let session = |surface: &str| {
+        let listed = list(root, &scene).unwrap();
+        listed
+            .into_iter()
+            .find(|t| t.key.surface == surface && t.key.number == 2)
+            .unwrap()
+            .key
+            .session
+    };
+    assert_eq!(session("oak").as_deref(), Some("monday"));
+    edit().move_to(&["oak/anna-02".into()], "elm").unwrap();
+    assert_eq!(session("elm").as_deref(), Some("monday"));
+    edit().remove(&["elm".into()]).unwrap();
+    edit().restore(&["elm".into()]).unwrap();
+    assert_eq!(session("elm").as_deref(), Some("monday"));
+    assert!(
+        fs::read_to_string(root.join("elm/anna-02/trial.toml")).unwrap().contains("\"monday\"")
+    );
+}
+
+#[test]
 fn what_was_removed_comes_back_beside_what_came_in_its_place() {
     let (dir, scene) = library();
     let root = dir.path();

@@ -159,12 +159,14 @@ fn label(now: &Path, to: &Path, key: &TrialKey) -> Result<Option<String>, Librar
         surface: about.surface.clone().unwrap_or_else(|| name(to.parent())),
         user: about.user.clone().unwrap_or_else(|| EXPERT.into()),
         number: about.trial.or_else(|| number_in(&name(Some(to)))).unwrap_or_default(),
+        session: about.session.clone(),
     };
     if read == *key {
         return Ok(None);
     }
-    let TrialKey { surface, user, number } = key.clone();
-    let about = About { surface: Some(surface), user: Some(user), trial: Some(number), ..about };
+    let TrialKey { surface, user, number, session } = key.clone();
+    let (surface, user, trial) = (Some(surface), Some(user), Some(number));
+    let about = About { surface, user, trial, session, ..about };
     Ok(Some(about.to_toml()))
 }
 
