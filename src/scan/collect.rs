@@ -218,7 +218,7 @@ impl Collector {
         let exact = self.event_queue.waits;
         while let Some((step, sent, snapshot)) = next_snapshot(scan, &self.streams, every_s, exact)
         {
-            if !self.event_queue.offer(Event::Progress(snapshot)) {
+            if !self.event_queue.offer(Event::Progress(Box::new(snapshot))) {
                 return;
             }
             scan.steps = step;

@@ -73,7 +73,7 @@ pub enum Event {
         scan: u32,
         phase: Option<Phase>,
     },
-    Progress(Progress),
+    Progress(Box<Progress>),
     Trace(Trace),
     Device {
         device: String,

@@ -221,7 +221,7 @@ impl<'a> StationRun<'a> {
         match event {
             Event::Scan(scan) => self.scan(scan),
             Event::Phase { scan, phase } => self.emit(StationEvent::Phase { scan, phase }),
-            Event::Progress(progress) => self.progress(progress),
+            Event::Progress(progress) => self.progress(*progress),
             Event::Trace(trace) => self.emit(StationEvent::Trace(Arc::new(trace))),
             Event::Device { device, state, detail } => {
                 self.emit(StationEvent::Device { device, state, detail });

@@ -293,8 +293,6 @@ fn left_out(
 mod tests {
     use super::*;
 
-    const SHRINKAGE: f64 = 0.03;
-
     fn data() -> (Array2<f32>, Vec<usize>) {
         let labels: Vec<usize> = (0..90).map(|i| i % 3).collect();
         let vectors = Array2::from_shape_fn((90, 8), |(i, j)| {
@@ -306,52 +304,53 @@ mod tests {
 
     /// Like `data`, but every third vector of a class has the label of a copy.
     fn data_with_copies() -> (Array2<f32>, Vec<usize>) {
-        let (rows, labels) = data();
+        let (vectors, labels) = data();
         let label = |(i, class): (usize, &usize)| if i / 3 % 3 == 2 { class + 3 } else { *class };
         let labels = labels.iter().enumerate().map(label).collect();
-        (rows, labels)
+        (vectors, labels)
     }
 
-    fn vectors<'a>(rows: &'a Array2<f32>, labels: &'a [usize], classes: usize) -> Vectors<'a> {
-        Vectors { rows, labels, groups: &[], classes, group_count: 0 }
+    fn rows(labels: &[usize], groups: Vec<usize>, classes: usize) -> Rows {
+        Rows {
+            labels: labels.to_vec(),
+            group_count: groups.iter().max().map_or(0, |last| last + 1),
+            groups,
+            trials: (0..labels.len()).collect(),
+            classes,
+        }
     }
 
-    fn trained(rows: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
-        Discriminant::train(&vectors(rows, labels, classes), rows.ncols(), SHRINKAGE).0
+    fn trained(vectors: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
+        Discriminant::train(vectors.clone(), &rows(labels, vec![], classes)).0
     }
 
-    /// Mahalanobis distances of a vector to the first `classes` means, by the definition: with the
-    /// scatter of the `kept` rows and the ridge of all rows.
+    /// Mahalanobis distances of a vector to the class means, by the definition, with the scatter of the
+    /// `kept` rows and the shrinkage of all.
     fn by_definition(
-        (rows, labels): (&Array2<f32>, &[usize]),
+        (vectors, labels): (&Array2<f32>, &[usize]),
         kept: &[usize],
         classes: usize,
         vector: ArrayView1<'_, f32>,
     ) -> Vec<f64> {
-        let z = rows.mapv(f64::from);
-        let scatter = |kept: &[usize]| {
-            let mut means = Array2::<f64>::zeros((2 * classes, z.ncols()));
-            let mut freedom = 0.0;
-            let mut w = Array2::<f64>::zeros((z.ncols(), z.ncols()));
-            for label in 0..2 * classes {
-                let members: Vec<usize> =
-                    kept.iter().copied().filter(|&i| labels[i] == label).collect();
-                let Some(mean) = z.select(Axis(0), &members).mean_axis(Axis(0)) else { continue };
-                for &i in &members {
-                    let r = (&z.row(i) - &mean).insert_axis(Axis(1));
-                    w += &r.dot(&r.t());
-                }
-                freedom += members.len() as f64 - 1.0;
-                means.row_mut(label).assign(&mean);
+        let z = vectors.mapv(f64::from);
+        let all = rows(labels, vec![], classes);
+        let (_, rest) = residuals(vectors.clone(), labels, &all.counts(|_| true));
+        let gamma = shrinkage(&rest, &lower_gram(&rest.view()), &all.trials);
+        let mut means = Array2::<f64>::zeros((2 * classes, z.ncols()));
+        let (mut freedom, mut w) = (0.0, Array2::<f64>::zeros((z.ncols(), z.ncols())));
+        for label in 0..2 * classes {
+            let members: Vec<usize> =
+                kept.iter().copied().filter(|&i| labels[i] == label).collect();
+            let Some(mean) = z.select(Axis(0), &members).mean_axis(Axis(0)) else { continue };
+            for &i in &members {
+                let r = (&z.row(i) - &mean).insert_axis(Axis(1));
+                w += &r.dot(&r.t());
             }
-            (w, freedom, means)
-        };
-        let all: Vec<usize> = (0..labels.len()).collect();
-        let (w_all, freedom_all, _) = scatter(&all);
-        let (w, freedom, means) = scatter(kept);
-        let ridge = SHRINKAGE * w_all.diag().sum() / z.ncols() as f64;
-        let metric = w * ((1.0 - SHRINKAGE) / freedom)
-            + Array2::<f64>::eye(z.ncols()) * (ridge / freedom_all * (freedom_all / freedom));
+            freedom += members.len() as f64 - 1.0;
+            means.row_mut(label).assign(&mean);
+        }
+        let ridge = gamma * w.diag().sum() / freedom / z.ncols() as f64;
+        let metric = w * ((1.0 - gamma) / freedom) + Array2::<f64>::eye(z.ncols()) * ridge;
         let factor = cholesky(metric).unwrap();
         let distance = |class: usize| {
             let mut d = (&vector.mapv(f64::from) - &means.row(class)).insert_axis(Axis(1));
@@ -359,6 +358,10 @@ mod tests {
             d.iter().map(|x| x * x).sum::<f64>()
         };
         (0..classes).map(distance).collect()
+    }
+
+    fn distances(of: &Discriminant, vector: ArrayView1<'_, f32>) -> Vec<f64> {
+        of.distances(vector.insert_axis(Axis(0))).remove(0)
     }
 
     fn differ_alike(ours: &[f64], full: &[f64]) {
@@ -370,26 +373,26 @@ mod tests {
 
     #[test]
     fn differences_of_distances_are_those_of_the_full_mahalanobis_distance() {
-        let (rows, labels) = data_with_copies();
+        let (vectors, labels) = data_with_copies();
         let all: Vec<usize> = (0..90).collect();
-        let ours = trained(&rows, &labels, 3).unwrap().distances(rows.row(5));
-        let full = by_definition((&rows, &labels), &all, 3, rows.row(5));
+        let ours = distances(&trained(&vectors, &labels, 3).unwrap(), vectors.row(5));
+        let full = by_definition((&vectors, &labels), &all, 3, vectors.row(5));
         differ_alike(&ours, &full);
         assert!(ours[0] <= full[0] + 1e-3, "a projection shortens");
     }
 
     #[test]
     fn leaving_a_group_out_is_training_without_it() {
-        let (rows, labels) = data_with_copies();
+        let (vectors, labels) = data_with_copies();
         let groups: Vec<usize> = (0..90).map(|i| (i / 9).min(4)).collect();
-        let of = Vectors { groups: &groups, group_count: 5, ..vectors(&rows, &labels, 3) };
-        let (all, without) = Discriminant::train(&of, 8, SHRINKAGE);
+        let of = rows(&labels, groups.clone(), 3);
+        let (all, without) = Discriminant::train(vectors.clone(), &of);
         assert!(all.is_some() && without.len() == 5);
         for (group, without) in without.into_iter().enumerate() {
             let kept: Vec<usize> = (0..90).filter(|&i| groups[i] != group).collect();
             for query in [3, 40, 80] {
-                let ours = without.as_ref().unwrap().distances(rows.row(query));
-                let full = by_definition((&rows, &labels), &kept, 3, rows.row(query));
+                let ours = distances(without.as_ref().unwrap(), vectors.row(query));
+                let full = by_definition((&vectors, &labels), &kept, 3, vectors.row(query));
                 differ_alike(&ours, &full);
             }
         }
@@ -397,30 +400,13 @@ mod tests {
 
     #[test]
     fn a_class_that_is_only_in_one_group_is_unknown_without_it() {
-        let (rows, labels) = data();
-        let groups: Vec<usize> = labels.iter().map(|&class| usize::from(class == 2)).collect();
-        let of = Vectors { groups: &groups, group_count: 2, ..vectors(&rows, &labels, 3) };
-        let (_, without) = Discriminant::train(&of, 8, SHRINKAGE);
+        let (vectors, labels) = data();
+        let groups = labels.iter().map(|&class| usize::from(class == 2)).collect();
+        let (_, without) = Discriminant::train(vectors.clone(), &rows(&labels, groups, 3));
         let left = without[1].as_ref().unwrap();
         assert!(left.knows(0) && left.knows(1) && !left.knows(2));
-        assert_eq!(left.distances(rows.row(2))[2], f64::INFINITY);
+        assert_eq!(distances(left, vectors.row(2))[2], f64::INFINITY);
         assert!(without[0].is_none(), "one class is nothing to choose between");
-    }
-
-    #[test]
-    fn columns_that_are_left_out_count_for_nothing() {
-        let (vectors, labels) = data();
-        let columns = [0, 1, 2, 5];
-        let some = vectors.select(Axis(1), &columns);
-        let wide = trained(&some, &labels, 3).unwrap().spread(&columns, 8);
-        let mut changed = vectors.row(7).to_owned();
-        changed[6] = 1e6;
-        assert_eq!(wide.distances(vectors.row(7)), wide.distances(changed.view()));
-        let narrow = trained(&vectors.select(Axis(1), &columns), &labels, 3).unwrap();
-        let own = vectors.row(7).select(Axis(0), &columns);
-        for (a, b) in wide.distances(vectors.row(7)).iter().zip(narrow.distances(own.view())) {
-            assert!((a - b).abs() < 1e-3 * (1.0 + b));
-        }
     }
 
     #[test]
@@ -429,9 +415,10 @@ mod tests {
         let trained = trained(&vectors, &labels, 3).unwrap();
         let z = vectors.row(4);
         let (weights, offsets) = trained.weights();
-        let distances = trained.distances(z);
-        let u: f64 = trained.project(z).iter().map(|x| x * x).sum();
-        for (class, distance) in distances.iter().enumerate() {
+        let projected = trained.projection.dot(&z);
+        let u = projected.iter().zip(&trained.origin).map(|(&x, o)| f64::from(x) - o);
+        let u: f64 = u.map(|x| x * x).sum();
+        for (class, distance) in distances(&trained, z).iter().enumerate() {
             let inner = f64::from(weights.row(class).dot(&z)) - offsets[class];
             let mean: f64 = trained.means.row(class).iter().map(|x| x * x).sum();
             assert!((distance - (u + mean - 2.0 * inner)).abs() < 1e-2);
@@ -442,7 +429,8 @@ mod tests {
     fn a_detector_that_never_errs_is_trusted_within_bounds_and_a_constant_is_not() {
         let labels = [0, 1, 0, 1, 0, 1];
         let switch = Array2::from_shape_fn((6, 3), |(i, j)| ((i % 2) + j) as f32);
-        let d = trained(&switch, &labels, 2).unwrap().distances(ArrayView1::from(&[1.0, 2.0, 3.0]));
+        let trained_on = trained(&switch, &labels, 2).unwrap();
+        let d = distances(&trained_on, ArrayView1::from(&[1.0, 2.0, 3.0]));
         assert!(d[1] < 1e-3 && d[0].is_finite() && d[0] > 1.0, "{d:?}");
         assert!(trained(&Array2::from_elem((6, 3), 0.7), &labels, 2).is_none());
         let two = switch.slice(s![..2, ..]).to_owned();

@@ -54,14 +54,13 @@ impl Ensemble {
         seed: u64,
     ) -> (Self, Vec<Option<Self>>) {
         let trials = rows.trials.iter().max().map_or(0, |last| last + 1);
-        let size = (2 * trials).clamp(FEATURES.0, env("X_DMAX", FEATURES.1)).min(columns.len());
-        let members = if size == columns.len() { 1 } else { env("X_MEMBERS", MEMBERS) };
+        let size = (2 * trials).clamp(FEATURES.0, FEATURES.1).min(columns.len());
+        let members = if size == columns.len() { 1 } else { MEMBERS };
         let trained: Vec<_> = (0..members)
             .into_par_iter()
             .map(|number| {
                 let columns = drawn(columns, size, seed, number);
-                let (all, without) =
-                    Discriminant::train(vectors.select(Axis(1), &columns), rows);
+                let (all, without) = Discriminant::train(vectors.select(Axis(1), &columns), rows);
                 let all = all.unwrap_or_else(|| Discriminant::indifferent(rows.classes, size));
                 let member = |discriminant| Member { columns: columns.clone(), discriminant };
                 (member(all), without.into_iter().map(|one| one.map(member)).collect::<Vec<_>>())
@@ -142,10 +141,6 @@ impl Ensemble {
         let members = self.members.len().max(1);
         (weights / members as f32, offsets / members as f64)
     }
-}
-
-fn env(name: &str, usual: usize) -> usize {
-    std::env::var(name).ok().and_then(|x| x.parse().ok()).unwrap_or(usual)
 }
 
 /// `size` of the columns, drawn without replacement; in ascending order.

@@ -171,9 +171,8 @@ impl SeriesFrames {
     ) -> Self {
         let (channels, samples) = (series.channels(), series.samples());
         let source = (digest, seed, spec.id.as_str());
-        let copy = |copy: &Copy| {
-            Piece::new(&views, &copies::samples(copy, source, channels, samples))
-        };
+        let copy =
+            |copy: &Copy| Piece::new(&views, &copies::samples(copy, source, channels, samples));
         let copies = copies(digest, seed).iter().map(copy).collect();
         let [long, short] = &views.frames;
         let (frames, summed) = long_frames(&views, samples);
@@ -230,7 +229,7 @@ pub(crate) fn samples_by(seconds: f64, rate_hz: f64) -> usize {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum SourceFrames {
-    Series(SeriesFrames),
+    Series(Box<SeriesFrames>),
     Picture(PictureTiles),
 }
 
@@ -282,10 +281,10 @@ impl TrialFrames {
             Signal::Image(image) => SourceFrames::Picture(PictureTiles::new(image)),
             Signal::Series(series) => {
                 let views = SourceViews::new(spec, (series.rate_hz(), series.frames()), shape);
-                SourceFrames::Series(match seed {
+                SourceFrames::Series(Box::new(match seed {
                     Some(seed) => SeriesFrames::of_library(views, series, spec, (digest, seed)),
                     None => SeriesFrames::new(views, series),
-                })
+                }))
             }
         })?;
         Ok(Self { key: key.clone(), digest, seed: seed.unwrap_or(0), sources })
@@ -312,7 +311,9 @@ fn digest(trial: &Trial) -> u64 {
             Signal::Image(image) => sum.update(image.rgb()),
             Signal::Series(series) => {
                 for samples in series.samples().chunks(1024) {
-                    sum.update(samples.iter().map(|x| x.to_le_bytes()).collect::<Vec<_>>().as_flattened());
+                    sum.update(
+                        samples.iter().map(|x| x.to_le_bytes()).collect::<Vec<_>>().as_flattened(),
+                    );
                 }
             }
         }

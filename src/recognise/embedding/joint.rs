@@ -74,7 +74,7 @@ pub(super) struct Stretch {
     pub embedder: SourceEmbedder,
     /// The first library trial that has the source, for error messages.
     first: TrialKey,
-    /// Mean of each feature over the library's whole trials.
+    /// Mean of each feature over the library's trials and their copies.
     mean: Vec<f32>,
     /// 1/(standard deviation) of each feature.
     factor: Vec<f32>,
@@ -89,13 +89,13 @@ impl Stretch {
         debug_assert!(features.iter().all(|x| x.is_finite()));
     }
 
-    /// Sets the mean and deviation of each feature from the rows of whole trials, and standardises the
-    /// rows that are `there`. The first `wholes` rows are of whole trials.
-    fn standardise_by(&mut self, mut rows: ArrayViewMut2<'_, f32>, there: &[usize], wholes: usize) {
-        let whole: Vec<usize> = there.iter().copied().filter(|&row| row < wholes).collect();
-        let n = whole.len().max(1) as f64;
+    /// Sets the mean and deviation of each feature over the rows that are `there`, whole trials and
+    /// copies, and standardises these rows. So a feature that noise or another hand moves far is not
+    /// magnified because it hardly varies between whole trials.
+    fn standardise_by(&mut self, mut rows: ArrayViewMut2<'_, f32>, there: &[usize]) {
+        let n = there.len().max(1) as f64;
         let scale = |feature: ArrayView1<'_, f32>| {
-            let values = || whole.iter().map(|&row| f64::from(feature[row]));
+            let values = || there.iter().map(|&row| f64::from(feature[row]));
             let mean = values().sum::<f64>() / n;
             let variance = values().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
             // A feature that hardly varies is not magnified.
@@ -267,7 +267,7 @@ impl JointEmbedder {
                 }
             }
             let columns = all.slice_mut(s![.., stretch.columns.clone()]);
-            stretch.standardise_by(columns, &there, trials);
+            stretch.standardise_by(columns, &there);
         }
         all
     }
@@ -330,7 +330,8 @@ pub(super) fn columns(stretches: &[Stretch], present: &Present) -> Vec<usize> {
 /// The features of the beginnings of a series at each of `looks` up to its end.
 fn beginnings(embedder: &SeriesEmbedder, series: &SeriesFrames, looks: &[usize]) -> Vec<Vec<f32>> {
     let (rate_hz, moments_hz) = (series.rate_hz(), series.views.moments_hz());
-    let mut sums = series.views.frames.each_ref().map(|view| BandSums::new(view.channels, view.width()));
+    let mut sums =
+        series.views.frames.each_ref().map(|view| BandSums::new(view.channels, view.width()));
     let mut taken = [0; 2];
     let of_look = |&number: &usize| {
         let look = series.looks.get(number.checked_sub(1)?)?;

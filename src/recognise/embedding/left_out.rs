@@ -77,13 +77,13 @@ impl Trained {
             .map(|of_trial| present.iter().zip(of_trial).all(|(want, has)| has | !want))
             .collect();
         let trials = || (0..full.len()).filter(|&i| full[i]);
-        let calibrate = |scan_s: f64, of_each: usize, vectors: Vec<(usize, ArrayView1<'_, f32>)>| {
-            let strange = self.of_left_out(labels, &vectors).into_iter();
-            let scans = strange.map(|(at, answer)| {
-                (labels.group[vectors[at].0], answer.strangeness)
-            });
-            Calibration::new(scan_s, of_each, scans)
-        };
+        let calibrate =
+            |scan_s: f64, of_each: usize, vectors: Vec<(usize, ArrayView1<'_, f32>)>| {
+                let strange = self.of_left_out(labels, &vectors).into_iter();
+                let scans =
+                    strange.map(|(at, answer)| (labels.group[vectors[at].0], answer.strangeness));
+                Calibration::new(scan_s, of_each, scans)
+            };
         let excerpt_s = SHARE * drag_s;
         let longest_s = if labels.across_users { f64::INFINITY } else { excerpt_s - 1e-9 };
         let mut by_length: Vec<Calibration> = (begun.looks.iter().enumerate())
@@ -124,7 +124,8 @@ impl Trained {
             let views: Vec<ArrayView1<'_, f32>> = own.iter().map(|&at| vectors[at].1).collect();
             // The vectors are equally long.
             let matrix = ndarray::stack(Axis(0), &views).ok();
-            let answers = matrix.zip(without.as_ref()).map(|(x, without)| without.answers(x.view()));
+            let answers =
+                matrix.zip(without.as_ref()).map(|(x, without)| without.answers(x.view()));
             own.into_iter().zip(answers.unwrap_or_default()).collect::<Vec<_>>()
         };
         self.without.iter().enumerate().flat_map(of_group).collect()

@@ -243,7 +243,7 @@ impl EmbeddingModel {
         let whole = self.training.whole(trial);
         let looks: Vec<usize> = (1..=looks_in(drag_s)).collect();
         let beginnings = self.joint.beginnings(frames, whole, &looks);
-        let views = beginnings.iter().map(|vector| ArrayView1::from(vector)).chain([whole]);
+        let views = beginnings.iter().map(ArrayView1::from).chain([whole]);
         let vectors: Vec<_> = views.map(|view| (trial, view)).collect();
         let mut answers = trained.of_left_out(&self.labels, &vectors);
         let (_, whole) = answers.pop()?;

@@ -10,8 +10,8 @@ use super::band_sums::{BandSums, Counts, ViewEmbedder, median};
 use super::frames::{Piece, SeriesFrames, SourceViews};
 use super::linear::{EigenPairs, push_upper};
 use super::moments::{LOUDNESS, MOMENTS, Moments, Statistics};
-use super::quantiles::QUANTILES;
 use super::packed::PackedFrames;
+use super::quantiles::QUANTILES;
 use crate::recognise::features::windowed_frames::FrameView;
 
 /// Lags in samples; the joint covariance is of the series shifted by each of them.

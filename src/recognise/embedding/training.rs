@@ -56,8 +56,8 @@ impl Training {
     /// Checks stored training vectors; `None` if they do not fit these labels or `dims` features.
     pub(super) fn restored(self, labels: &Labels, dims: usize) -> Option<Self> {
         let trials = labels.class.len();
-        let fits = self.present.len() == trials
-            && self.vectors.dim() == (trials * (1 + COPIES), dims);
+        let fits =
+            self.present.len() == trials && self.vectors.dim() == (trials * (1 + COPIES), dims);
         fits.then(|| Self { rows: rows(labels, self.vectors.nrows()), ..self })
     }
 

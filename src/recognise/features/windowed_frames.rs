@@ -243,9 +243,8 @@ impl Workspace {
         let mut bins = plan.make_input_vec();
         let (first, end) = (view.edges[0], view.edges[view.edges.len() - 1].min(bins.len()));
         let scale = 1.0 / view.points as f32;
-        for bin in first..end {
-            bins[bin] = self.output[bin] * scale;
-        }
+        let within = bins[first..end].iter_mut().zip(&self.output[first..end]);
+        within.for_each(|(bin, x)| *bin = x * scale);
         // The transform of real samples has real ends.
         bins[0].im = 0.0;
         bins[points / 2].im = 0.0;
