@@ -86,7 +86,7 @@ pub trait Model: Send + Sync {
 /// How unlike the query each surface is, source by source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evidence {
-    /// The surfaces of the library, sorted.
+    /// The surfaces of the library, in any order.
     pub surfaces: Vec<String>,
     pub sources: Vec<SourceEvidence>,
 }

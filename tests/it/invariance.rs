@@ -7,7 +7,8 @@ use proptest::prelude::*;
 use surfaced::device::Replay;
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    LibraryShape, Method, PositionMode, Ranking, Reference, ReferenceOptions,
+    Embedding, EmbeddingOptions, LibraryShape, Method, PositionMode, Ranking, Reference,
+    ReferenceOptions,
 };
 use surfaced::scan::{Event, Options, Session};
 use surfaced::scene::Scene;
@@ -39,7 +40,7 @@ fn played(trial: &Trial, chunk_s: f64) -> Trial {
     scan.unwrap()
 }
 
-fn name(method: &Reference, library: &[Entry], query: &Trial, threads: usize) -> Ranking {
+fn name(method: &dyn Method, library: &[Entry], query: &Trial, threads: usize) -> Ranking {
     let work = || {
         let shape = Arc::new(LibraryShape::of(&library.iter().collect::<Vec<_>>()).unwrap());
         let prepared = library.iter().map(|entry| {
@@ -70,5 +71,28 @@ proptest! {
         let shuffled: Vec<Entry> = order.iter().map(|&i| library[i].clone()).collect();
         let other = name(&method, &shuffled, &played(&query, chunk_s), threads);
         prop_assert_eq!(plain, other);
+    }
+}
+
+/// The same recordings under other labels and numbers get the same answers.
+#[test]
+fn names_and_numbers_of_trials_do_not_matter_to_the_default_method() {
+    let method = Embedding::new(Scene::lmt108(), EmbeddingOptions::default());
+    let surfaces = ["ash", "cedar", "elm"];
+    let others = ["zinc", "beech", "maple"];
+    let trials = || surfaces.iter().flat_map(|s| (1..=3).map(|n| common::trial(s, "expert", n)));
+    let renamed = trials().map(|mut trial| {
+        let place = surfaces.iter().position(|s| *s == trial.key.surface).unwrap();
+        trial.key.surface = others[place].into();
+        trial.key.number = 10 - trial.key.number;
+        Entry::in_memory(trial)
+    });
+    let (plain, renamed): (Vec<_>, Vec<_>) =
+        (trials().map(Entry::in_memory).collect(), renamed.collect());
+    for query in ["ash", "elm", "larch"].map(|surface| common::trial(surface, "user1", 5)) {
+        let (a, b) = (name(&method, &plain, &query, 1), name(&method, &renamed, &query, 2));
+        let place = |names: &[&str], r: &Ranking| names.iter().position(|n| *n == r.surface());
+        assert_eq!(place(&surfaces, &a), place(&others, &b));
+        assert_eq!((a.confidence, a.p_value, a.margin), (b.confidence, b.p_value, b.margin));
     }
 }

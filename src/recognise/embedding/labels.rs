@@ -1,11 +1,14 @@
 //! Labels of a library's trials for training: their classes, and the groups to leave out.
 
+use std::collections::BTreeMap;
+
 use crate::trial::TrialKey;
 
 /// At most this many groups of trials are left out, one at a time.
 const MOST_GROUPS: usize = 10;
 
-/// Classes and groups of the trials of a library, sorted by key.
+/// Classes and groups of the trials of a library. They depend on the order of the trials, and on which
+/// of them share a surface, a person or a session, never on names or numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Labels {
     pub surfaces: Vec<String>,
@@ -20,18 +23,36 @@ pub(super) struct Labels {
 }
 
 impl Labels {
-    /// Groups are users if most trials can then be named by the other users' trials. If not, a group
-    /// is the trials of one user with one number. If there are too many groups, several are joined.
+    /// Groups are users if most trials can then be named by the other users' trials; if not, sessions
+    /// under the same condition; if not, a group takes one trial of each user and surface. If there are
+    /// too many groups, several are joined.
     pub(super) fn new(keys: &[&TrialKey]) -> Self {
-        let (surfaces, class) = places(keys.iter().map(|key| key.surface.as_str()));
-        let (users, user) = places(keys.iter().map(|key| key.user.as_str()));
-        let (_, session) = places(keys.iter().map(|key| (key.user.as_str(), key.number)));
+        let (surfaces, class) = appearances(keys.iter().map(|key| key.surface.as_str()));
         let joined = |groups: Vec<usize>| -> Vec<usize> {
             groups.into_iter().map(|group| group % MOST_GROUPS).collect()
         };
-        let by_user = joined(user);
-        let across_users = users.len() > 1 && known_elsewhere(&class, &by_user) * 2 > keys.len();
-        let group = if across_users { by_user } else { joined(session) };
+        let tells = |group: &Vec<usize>| {
+            group.iter().any(|&other| other != group[0])
+                && known_elsewhere(&class, group) * 2 > keys.len()
+        };
+        let by_user = joined(appearances(keys.iter().map(|key| key.user.as_str())).1);
+        let sessions = keys.iter().map(|key| (key.user.as_str(), key.session.as_deref()));
+        let by_session = joined(appearances(sessions).1);
+        let across_users = tells(&by_user);
+        let group = if across_users {
+            by_user
+        } else if tells(&by_session) {
+            by_session
+        } else {
+            let owners = keys.iter().map(|key| (key.user.as_str(), key.surface.as_str()));
+            let mut counts = BTreeMap::new();
+            let of_trial = |owner| {
+                let count: &mut usize = counts.entry(owner).or_default();
+                *count += 1;
+                *count - 1
+            };
+            joined(owners.map(of_trial).collect())
+        };
         Self {
             classes: surfaces.len(),
             surfaces: surfaces.into_iter().map(String::from).collect(),
@@ -41,6 +62,19 @@ impl Labels {
             across_users,
         }
     }
+}
+
+/// The distinct values in the order in which they first appear, and the index of each value among them.
+fn appearances<T: Copy + Ord>(values: impl Iterator<Item = T>) -> (Vec<T>, Vec<usize>) {
+    let (mut distinct, mut known) = (Vec::new(), BTreeMap::new());
+    let place = |value| {
+        *known.entry(value).or_insert_with(|| {
+            distinct.push(value);
+            distinct.len() - 1
+        })
+    };
+    let places = values.map(place).collect();
+    (distinct, places)
 }
 
 /// The distinct values, sorted, and the index of each value among them.
@@ -105,6 +139,32 @@ mod tests {
         let labels = labels(&keys(&[("anna", 2), ("expert", 3)]));
         assert_eq!((labels.groups, labels.across_users), (2, true));
         assert_eq!(labels.group, [0, 0, 1, 1, 1, 0, 0, 1, 1, 1]);
+    }
+
+    #[test]
+    fn sessions_of_one_person_are_left_out_together() {
+        let keys: Vec<_> = (keys(&[("expert", 4)]).into_iter())
+            .map(|key| TrialKey {
+                session: Some(if key.number < 3 { "a" } else { "b" }.into()),
+                ..key
+            })
+            .collect();
+        let labels = labels(&keys);
+        assert_eq!((labels.group, labels.across_users), (vec![0, 0, 1, 1, 0, 0, 1, 1], false));
+    }
+
+    #[test]
+    fn other_names_and_numbers_make_the_same_classes_and_groups() {
+        let named = keys(&[("anna", 2), ("expert", 3)]);
+        let renamed: Vec<TrialKey> = (named.iter())
+            .map(|key| {
+                let surface = if key.surface == "ash" { "zinc" } else { "beech" };
+                let user = if key.user == "anna" { "x" } else { "b" };
+                TrialKey::new(surface, user, 100 - key.number)
+            })
+            .collect();
+        let (a, b) = (labels(&named), labels(&renamed));
+        assert_eq!((a.class, a.group), (b.class, b.group));
     }
 
     #[test]
