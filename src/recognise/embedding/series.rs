@@ -14,6 +14,7 @@ use super::linear::{EigenPairs, push_upper};
 use super::moments::{LOUDNESS, MOMENTS, Moments, Statistics};
 use super::packed::PackedFrames;
 use crate::recognise::features::windowed_frames::FrameView;
+use crate::trial::usual_rest;
 
 /// Lags in samples; the joint covariance is of the series shifted by each of them.
 const LAGS: [usize; 3] = [0, 1, 3];
@@ -37,6 +38,8 @@ pub(super) struct SeriesEmbedder {
     /// Median over a library of the standard deviation of each channel.
     deviations: Vec<f64>,
     all_frequencies: bool,
+    /// Share of time that each channel rests in the library ([`usual_rest`]).
+    pub rests: Vec<f32>,
 }
 
 impl SeriesEmbedder {
@@ -57,8 +60,12 @@ impl SeriesEmbedder {
         let deviation = |c: usize| median(all.iter().map(|of_trial| of_trial[c]).collect());
         let half_hz = 0.5 * trials[0].rate_hz();
         let is_all = |(low, high): (f64, f64)| high.min(half_hz) - low >= NEARLY_ALL * half_hz;
+        let rest = |c: usize| {
+            usual_rest(trials.iter().filter_map(|trial| trial.rests.get(c).copied()).collect())
+        };
         Self {
             frames,
+            rests: (0..views.0[0].channels).map(rest).collect(),
             deviations: (0..views.0[0].channels).map(deviation).collect(),
             all_frequencies: band_hz.is_none_or(is_all),
             views,
@@ -71,7 +78,7 @@ impl SeriesEmbedder {
     }
 
     /// Whether a channel varies in most trials of the library.
-    pub(super) fn moves(&self, channel: usize) -> bool {
+    fn moves(&self, channel: usize) -> bool {
         self.deviations.get(channel).is_none_or(|&deviation| deviation > STILL)
     }
 
