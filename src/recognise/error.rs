@@ -40,6 +40,16 @@ pub enum RecogniseError {
     Kind { source_name: SourceId, trial: String, found: &'static str, expected: &'static str },
 }
 
+impl From<RecogniseError> for Doubt {
+    /// Why a scan has no name.
+    fn from(error: RecogniseError) -> Self {
+        match error {
+            RecogniseError::TooLittle => Self::TooLittle,
+            other => Self::NotNamed { why: other.to_string() },
+        }
+    }
+}
+
 /// Applies `make`, in parallel, to each source of a trial that the scene describes.
 ///
 /// # Errors
