@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let stream = LinesStream { id: SourceId::new("ac")?, columns, scale: Some(1.0) };
     let count = Some(Count::Rows(Column::Name("n".into())));
     let (rate_hz, streams) = (Some(RATE_HZ as f64), vec![stream]);
-    let mut device = Lines::new(LinesConfig { address, rate_hz, count, streams });
+    let mut device = Lines::new(LinesConfig { address, rate_hz, count, decimal_comma: None, streams });
     let (sink, mut tap) = series(3, RATE_HZ as usize, Waker::new().0);
     let (reports, warnings) = crossbeam_channel::unbounded();
     let stop = Stop::default();
