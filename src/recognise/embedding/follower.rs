@@ -385,25 +385,23 @@ impl GrowingSeries {
                 frames[v].add(&PackedFrames::new(&view.frames(&self.pending[v])).values());
             }
         }
-        let moments_of = |samples: &[f32], finished: bool| {
-            let mut moments = GrowingMoments::new(self.views.channels(), self.views.block());
-            moments.extend(samples);
-            if finished { moments.whole(samples) } else { moments.so_far() }
-        };
-        let moments = match (&self.passed, whole) {
-            (Some(_), whole) if self.frames[0].frames() == 0 => {
-                let samples = passed::short(&self.views.frames[0], &self.pending[0]);
-                moments_of(&samples, whole.is_some())
+        let mut moments = self.moments.clone();
+        let short;
+        let series: &[f32] = match (&self.passed, whole) {
+            (Some(_), _) if self.frames[0].frames() == 0 => {
+                short = passed::short(&self.views.frames[0], &self.pending[0]);
+                moments.extend(&short);
+                &short
             }
-            (Some(passed), Some(_)) => {
-                let (mut moments, known) = (self.moments.clone(), passed.len());
-                let samples = passed.clone().finished();
-                moments.extend(&samples[known..]);
-                moments.whole(&samples)
+            (Some(passed), whole) => {
+                moments.extend(&passed.edge());
+                short = whole.map_or_else(Vec::new, |_| passed.finished());
+                &short
             }
-            (None, Some(Signal::Series(series))) => self.moments.whole(series.samples()),
-            _ => self.moments.so_far(),
+            (None, Some(Signal::Series(series))) => series.samples(),
+            _ => &[],
         };
+        let moments = if whole.is_some() { moments.whole(series) } else { moments.so_far() };
         embedder.vector(&frames, &moments, self.views.moments_hz(), 0.0)
     }
 }

@@ -123,10 +123,7 @@ impl Piece {
 }
 
 /// The long frames of a series or a piece of one, and the samples that its moments are taken from.
-pub(super) fn long_frames<'a>(
-    views: &SourceViews,
-    samples: &'a [f32],
-) -> (Vec<f32>, Cow<'a, [f32]>) {
+fn long_frames<'a>(views: &SourceViews, samples: &'a [f32]) -> (Vec<f32>, Cow<'a, [f32]>) {
     let long = &views.frames[0];
     if !views.passed {
         return (long.frames(samples), samples.into());
@@ -175,37 +172,63 @@ impl SeriesFrames {
             |copy: &Copy| Piece::new(&views, &copies::samples(copy, source, channels, samples));
         let copies = copies(digest, seed).iter().map(copy).collect();
         let [long, short] = &views.frames;
-        let (frames, summed) = long_frames(&views, samples);
-        let mut looks = Vec::new();
-        let mut growing = GrowingMoments::new(channels, views.block());
-        let mut known = 0;
+        let mut passed = views.passed.then(|| Passed::new(long));
+        let (frames, parts) = match &passed {
+            Some(_) => long.whole_frames_and_passed(samples),
+            None => (long.frames(samples), Vec::new()),
+        };
+        let new = || GrowingMoments::new(channels, views.block());
+        let (mut growing, mut taken, mut looks) = (new(), 0, Vec::new());
         if spec.phase == Phase::Drag {
             let end = |look: usize| samples_by(look as f64 * LOOK_S, series.rate_hz());
             for end in (1..).map(end).take_while(|end| *end <= series.frames()) {
                 let so_far = &samples[..end * channels];
+                let moments = match &mut passed {
+                    None => {
+                        growing.extend(&so_far[taken..]);
+                        taken = so_far.len();
+                        growing.so_far()
+                    }
+                    Some(_) if end < long.points => {
+                        let mut beginning = new();
+                        beginning.extend(&passed::short(long, so_far));
+                        beginning.so_far()
+                    }
+                    Some(passed) => {
+                        let by_now = long.frames_in(end) * long.passed_points() * channels;
+                        growing.extend(passed.add(&parts[taken..by_now]));
+                        taken = by_now;
+                        let mut ended = growing.clone();
+                        ended.extend(&passed.edge());
+                        ended.so_far()
+                    }
+                };
                 let padded = |view: &FrameView| {
                     if end < view.points { view.frames(so_far) } else { Vec::new() }
                 };
                 let frames = [long, short].map(|view| PackedFrames::new(&padded(view)));
-                if views.passed && end < long.points {
-                    let summed = passed::short(long, so_far);
-                    let mut beginning = GrowingMoments::new(channels, views.block());
-                    beginning.extend(&summed);
-                    looks.push(Piece { frames, moments: beginning.so_far() });
-                    continue;
-                }
-                let by_now = match views.passed {
-                    true => Passed::new(long).samples_after(long.frames_in(end)),
-                    false => end,
-                };
-                growing.extend(&summed[known * channels..by_now * channels]);
-                known = by_now;
-                looks.push(Piece { frames, moments: growing.so_far() });
+                looks.push(Piece { frames, moments });
             }
         }
-        growing.extend(&summed[known * channels..]);
-        let frames = [&frames, &short.frames(samples)].map(|frames| PackedFrames::new(frames));
-        let whole = Piece { frames, moments: growing.whole(&summed) };
+        let whole = match &mut passed {
+            Some(_) if frames.is_empty() => Piece::new(&views, samples),
+            passed => {
+                let summed = match passed {
+                    None => {
+                        growing.extend(&samples[taken..]);
+                        samples.into()
+                    }
+                    Some(passed) => {
+                        growing.extend(passed.add(&parts[taken..]));
+                        growing.extend(&passed.edge());
+                        Cow::from(passed.finished())
+                    }
+                };
+                let frames = [&frames, &short.frames(samples)];
+                let frames = frames.map(|frames| PackedFrames::new(frames));
+                Piece { frames, moments: growing.whole(&summed) }
+            }
+        };
         Self { whole, samples: series.frames(), views, copies, looks }
     }
 

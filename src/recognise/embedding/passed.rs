@@ -36,7 +36,8 @@ impl Passed {
         for frame in frames.chunks_exact(self.points * self.channels) {
             let (first, second) = frame.split_at(frame.len() / 2);
             if self.tail.is_empty() {
-                self.push_edge(first, 0, self.points / 4..self.points / 2);
+                let edge = self.of_one_window(first, 0, self.points / 4..self.points / 2);
+                self.samples.extend(edge);
             } else {
                 self.samples.extend(self.tail.iter().zip(first).map(|(a, b)| a + b));
             }
@@ -45,33 +46,28 @@ impl Passed {
         &self.samples[known..]
     }
 
-    /// Number of values so far, all channels together.
-    pub(super) fn len(&self) -> usize {
-        self.samples.len()
+    /// The samples after those of `add`, if the series ends here.
+    pub(super) fn edge(&self) -> Vec<f32> {
+        if self.tail.is_empty() {
+            return Vec::new();
+        }
+        let half = self.points / 2;
+        self.of_one_window(&self.tail, half, half..self.points - self.points / 4)
     }
 
     /// All samples, up to the end of a finished series.
-    pub(super) fn finished(mut self) -> Vec<f32> {
-        let tail = std::mem::take(&mut self.tail);
-        if !tail.is_empty() {
-            self.push_edge(&tail, self.points / 2, self.points / 2..self.points - self.points / 4);
-        }
-        self.samples
+    pub(super) fn finished(&self) -> Vec<f32> {
+        [&self.samples[..], &self.edge()].concat()
     }
 
-    /// Number of samples a channel that `add` has given after some frames.
-    pub(super) fn samples_after(&self, frames: usize) -> usize {
-        let edge = self.points / 2 - self.points / 4;
-        if frames == 0 { 0 } else { edge + (frames - 1) * (self.points / 2) }
-    }
-
-    /// Appends places `within` a frame that one window covers; `half` begins at place `first`.
-    fn push_edge(&mut self, half: &[f32], first: usize, within: Range<usize>) {
-        for place in within {
-            let at = (place - first) * self.channels;
+    /// The samples at places `within` a frame that one window covers; `half` begins at place `first`.
+    fn of_one_window(&self, half: &[f32], first: usize, within: Range<usize>) -> Vec<f32> {
+        let of_place = |place: usize| {
             let window = window(place, self.points);
-            self.samples.extend(half[at..at + self.channels].iter().map(|x| x / window));
-        }
+            let at = (place - first) * self.channels;
+            half[at..at + self.channels].iter().map(move |x| x / window)
+        };
+        within.flat_map(of_place).collect()
     }
 }
 
@@ -117,7 +113,6 @@ mod tests {
         frames.chunks(3 * view.passed_points()).for_each(|part| {
             passed.add(part);
         });
-        assert_eq!(passed.samples.len(), passed.samples_after(view.frames_in(samples.len())));
         passed.finished()
     }
 
