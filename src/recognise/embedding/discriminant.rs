@@ -39,7 +39,7 @@ pub(crate) struct Discriminant {
     present: Vec<bool>,
 }
 
-/// What each row of the training vectors is.
+/// Labels, groups and trials of the rows of training vectors.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Rows {
     /// Label of each row: the class of a whole trial, or `classes` and above for a copy.
@@ -86,7 +86,7 @@ impl Discriminant {
             of(&scatter - &lower_gram(&moved.view()), &left, means)
         };
         let without = (0..rows.group_count).map(without).collect();
-        (of(scatter.clone(), &counts, whole.to_owned()), without)
+        (of(scatter, &counts, whole.to_owned()), without)
     }
 
     /// Takes the lower triangle of Σ r·rᵀ, the number of rows with each label, and the class means.

@@ -33,7 +33,7 @@ pub(crate) struct Ensemble {
     members: Vec<Member>,
 }
 
-/// What an ensemble says of a vector.
+/// The answer of an ensemble to a vector.
 #[derive(Clone, Debug)]
 pub(crate) struct Answer {
     /// Probability of each class: the mean over members of softmax(−distance/2).
@@ -145,7 +145,7 @@ impl Ensemble {
 
 /// `size` of the columns, drawn without replacement; in ascending order.
 fn drawn(columns: &[usize], size: usize, seed: u64, number: usize) -> Vec<usize> {
-    let mut rng = seed::rng(seed, &[b"member", &number.to_le_bytes()]);
+    let mut rng = seed::rng(seed, &[b"member", &(number as u64).to_le_bytes()]);
     let mut columns = columns.to_vec();
     for i in 0..size {
         let left = (columns.len() - i) as f64;

@@ -385,23 +385,24 @@ impl GrowingSeries {
                 frames[v].add(&PackedFrames::new(&view.frames(&self.pending[v])).values());
             }
         }
-        let mut moments = self.moments.clone();
-        let short;
-        let series: &[f32] = match (&self.passed, whole) {
-            (Some(_), _) if self.frames[0].frames() == 0 => {
-                short = passed::short(&self.views.frames[0], &self.pending[0]);
-                moments.extend(&short);
-                &short
-            }
+        let moments = match (&self.passed, whole) {
+            (None, Some(Signal::Series(series))) => self.moments.whole(series.samples()),
+            (None, _) => self.moments.so_far(),
             (Some(passed), whole) => {
-                moments.extend(&passed.edge());
-                short = whole.map_or_else(Vec::new, |_| passed.finished());
-                &short
+                let is_short = self.frames[0].frames() == 0;
+                let rest = match is_short {
+                    true => passed::short(&self.views.frames[0], &self.pending[0]),
+                    false => passed.edge(),
+                };
+                let mut moments = self.moments.clone();
+                moments.extend(&rest);
+                match whole {
+                    None => moments.so_far(),
+                    Some(_) if is_short => moments.whole(&rest),
+                    Some(_) => moments.whole(&passed.finished()),
+                }
             }
-            (None, Some(Signal::Series(series))) => series.samples(),
-            _ => &[],
         };
-        let moments = if whole.is_some() { moments.whole(series) } else { moments.so_far() };
         embedder.vector(&frames, &moments, self.views.moments_hz(), 0.0)
     }
 }

@@ -265,7 +265,7 @@ impl SourceFrames {
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialFrames {
     pub key: TrialKey,
-    /// Hash of the samples, whatever the trial is called. It orders a library's trials.
+    /// Hash of the samples, whatever the trial is called. It orders a library's trials; 0 for a query.
     pub digest: u64,
     /// Seed of the copies.
     pub seed: u64,
@@ -299,7 +299,8 @@ impl TrialFrames {
         shape: &LibraryShape,
         seed: Option<u64>,
     ) -> Result<Self, RecogniseError> {
-        let digest = digest(trial);
+        // Only copies and the order of a library need it.
+        let digest = seed.map_or(0, |_| digest(trial));
         let sources = of_known_sources(key, trial, scene, |spec, signal| match signal {
             Signal::Image(image) => SourceFrames::Picture(PictureTiles::new(image)),
             Signal::Series(series) => {

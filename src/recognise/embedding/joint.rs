@@ -94,15 +94,23 @@ impl Stretch {
     /// magnified because it hardly varies between whole trials.
     fn standardise_by(&mut self, mut rows: ArrayViewMut2<'_, f32>, there: &[usize]) {
         let n = there.len().max(1) as f64;
-        let scale = |feature: ArrayView1<'_, f32>| {
-            let values = || there.iter().map(|&row| f64::from(feature[row]));
-            let mean = values().sum::<f64>() / n;
-            let variance = values().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
-            // A feature that hardly varies is not magnified.
-            let deviation = variance.sqrt().max(1e-6 + 1e-3 * mean.abs());
-            (mean as f32, (1.0 / deviation) as f32)
+        let (mut means, mut variances) = (vec![0.0; rows.ncols()], vec![0.0; rows.ncols()]);
+        // Row by row, as they lie in memory.
+        for &row in there {
+            means.iter_mut().zip(rows.row(row)).for_each(|(sum, &x)| *sum += f64::from(x));
+        }
+        means.iter_mut().for_each(|mean| *mean /= n);
+        for &row in there {
+            for ((sum, mean), &x) in variances.iter_mut().zip(&means).zip(rows.row(row)) {
+                *sum += (f64::from(x) - mean).powi(2);
+            }
+        }
+        // A feature that hardly varies is not magnified.
+        let factor = |(mean, sum): (&f64, &f64)| {
+            (1.0 / (sum / n).sqrt().max(1e-6 + 1e-3 * mean.abs())) as f32
         };
-        (self.mean, self.factor) = rows.columns().into_iter().map(scale).unzip();
+        self.factor = means.iter().zip(&variances).map(factor).collect();
+        self.mean = means.iter().map(|&mean| mean as f32).collect();
         there.iter().for_each(|&row| self.standardise(rows.row_mut(row)));
     }
 

@@ -107,19 +107,15 @@ impl Trained {
     }
 
     /// The answers to vectors of library trials by the ensembles without their groups. Each vector comes
-    /// with its trial, each answer with the index of its vector. There is none where the ensemble does
-    /// not know the trial's class.
+    /// with its trial, each answer with the index of its vector. An ensemble may not know the class of
+    /// a trial; if there is no ensemble, there is no answer.
     pub(super) fn of_left_out(
         &self,
         labels: &Labels,
         vectors: &[(usize, ArrayView1<'_, f32>)],
     ) -> Vec<(usize, Answer)> {
         let of_group = |(group, without): (usize, &Option<Ensemble>)| {
-            let own = (0..vectors.len()).filter(|&at| {
-                let trial = vectors[at].0;
-                let knows = |ensemble: &Ensemble| ensemble.knows(labels.class[trial]);
-                labels.group[trial] == group && without.as_ref().is_some_and(knows)
-            });
+            let own = (0..vectors.len()).filter(|&at| labels.group[vectors[at].0] == group);
             let own: Vec<usize> = own.collect();
             let views: Vec<ArrayView1<'_, f32>> = own.iter().map(|&at| vectors[at].1).collect();
             // The vectors are equally long.
@@ -129,6 +125,12 @@ impl Trained {
             own.into_iter().zip(answers.unwrap_or_default()).collect::<Vec<_>>()
         };
         self.without.iter().enumerate().flat_map(of_group).collect()
+    }
+
+    /// Whether the ensemble without the group of a library trial knows the trial's class.
+    pub(super) fn can_name(&self, labels: &Labels, trial: usize) -> bool {
+        let without = self.without[labels.group[trial]].as_ref();
+        without.is_some_and(|without| without.knows(labels.class[trial]))
     }
 
     pub(super) fn p_value(&self, vector: ArrayView2<'_, f32>, scan_s: f64) -> Option<f64> {
@@ -167,10 +169,7 @@ impl LeftOut {
             let train = || Trained::new(joint, training, present);
             trained.entry(present.clone()).or_insert_with(train);
         }
-        let is_known = |i: usize| {
-            let without = trained[&training.present[i]].without[labels.group[i]].as_ref();
-            without.is_some_and(|without| without.knows(labels.class[i]))
-        };
+        let is_known = |i: usize| trained[&training.present[i]].can_name(labels, i);
         let is_full = |i: &usize| training.present[*i].iter().all(|has| *has);
         let mut lengths: Vec<f64> =
             (0..library.len()).filter(is_full).filter_map(|i| joint.drag_s(&library[i])).collect();

@@ -239,6 +239,7 @@ impl EmbeddingModel {
     /// Follows a library trial like a follower, but with a model trained without the trial.
     fn follow_one(&self, frames: &TrialFrames, trial: usize) -> Option<FollowedTrial> {
         let trained = self.left_out.trained.get(&self.training.present[trial])?;
+        let trained = trained.can_name(&self.labels, trial).then_some(trained)?;
         let drag_s = self.joint.drag_s(frames)?;
         let whole = self.training.whole(trial);
         let looks: Vec<usize> = (1..=looks_in(drag_s)).collect();

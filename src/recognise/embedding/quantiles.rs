@@ -47,10 +47,10 @@ impl Histograms {
             let mut last = before.len().checked_sub(channels).map(|at| before[at + c]);
             for &x in block.iter().skip(c).step_by(channels) {
                 let value = x - reference[c];
-                let bin = bin(value.abs());
+                let bin = bin_of(value.abs());
                 bins[if value < 0.0 { BINS - 1 - bin } else { BINS + bin }] += 1;
                 if let Some(last) = last {
-                    bins[2 * BINS + self::bin((x - last).abs())] += 1;
+                    bins[2 * BINS + bin_of((x - last).abs())] += 1;
                 }
                 last = Some(x);
             }
@@ -71,7 +71,7 @@ impl Histograms {
     }
 }
 
-fn bin(magnitude: f32) -> usize {
+fn bin_of(magnitude: f32) -> usize {
     ((magnitude.to_bits() >> SHIFT).saturating_sub(FIRST) as usize).min(BINS - 1)
 }
 

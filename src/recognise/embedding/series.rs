@@ -21,7 +21,7 @@ const LAGS: [usize; 3] = [0, 1, 3];
 const MOST_LAGGED: usize = 16;
 
 /// Series of fewer samples have no quantiles: the frames say more of them.
-const FEWEST_RANKED: usize = 64;
+const FEWEST_RANKED: f64 = 64.0;
 
 /// Steps count as this many times as large before the inverse hyperbolic sine.
 const STEP_GAIN: f64 = 4.0;
@@ -60,12 +60,11 @@ impl SeriesEmbedder {
             .map(|trial| trial.whole.moments.statistics(views.moments_hz(), 0.0).deviations)
             .collect();
         let deviation = |c: usize| median(all.iter().map(|of_trial| of_trial[c]).collect());
-        let mut lengths: Vec<usize> = trials.iter().map(|trial| trial.samples).collect();
-        lengths.sort_unstable();
+        let length = median(trials.iter().map(|trial| trial.samples as f64).collect());
         Self {
             frames,
             deviations: (0..views.frames[0].channels).map(deviation).collect(),
-            ranked: lengths[lengths.len() / 2] >= FEWEST_RANKED,
+            ranked: length >= FEWEST_RANKED,
             views,
         }
     }

@@ -116,7 +116,7 @@ impl Training {
     }
 }
 
-/// What the training vectors of a library are, `count` in all.
+/// Labels, groups and trials of the training vectors of a library, `count` in all.
 fn rows(labels: &Labels, count: usize) -> Rows {
     let of_row = |row: usize| {
         let (trial, vector) = place(row, labels.class.len());
