@@ -220,6 +220,24 @@ fn no_probability_is_beyond_what_the_library_can_show() {
 }
 
 #[test]
+fn scans_are_called_unknown_by_all_trials_also_those_of_a_surface_that_one_person_recorded() {
+    let by = |user: &str, surfaces: std::ops::Range<usize>| -> Vec<Trial> {
+        let numbered = |surface| (1..=3).map(move |number| (surface, number));
+        let trials = surfaces.flat_map(numbered).map(|(surface, number)| {
+            let mut trial = made(surface, number + user.len() as u32, 1.0);
+            trial.key.user = user.into();
+            trial
+        });
+        trials.collect()
+    };
+    let scene = Scene::lmt108();
+    let library = [by("anna", 0..2), by("b", 0..3)].concat();
+    let rejection = trained(&scene, &embedding(&scene), &library).rejection(None).unwrap();
+    assert!(rejection.across_people);
+    assert_eq!(rejection.trials, library.len());
+}
+
+#[test]
 fn a_query_that_says_nothing_is_not_named() {
     let scene = Scene::lmt108().only(&[id("mi2"), id("ir")]).unwrap();
     let model = trained(&scene, &embedding(&scene), &made_library(2, 1.2));
