@@ -1,19 +1,16 @@
 //! Follows a scan with a trained model, and renews the guess at each look (step of [`LOOK_S`]).
 //!
 //! The scan so far is kept as sums, and new samples are added to them. So a look costs the same at any
-//! time of the scan. The vector equals that of a trial of the same samples, except for moments about
-//! the mean; these become exact once the finished trial is given.
+//! time of the scan. The vector equals that of a trial of the same samples.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::band_sums::BandSums;
 use super::frames::{SourceViews, samples_by};
+use super::growing::Growing;
 use super::joint::{Present, SourceEmbedder, Stretch};
 use super::model::{EmbeddingModel, Posterior};
-use super::moments::GrowingMoments;
-use super::packed::PackedFrames;
-use super::passed::{self, Passed};
 use super::series::SeriesEmbedder;
 use super::tiles::PictureTiles;
 use crate::recognise::decide::conformal::Rejection;
@@ -60,12 +57,8 @@ struct GrowingSeries {
     flaws: SeriesFlaws,
     /// Whether the source has had NaN or infinite samples.
     broken: bool,
+    growing: Growing,
     frames: [BandSums; 2],
-    moments: GrowingMoments,
-    /// The series that moments are taken from, where it is limited to the band.
-    passed: Option<Passed>,
-    /// For each view, the samples that later frames need; all samples, until one frame is complete.
-    pending: [Vec<f32>; 2],
 }
 
 impl EmbeddingModel {
@@ -109,7 +102,7 @@ impl Follower {
 
     fn guess(&mut self, scan_s: f64) -> Option<GuessSoFar> {
         let sound = self.scan.sound(&self.model);
-        let (vector, present) = self.scan.vector(&self.model, &sound, None);
+        let (vector, present) = self.scan.vector(&self.model, &sound);
         if !present.contains(&true) {
             return None;
         }
@@ -209,7 +202,7 @@ impl Follower {
         if !self.model.joint.stretches.iter().any(|stretch| self.scan.says(stretch, &sound)) {
             return None;
         }
-        let (vector, present) = self.scan.vector(&self.model, &sound, Some(trial));
+        let (vector, present) = self.scan.vector(&self.model, &sound);
         Some(self.model.ranking(&vector, &present, self.model.left_out.ended_s(drag_s)))
     }
 
@@ -296,7 +289,7 @@ impl ScanSoFar {
         let id = &stretch.spec.id;
         let of_series = |series: &GrowingSeries| {
             series.samples >= series.views.frames[1].points
-                && (stretch.has_switch() || !series.moments.so_far().is_constant())
+                && (stretch.has_switch() || !series.growing.end().moments.is_constant())
         };
         let of_picture = |picture: &TakenPicture| picture.vector.is_some();
         sound.contains(id)
@@ -304,22 +297,13 @@ impl ScanSoFar {
                 || self.pictures.get(id).is_some_and(of_picture))
     }
 
-    /// The standardised vector of the samples so far, from the sources named in `sound`. Moments about
-    /// the mean are approximate, unless the finished `trial` of the same samples is given.
-    fn vector(
-        &self,
-        model: &EmbeddingModel,
-        sound: &BTreeSet<SourceId>,
-        trial: Option<&Trial>,
-    ) -> (Vec<f32>, Present) {
+    /// The standardised vector of the samples so far, from the sources named in `sound`.
+    fn vector(&self, model: &EmbeddingModel, sound: &BTreeSet<SourceId>) -> (Vec<f32>, Present) {
         let of_source = |stretch: &Stretch| {
             let id = &stretch.spec.id;
             match &stretch.embedder {
                 _ if !sound.contains(id) => None,
-                SourceEmbedder::Series(embedder) => {
-                    let whole = trial.and_then(|trial| trial.signals.get(id));
-                    Some(self.series.get(id)?.vector(embedder, whole))
-                }
+                SourceEmbedder::Series(embedder) => Some(self.series.get(id)?.vector(embedder)),
                 SourceEmbedder::Picture(_) => self.pictures.get(id)?.vector.clone(),
             }
         };
@@ -338,9 +322,7 @@ impl GrowingSeries {
             flaws: SeriesFlaws::new(channels),
             broken: false,
             frames: views.frames.each_ref().map(|view| BandSums::new(view.channels, view.width())),
-            moments: GrowingMoments::new(channels, views.block()),
-            passed: views.passed.then(|| Passed::new(&views.frames[0])),
-            pending: Default::default(),
+            growing: Growing::new(&views),
             views,
         }
     }
@@ -359,50 +341,14 @@ impl GrowingSeries {
         if self.broken {
             return;
         }
-        if self.passed.is_none() {
-            self.moments.extend(&samples);
-        }
-        let views = self.views.frames.iter().zip(&mut self.pending).zip(&mut self.frames);
-        for (number, ((view, pending), sums)) in views.enumerate() {
-            pending.extend_from_slice(&samples);
-            let fresh = match &mut self.passed {
-                Some(passed) if number == 0 => {
-                    let (fresh, parts) = view.whole_frames_and_passed(pending);
-                    self.moments.extend(passed.add(&parts));
-                    fresh
-                }
-                _ => view.whole_frames(pending),
-            };
-            pending.drain(..view.hop() * view.channels * (fresh.len() / view.width()));
-            sums.add(&PackedFrames::new(&fresh).values());
+        for (sums, fresh) in self.frames.iter_mut().zip(self.growing.add(&samples)) {
+            sums.add(&fresh.values());
         }
     }
 
-    fn vector(&self, embedder: &SeriesEmbedder, whole: Option<&Signal>) -> Vec<f32> {
-        let mut frames = self.frames.clone();
-        for (v, view) in self.views.frames.iter().enumerate() {
-            if frames[v].frames() == 0 {
-                frames[v].add(&PackedFrames::new(&view.frames(&self.pending[v])).values());
-            }
-        }
-        let moments = match (&self.passed, whole) {
-            (None, Some(Signal::Series(series))) => self.moments.whole(series.samples()),
-            (None, _) => self.moments.so_far(),
-            (Some(passed), whole) => {
-                let is_short = self.frames[0].frames() == 0;
-                let rest = match is_short {
-                    true => passed::short(&self.views.frames[0], &self.pending[0]),
-                    false => passed.edge(),
-                };
-                let mut moments = self.moments.clone();
-                moments.extend(&rest);
-                match whole {
-                    None => moments.so_far(),
-                    Some(_) if is_short => moments.whole(&rest),
-                    Some(_) => moments.whole(&passed.finished()),
-                }
-            }
-        };
-        embedder.vector(&frames, &moments, self.views.moments_hz(), 0.0)
+    fn vector(&self, embedder: &SeriesEmbedder) -> Vec<f32> {
+        let (mut frames, end) = (self.frames.clone(), self.growing.end());
+        frames.iter_mut().zip(&end.frames).for_each(|(sums, padded)| sums.add(&padded.values()));
+        embedder.vector(&frames, &end.moments, self.views.moments_hz(), 0.0)
     }
 }

@@ -7,15 +7,13 @@
 //! too. It has at most a quarter of the library's median trial. A short frame is a quarter of a long
 //! one. The shape of the library sets the frames of its trials and of all queries.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
 use super::copies::{self, COPIES, Copy, copies};
-use super::moments::{GrowingMoments, Moments};
+use super::growing::{Growing, Piece};
 use super::packed::PackedFrames;
-use super::passed::{self, Passed};
 use super::tiles::PictureTiles;
 use crate::recognise::error::{RecogniseError, of_known_sources};
 use crate::recognise::features::windowed_frames::FrameView;
@@ -102,41 +100,6 @@ impl SourceViews {
     }
 }
 
-/// The frames and moments of a whole series, of a copy, or of a beginning.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Piece {
-    pub frames: [PackedFrames; 2],
-    pub moments: Moments,
-}
-
-impl Piece {
-    fn new(views: &SourceViews, samples: &[f32]) -> Self {
-        let (frames, summed) = long_frames(views, samples);
-        let short = &views.frames[1];
-        let mut sums = GrowingMoments::new(views.channels(), views.block());
-        sums.extend(&summed);
-        Self {
-            frames: [&frames, &short.frames(samples)].map(|frames| PackedFrames::new(frames)),
-            moments: sums.whole(&summed),
-        }
-    }
-}
-
-/// The long frames of a series or a piece of one, and the samples that its moments are taken from.
-fn long_frames<'a>(views: &SourceViews, samples: &'a [f32]) -> (Vec<f32>, Cow<'a, [f32]>) {
-    let long = &views.frames[0];
-    if !views.passed {
-        return (long.frames(samples), samples.into());
-    }
-    let (frames, parts) = long.whole_frames_and_passed(samples);
-    if frames.is_empty() {
-        return (long.frames(samples), passed::short(long, samples).into());
-    }
-    let mut passed = Passed::new(long);
-    passed.add(&parts);
-    (frames, passed.finished().into())
-}
-
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SeriesFrames {
     pub views: SourceViews,
@@ -145,10 +108,8 @@ pub struct SeriesFrames {
     pub whole: Piece,
     /// Augmented copies of the series; a query has none.
     pub copies: Vec<Piece>,
-    /// Beginnings of the series, one for each [`LOOK_S`]; only for drags, and only in a library.
-    ///
-    /// A beginning has no frames of its own, since they are the first frames of the whole series. If
-    /// it is shorter than a frame of a view, it has one zero-padded frame of that view.
+    /// Beginnings of the series, one for each [`LOOK_S`]; only for drags, and only in a library. A
+    /// beginning lacks its complete frames, since they are the first frames of the whole series.
     pub looks: Vec<Piece>,
 }
 
@@ -171,64 +132,22 @@ impl SeriesFrames {
         let copy =
             |copy: &Copy| Piece::new(&views, &copies::samples(copy, source, channels, samples));
         let copies = copies(digest, seed).iter().map(copy).collect();
-        let [long, short] = &views.frames;
-        let mut passed = views.passed.then(|| Passed::new(long));
-        let (frames, parts) = match &passed {
-            Some(_) => long.whole_frames_and_passed(samples),
-            None => (long.frames(samples), Vec::new()),
+        let (mut growing, mut taken, mut looks) = (Growing::new(&views), 0, Vec::new());
+        let mut frames: [PackedFrames; 2] = Default::default();
+        let mut grow = |growing: &mut Growing, end: usize| {
+            let fresh = growing.add(&samples[taken * channels..end * channels]);
+            frames.iter_mut().zip(&fresh).for_each(|(frames, fresh)| frames.extend(fresh));
+            taken = end;
         };
-        let new = || GrowingMoments::new(channels, views.block());
-        let (mut growing, mut taken, mut looks) = (new(), 0, Vec::new());
         if spec.phase == Phase::Drag {
             let end = |look: usize| samples_by(look as f64 * LOOK_S, series.rate_hz());
             for end in (1..).map(end).take_while(|end| *end <= series.frames()) {
-                let so_far = &samples[..end * channels];
-                let moments = match &mut passed {
-                    None => {
-                        growing.extend(&so_far[taken..]);
-                        taken = so_far.len();
-                        growing.so_far()
-                    }
-                    Some(_) if end < long.points => {
-                        let mut beginning = new();
-                        beginning.extend(&passed::short(long, so_far));
-                        beginning.so_far()
-                    }
-                    Some(passed) => {
-                        let by_now = long.frames_in(end) * long.passed_points() * channels;
-                        growing.extend(passed.add(&parts[taken..by_now]));
-                        taken = by_now;
-                        let mut ended = growing.clone();
-                        ended.extend(&passed.edge());
-                        ended.so_far()
-                    }
-                };
-                let padded = |view: &FrameView| {
-                    if end < view.points { view.frames(so_far) } else { Vec::new() }
-                };
-                let frames = [long, short].map(|view| PackedFrames::new(&padded(view)));
-                looks.push(Piece { frames, moments });
+                grow(&mut growing, end);
+                looks.push(growing.end());
             }
         }
-        let whole = match &mut passed {
-            Some(_) if frames.is_empty() => Piece::new(&views, samples),
-            passed => {
-                let summed = match passed {
-                    None => {
-                        growing.extend(&samples[taken..]);
-                        samples.into()
-                    }
-                    Some(passed) => {
-                        growing.extend(passed.add(&parts[taken..]));
-                        growing.extend(&passed.edge());
-                        Cow::from(passed.finished())
-                    }
-                };
-                let frames = [&frames, &short.frames(samples)];
-                let frames = frames.map(|frames| PackedFrames::new(frames));
-                Piece { frames, moments: growing.whole(&summed) }
-            }
-        };
+        grow(&mut growing, series.frames());
+        let whole = growing.ended(frames);
         Self { whole, samples: series.frames(), views, copies, looks }
     }
 

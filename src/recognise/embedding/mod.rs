@@ -20,6 +20,7 @@ mod ensemble;
 mod follower;
 mod fourier;
 pub(super) mod frames;
+mod growing;
 mod joint;
 pub(super) mod labels;
 mod lanes;

@@ -21,6 +21,10 @@ impl PackedFrames {
         Self { values: values.iter().map(|x| pack(x) as i16).collect() }
     }
 
+    pub(super) fn extend(&mut self, other: &Self) {
+        self.values.extend_from_slice(&other.values);
+    }
+
     /// All values, as ln power.
     pub fn values(&self) -> Vec<f32> {
         self.part(self.values.len(), 0..1)

@@ -18,8 +18,6 @@ pub(super) struct Passed {
     /// Samples a channel of one frame.
     points: usize,
     channels: usize,
-    /// Interleaved samples that later frames do not change.
-    samples: Vec<f32>,
     /// The second half of the last frame; empty before the first frame.
     tail: Vec<f32>,
 }
@@ -27,23 +25,23 @@ pub(super) struct Passed {
 impl Passed {
     pub(super) fn new(view: &FrameView) -> Self {
         let (points, channels) = (view.passed_points(), view.channels);
-        Self { points, channels, samples: Vec::new(), tail: Vec::new() }
+        Self { points, channels, tail: Vec::new() }
     }
 
-    /// Adds frames of [`FrameView::whole_frames_and_passed`]. Returns the samples that are new.
-    pub(super) fn add(&mut self, frames: &[f32]) -> &[f32] {
-        let known = self.samples.len();
+    /// Adds frames of [`FrameView::whole_frames_and_passed`]. Gives the samples, interleaved, that later
+    /// frames do not change.
+    pub(super) fn add(&mut self, frames: &[f32]) -> Vec<f32> {
+        let mut samples = Vec::with_capacity(frames.len() / 2);
         for frame in frames.chunks_exact(self.points * self.channels) {
             let (first, second) = frame.split_at(frame.len() / 2);
             if self.tail.is_empty() {
-                let edge = self.of_one_window(first, 0, self.points / 4..self.points / 2);
-                self.samples.extend(edge);
+                samples.extend(self.of_one_window(first, 0, self.points / 4..self.points / 2));
             } else {
-                self.samples.extend(self.tail.iter().zip(first).map(|(a, b)| a + b));
+                samples.extend(self.tail.iter().zip(first).map(|(a, b)| a + b));
             }
             self.tail = second.to_vec();
         }
-        &self.samples[known..]
+        samples
     }
 
     /// The samples after those of `add`, if the series ends here.
@@ -53,11 +51,6 @@ impl Passed {
         }
         let half = self.points / 2;
         self.of_one_window(&self.tail, half, half..self.points - self.points / 4)
-    }
-
-    /// All samples, up to the end of a finished series.
-    pub(super) fn finished(&self) -> Vec<f32> {
-        [&self.samples[..], &self.edge()].concat()
     }
 
     /// The samples at places `within` a frame that one window covers; `half` begins at place `first`.
@@ -110,10 +103,10 @@ mod tests {
         let view = FrameView::of_points(256, 1000.0, 1, (20.0, 120.0), 40);
         let mut passed = Passed::new(&view);
         let frames = view.whole_frames_and_passed(samples).1;
-        frames.chunks(3 * view.passed_points()).for_each(|part| {
-            passed.add(part);
-        });
-        passed.finished()
+        let parts = frames.chunks(3 * view.passed_points());
+        let mut samples: Vec<f32> = parts.flat_map(|part| passed.add(part)).collect();
+        samples.extend(passed.edge());
+        samples
     }
 
     fn deviation(x: &[f32]) -> f32 {

@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::{BandSums, Counts, ViewEmbedder, median};
-use super::frames::{Piece, SeriesFrames, SourceViews};
+use super::frames::{SeriesFrames, SourceViews};
+use super::growing::Piece;
 use super::linear::{EigenPairs, push_upper};
 use super::moments::{LOUDNESS, MOMENTS, Moments, Statistics};
 use super::packed::PackedFrames;
