@@ -63,10 +63,14 @@ impl Rows {
 }
 
 impl Discriminant {
-    /// Trains on all vectors, shape (N, d), and on those outside each group.
+    /// Trains on all vectors, shape (N, d), and on those outside each of the first `groups` groups.
     ///
     /// Gives `None` if all vectors are equal, no label has two, or fewer than two classes occur.
-    pub(crate) fn train(vectors: Array2<f32>, rows: &Rows) -> (Option<Self>, Vec<Option<Self>>) {
+    pub(crate) fn train(
+        vectors: Array2<f32>,
+        rows: &Rows,
+        groups: usize,
+    ) -> (Option<Self>, Vec<Option<Self>>) {
         let total = total_variance(&vectors.view());
         let counts = rows.counts(|_| true);
         let (means, residuals) = residuals(vectors, &rows.labels, &counts);
@@ -85,7 +89,7 @@ impl Discriminant {
             }
             of(&scatter - &lower_gram(&moved.view()), &left, means)
         };
-        let without = (0..rows.group_count).map(without).collect();
+        let without = (0..groups).map(without).collect();
         (of(scatter, &counts, whole.to_owned()), without)
     }
 
@@ -146,7 +150,7 @@ impl Discriminant {
                 independent.push(class);
             }
         }
-        let means = means.slice_move(s![.., ..independent.len()]);
+        let means = means.slice(s![.., ..independent.len()]).to_owned();
         let mut back = white.select(Axis(1), &independent);
         solve_lower_transposed(factor, &mut back);
         let mut projection = back.reversed_axes().as_standard_layout().into_owned();
@@ -174,6 +178,11 @@ impl Discriminant {
             && self.projection.dim() == (space, dims)
     }
 
+    /// Number of products that a distance takes.
+    pub(crate) fn work(&self) -> usize {
+        self.projection.len() + self.means.len()
+    }
+
     pub(crate) fn knows(&self, class: usize) -> bool {
         self.present[class]
     }
@@ -187,23 +196,25 @@ impl Discriminant {
     /// Squared distance of each vector, shape (n, d), to each class mean; infinite for classes without
     /// training vectors.
     pub(crate) fn distances(&self, vectors: ArrayView2<'_, f32>) -> Vec<Vec<f64>> {
-        let distances = |projected: ArrayView1<'_, f32>| {
-            let u: Vec<f64> =
-                projected.iter().zip(&self.origin).map(|(&x, o)| f64::from(x) - o).collect();
-            let of_class = |(mean, &present): (ArrayView1<'_, f64>, &bool)| {
-                if present {
-                    mean.iter().zip(&u).map(|(m, u)| (m - u).powi(2)).sum()
-                } else {
-                    f64::INFINITY
-                }
-            };
-            self.means.rows().into_iter().zip(&self.present).map(of_class).collect()
-        };
-        if vectors.nrows() == 1 {
+        let projected = if vectors.nrows() == 1 {
             // One row is multiplied faster as a vector.
-            return vec![distances(self.projection.dot(&vectors.row(0)).view())];
-        }
-        vectors.dot(&self.projection.t()).rows().into_iter().map(distances).collect()
+            self.projection.dot(&vectors.row(0)).insert_axis(Axis(0))
+        } else {
+            vectors.dot(&self.projection.t())
+        };
+        let u = projected.mapv(f64::from) - &self.origin;
+        let square = |row: ArrayView1<'_, f64>| row.dot(&row);
+        let means: Vec<f64> = self.means.rows().into_iter().map(square).collect();
+        let distances = |(u, inner): (ArrayView1<'_, f64>, ArrayView1<'_, f64>)| {
+            let own = square(u);
+            let of_class = |(class, inner): (usize, &f64)| match self.present[class] {
+                true => (own + means[class] - 2.0 * inner).max(0.0),
+                false => f64::INFINITY,
+            };
+            inner.iter().enumerate().map(of_class).collect()
+        };
+        let inner = u.dot(&self.means.t());
+        u.rows().into_iter().zip(inner.rows()).map(distances).collect()
     }
 }
 
@@ -321,7 +332,7 @@ mod tests {
     }
 
     fn trained(vectors: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
-        Discriminant::train(vectors.clone(), &rows(labels, vec![], classes)).0
+        Discriminant::train(vectors.clone(), &rows(labels, vec![], classes), 0).0
     }
 
     /// Mahalanobis distances of a vector to the class means, by the definition, with the scatter of the
@@ -386,7 +397,7 @@ mod tests {
         let (vectors, labels) = data_with_copies();
         let groups: Vec<usize> = (0..90).map(|i| (i / 9).min(4)).collect();
         let of = rows(&labels, groups.clone(), 3);
-        let (all, without) = Discriminant::train(vectors.clone(), &of);
+        let (all, without) = Discriminant::train(vectors.clone(), &of, of.group_count);
         assert!(all.is_some() && without.len() == 5);
         for (group, without) in without.into_iter().enumerate() {
             let kept: Vec<usize> = (0..90).filter(|&i| groups[i] != group).collect();
@@ -402,7 +413,7 @@ mod tests {
     fn a_class_that_is_only_in_one_group_is_unknown_without_it() {
         let (vectors, labels) = data();
         let groups = labels.iter().map(|&class| usize::from(class == 2)).collect();
-        let (_, without) = Discriminant::train(vectors.clone(), &rows(&labels, groups, 3));
+        let (_, without) = Discriminant::train(vectors.clone(), &rows(&labels, groups, 3), 2);
         let left = without[1].as_ref().unwrap();
         assert!(left.knows(0) && left.knows(1) && !left.knows(2));
         assert_eq!(distances(left, vectors.row(2))[2], f64::INFINITY);

@@ -7,7 +7,7 @@
 //! features, and they do not all err alike. As the library grows, d grows to all features, or to what
 //! training can afford.
 
-use ndarray::{Array1, Array2, ArrayView2, Axis};
+use ndarray::{Array1, Array2, ArrayView2};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +19,13 @@ const MEMBERS: usize = 50;
 /// Features of a member: twice the number of trials, within these limits. More than the greatest would
 /// cost time with its square.
 const FEATURES: (usize, usize) = (20, 600);
+
+/// Without a group, only as many members are trained as together have this many features. They take
+/// most of the time and memory otherwise, and all of them would say about the same.
+const FEATURES_WITHOUT: usize = 6000;
+
+/// Number of products that is worth its own thread.
+const WORTH_A_THREAD: usize = 500_000;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Member {
@@ -45,7 +52,7 @@ pub(crate) struct Answer {
 
 impl Ensemble {
     /// Trains on the given columns of the training vectors, shape (N, D): on all rows, and without each
-    /// group. An ensemble without a group is `None` if the remaining rows are too few or all alike. If
+    /// group, then with fewer members ([`FEATURES_WITHOUT`]). An ensemble without a group is `None` if the remaining rows are too few or all alike. If
     /// not even all rows can train a member, the first ensemble tells nothing apart.
     pub(crate) fn train(
         vectors: &Array2<f32>,
@@ -56,11 +63,14 @@ impl Ensemble {
         let trials = rows.trials.iter().max().map_or(0, |last| last + 1);
         let size = (2 * trials).clamp(FEATURES.0, FEATURES.1).min(columns.len());
         let members = if size == columns.len() { 1 } else { MEMBERS };
+        let members_without = members.min(FEATURES_WITHOUT.div_ceil(size.max(1)));
         let trained: Vec<_> = (0..members)
             .into_par_iter()
             .map(|number| {
                 let columns = drawn(columns, size, seed, number);
-                let (all, without) = Discriminant::train(vectors.select(Axis(1), &columns), rows);
+                let groups = if number < members_without { rows.group_count } else { 0 };
+                let own = gathered(vectors.view(), &columns);
+                let (all, without) = Discriminant::train(own, rows, groups);
                 let all = all.unwrap_or_else(|| Discriminant::indifferent(rows.classes, size));
                 let member = |discriminant| Member { columns: columns.clone(), discriminant };
                 (member(all), without.into_iter().map(|one| one.map(member)).collect::<Vec<_>>())
@@ -95,7 +105,7 @@ impl Ensemble {
     /// The answers to vectors, shape (n, D).
     pub(crate) fn answers(&self, vectors: ArrayView2<'_, f32>) -> Vec<Answer> {
         let of_member = |member: &Member| -> Vec<Answer> {
-            let own = vectors.select(Axis(1), &member.columns);
+            let own = gathered(vectors, &member.columns);
             let features = member.columns.len().max(1) as f64;
             let answer = |distances: Vec<f64>| {
                 let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
@@ -104,7 +114,11 @@ impl Ensemble {
             member.discriminant.distances(own.view()).into_iter().map(answer).collect()
         };
         let mut sums: Vec<Answer> = Vec::new();
-        let all: Vec<Vec<Answer>> = self.members.par_iter().map(of_member).collect();
+        // The threads of a small task cost more than they save.
+        let work = vectors.nrows() * self.members.first().map_or(0, |m| m.discriminant.work());
+        let least = (WORTH_A_THREAD / work.max(1)).max(1);
+        let members = self.members.par_iter().with_min_len(least);
+        let all: Vec<Vec<Answer>> = members.map(of_member).collect();
         for answers in all {
             if sums.is_empty() {
                 sums = answers;
@@ -141,6 +155,15 @@ impl Ensemble {
         let members = self.members.len().max(1);
         (weights / members as f32, offsets / members as f64)
     }
+}
+
+/// The given columns of a matrix. Faster than `select`, which goes through the matrix column by column.
+fn gathered(vectors: ArrayView2<'_, f32>, columns: &[usize]) -> Array2<f32> {
+    let mut own = Array2::zeros((vectors.nrows(), columns.len()));
+    for (mut own, row) in own.rows_mut().into_iter().zip(vectors.rows()) {
+        own.iter_mut().zip(columns).for_each(|(x, &column)| *x = row[column]);
+    }
+    own
 }
 
 /// `size` of the columns, drawn without replacement; in ascending order.
