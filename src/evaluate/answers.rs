@@ -9,7 +9,7 @@ use super::evaluation::Run;
 use super::{EvaluateError, Share, percentile};
 use crate::recognise::{
     FollowOptions, Follower, FreshFrames, GuessSoFar, LOOK_S, RecogniseError, Rejection,
-    RejectionError, Settling,
+    RejectionError, Settling, if_enough,
 };
 use crate::scene::Scene;
 use crate::system::processor_s;
@@ -68,8 +68,8 @@ impl SettledOutcome {
                 let guess = follow(&mut follower, &trial, scene, scan_s)?;
                 let spent_s = processor_s().zip(start_s).map(|(end_s, start_s)| end_s - start_s);
                 busy_s = busy_s.zip(spent_s).map(|(busy_s, spent_s)| busy_s + spent_s);
-                let whole = model.rank(&run.query_of(&model, trial, None)?.prepared)?;
-                let whole_is_right = whole.surface() == truth;
+                let whole = if_enough(model.rank(&run.query_of(&model, trial, None)?.prepared))?;
+                let whole_is_right = whole.is_some_and(|whole| whole.surface() == truth);
                 // The whole scan names the query if the stop rule never settles.
                 let (is_right, at_s) = match guess.and_then(|guess| guess.settled) {
                     Some((label, at_s)) => {
@@ -199,7 +199,9 @@ impl UnknownOutcome {
                         fold.queries.iter().map(query).collect::<Result<_, RecogniseError>>()?;
                 }
                 for (i, query) in &queries {
-                    let p_value = model.rank(query)?.p_value;
+                    // A query that says nothing is neither known nor unknown.
+                    let Some(ranking) = if_enough(model.rank(query))? else { continue };
+                    let p_value = ranking.p_value;
                     let count = if group(*i) == left_out { &mut unknown } else { &mut of_fold };
                     count.add(p_value.is_some_and(|p| rejection.rejects(p)));
                 }

@@ -43,6 +43,14 @@ pub enum RecogniseError {
     Kind { source_name: SourceId, trial: String, found: &'static str, expected: &'static str },
 }
 
+/// `None` for a query that says too little to be named.
+pub(crate) fn if_enough<T>(named: Result<T, RecogniseError>) -> Result<Option<T>, RecogniseError> {
+    match named {
+        Err(RecogniseError::TooLittle) => Ok(None),
+        named => named.map(Some),
+    }
+}
+
 /// Applies `make`, in parallel, to each source of a trial that the scene describes.
 ///
 /// # Errors

@@ -32,6 +32,7 @@ pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfa
 pub use decide::settle::{SettleRule, Settling};
 pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Follower, QueryVector};
 pub use error::RecogniseError;
+pub(crate) use error::if_enough;
 pub use follow::{FollowOptions, FreshFrames, GuessSoFar};
 pub use method::{Evidence, Method, Model, SourceEvidence};
 pub use prepared::Prepared;

@@ -33,7 +33,8 @@ use crate::evaluate::{
 };
 use crate::library::{Entry, Library};
 use crate::recognise::{
-    MethodName, MethodSpec, Model, QueryVector, RecogniseError, ScanTime, reaches, ready_model,
+    MethodName, MethodSpec, Model, QueryVector, RecogniseError, ScanTime, if_enough, reaches,
+    ready_model,
 };
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Signal, Trial, TrialKey};
@@ -350,10 +351,8 @@ fn by_sources(
 ) -> Result<Option<QueryVector>, RecogniseError> {
     let query = run.query_of(model, trial.clone(), None)?;
     let embedding = model.clone().embedding();
-    match embedding.map(|model| model.by_sources(&query.prepared)).transpose() {
-        Err(RecogniseError::TooLittle) => Ok(None),
-        other => other,
-    }
+    let named = embedding.map(|model| if_enough(model.by_sources(&query.prepared))).transpose();
+    Ok(named?.flatten())
 }
 
 /// Milliseconds from the raw samples of one source to its answer; `None` if it gives no answer.

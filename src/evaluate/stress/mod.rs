@@ -68,13 +68,15 @@ impl StressPlan<'_> {
         kept
     }
 
-    /// Whether a query, given by index, is also compared with a library without its surface.
-    pub fn is_unknown(&self, query: usize) -> bool {
-        let surfaces: BTreeSet<&str> =
-            self.entries.iter().map(|entry| entry.key.surface.as_str()).collect();
-        let surface = self.entries[query].key.surface.as_str();
-        let at = surfaces.iter().position(|other| *other == surface).unwrap_or(0);
-        surfaces.len() > UNKNOWN_SHARE && at % UNKNOWN_SHARE == 0
+    /// For each entry, whether it is also compared with a library without its surface.
+    pub fn unknown(&self) -> Vec<bool> {
+        let surface = |entry: &'_ Entry| entry.key.surface.clone();
+        let surfaces: BTreeSet<String> = self.entries.iter().map(surface).collect();
+        let left_out: BTreeSet<&String> = match surfaces.len() > UNKNOWN_SHARE {
+            true => surfaces.iter().step_by(UNKNOWN_SHARE).collect(),
+            false => BTreeSet::new(),
+        };
+        self.entries.iter().map(|entry| left_out.contains(&entry.key.surface)).collect()
     }
 }
 
@@ -106,11 +108,12 @@ pub fn run(
     let run = Evaluation { progress, ..evaluation }.prepare(method)?;
     let levels: usize = plan.disturbances.iter().map(|d| d.levels.len()).sum();
     let (mut done, total) = (0, plan.folds.len() * levels);
+    let unknown = plan.unknown();
     let mut clean = Vec::new();
     let mut cells: Vec<Vec<Vec<StressAnswer>>> =
         plan.disturbances.iter().map(|d| vec![Vec::new(); d.levels.len()]).collect();
     for (index, fold) in plan.folds.iter().enumerate() {
-        let models = Models::fit(&run, plan, fold, &fold.library)?;
+        let models = Models::fit(&run, &unknown, fold, &fold.library)?;
         let load = |&query: &usize| Ok((query, run.recording(query)?));
         let queries = fold.queries.par_iter().map(load);
         let queries: Vec<(usize, Trial)> = queries.collect::<Result<_, RecogniseError>>()?;
@@ -133,7 +136,7 @@ pub fn run(
                         let folds = std::slice::from_ref(&all);
                         let changed =
                             Evaluation::new(plan.scene, &entries, folds).prepare(method)?;
-                        let models = Models::fit(&changed, plan, fold, &all.library)?;
+                        let models = Models::fit(&changed, &unknown, fold, &all.library)?;
                         models.answers(&changed, plan, &queries, Trial::clone)
                     }
                     _ => models.answers(&run, plan, &queries, |raw| {
@@ -151,27 +154,29 @@ pub fn run(
 }
 
 /// A model of the whole library, and one without the surfaces that should be unknown.
-struct Models {
+struct Models<'u> {
     all: Arc<dyn Model>,
     without: Option<Arc<dyn Model>>,
+    /// See [`StressPlan::unknown`].
+    unknown: &'u [bool],
 }
 
-impl Models {
+impl<'u> Models<'u> {
     /// Fits both models; `places` are indices of the fold's library trials in the prepared library.
     /// If a disturbance changed the library's size, there is only the model of the whole library.
     fn fit(
         run: &Run<'_, '_>,
-        plan: &StressPlan<'_>,
+        unknown: &'u [bool],
         fold: &Fold,
         places: &[usize],
     ) -> Result<Self, EvaluateError> {
         let known = (fold.library.iter().zip(places))
-            .filter(|(trial, _)| !plan.is_unknown(**trial))
+            .filter(|(trial, _)| !unknown[**trial])
             .map(|(_, place)| place);
         let known: Vec<&usize> = known.collect();
         let some_unknown = fold.library.len() == places.len() && known.len() < places.len();
         let without = some_unknown.then(|| run.fit(known)).transpose()?;
-        Ok(Self { all: run.fit(places)?, without })
+        Ok(Self { all: run.fit(places)?, without, unknown })
     }
 
     /// The answers to queries, given as (index, trial), after `change` was applied to each trial.
@@ -193,7 +198,7 @@ impl Models {
                 confidence: ranking.confidence,
             };
             let rank = |model: &Arc<dyn Model>| model.rank(&disturbed.prepared).ok().map(named);
-            let unknown = self.without.as_ref().filter(|_| plan.is_unknown(*query));
+            let unknown = self.without.as_ref().filter(|_| self.unknown[*query]);
             StressAnswer { known: rank(&self.all), unknown: unknown.map(rank) }
         };
         queries.par_iter().map(answer).collect()

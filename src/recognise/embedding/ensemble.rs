@@ -43,8 +43,8 @@ pub(crate) struct Ensemble {
 /// The answer of an ensemble to a vector.
 #[derive(Clone, Debug)]
 pub(crate) struct Answer {
-    /// Probability of each class: the mean over members of softmax(−distance/2).
-    pub probabilities: Vec<f64>,
+    /// ln of the probability of each class: of the mean over members of softmax(−distance/2).
+    pub log_probabilities: Vec<f64>,
     /// Mean over members of the squared distance to the nearest class mean, divided by the number of
     /// features.
     pub strangeness: f64,
@@ -109,33 +109,29 @@ impl Ensemble {
             let features = member.columns.len().max(1) as f64;
             let answer = |distances: Vec<f64>| {
                 let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
-                Answer { probabilities: softmax(&distances, least), strangeness: least / features }
+                Answer {
+                    log_probabilities: log_softmax(&distances, least),
+                    strangeness: least / features,
+                }
             };
             member.discriminant.distances(own.view()).into_iter().map(answer).collect()
         };
-        let mut sums: Vec<Answer> = Vec::new();
         // The threads of a small task cost more than they save.
         let work = vectors.nrows() * self.members.first().map_or(0, |m| m.discriminant.work());
         let least = (WORTH_A_THREAD / work.max(1)).max(1);
         let members = self.members.par_iter().with_min_len(least);
         let all: Vec<Vec<Answer>> = members.map(of_member).collect();
-        for answers in all {
-            if sums.is_empty() {
-                sums = answers;
-                continue;
+        let mean = |at: usize| {
+            let of_class =
+                |class: usize| log_mean(all.iter().map(move |of| of[at].log_probabilities[class]));
+            let classes = all.first().map_or(0, |of| of[at].log_probabilities.len());
+            let strangeness: f64 = all.iter().map(|of_member| of_member[at].strangeness).sum();
+            Answer {
+                log_probabilities: (0..classes).map(of_class).collect(),
+                strangeness: strangeness / all.len().max(1) as f64,
             }
-            for (sum, answer) in sums.iter_mut().zip(answers) {
-                sum.strangeness += answer.strangeness;
-                let pairs = sum.probabilities.iter_mut().zip(answer.probabilities);
-                pairs.for_each(|(sum, p)| *sum += p);
-            }
-        }
-        let share = 1.0 / self.members.len().max(1) as f64;
-        for answer in &mut sums {
-            answer.strangeness *= share;
-            answer.probabilities.iter_mut().for_each(|p| *p *= share);
-        }
-        sums
+        };
+        (0..vectors.nrows()).map(mean).collect()
     }
 
     /// Mean over members of w_c, shape (C, D), and of b_c; see [`Discriminant::weights`].
@@ -179,12 +175,20 @@ fn drawn(columns: &[usize], size: usize, seed: u64, number: usize) -> Vec<usize>
     columns
 }
 
-/// softmax(−d/2); equal shares if all distances are infinite.
-fn softmax(distances: &[f64], least: f64) -> Vec<f64> {
+/// ln softmax(−d/2); equal shares if all distances are infinite.
+fn log_softmax(distances: &[f64], least: f64) -> Vec<f64> {
     if !least.is_finite() {
-        return vec![1.0 / distances.len() as f64; distances.len()];
+        return vec![-(distances.len() as f64).ln(); distances.len()];
     }
-    let shares: Vec<f64> = distances.iter().map(|d| (0.5 * (least - d)).exp()).collect();
-    let total: f64 = shares.iter().sum();
-    shares.iter().map(|share| share / total).collect()
+    let total: f64 = distances.iter().map(|d| (0.5 * (least - d)).exp()).sum();
+    distances.iter().map(|d| 0.5 * (least - d) - total.ln()).collect()
+}
+
+/// ln of the mean of e^x. A mean too small for a number still has a logarithm.
+fn log_mean(logs: impl Iterator<Item = f64> + Clone) -> f64 {
+    let (most, n) = logs.clone().fold((f64::NEG_INFINITY, 0.0), |(m, n), x| (x.max(m), n + 1.0));
+    if most == f64::NEG_INFINITY {
+        return most;
+    }
+    most + (logs.map(|x| (x - most).exp()).sum::<f64>() / n).ln()
 }

@@ -138,8 +138,9 @@ impl EmbeddingModel {
 
     /// Makes a posterior from the answer of an ensemble, and a p-value.
     fn posterior_of(&self, answer: Answer, p_value: Option<f64>) -> Posterior {
-        let log_posterior = answer.probabilities.iter().map(|p| p.ln()).collect();
-        let probabilities = held_back(answer.probabilities, self.left_out.held_out);
+        let log_posterior = answer.log_probabilities;
+        let probabilities = log_posterior.iter().map(|log_p| log_p.exp()).collect();
+        let probabilities = held_back(probabilities, self.left_out.held_out);
         Posterior { log_posterior, probabilities, p_value }
     }
 

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use super::band_sums::{BandSums, Counts};
 use super::lanes::{chunks, dot, powers};
 use super::packed::PackedFrames;
+use crate::recognise::features::windowed_frames::sum;
 use crate::trial::Image;
 
 pub(super) const CHANNELS: usize = 3;
@@ -74,9 +75,7 @@ pub struct PixelStatistics {
 impl PictureTiles {
     pub fn new(image: &Image) -> Self {
         let mut planes = planes(image);
-        let reference = planes.each_ref().map(|plane| {
-            (plane.iter().map(|&x| f64::from(x)).sum::<f64>() / plane.len() as f64) as f32
-        });
+        let reference = planes.each_ref().map(|plane| (sum(plane) / plane.len() as f64) as f32);
         for (plane, mean) in planes.iter_mut().zip(reference) {
             plane.iter_mut().for_each(|x| *x -= mean);
         }
@@ -126,14 +125,15 @@ fn pixels_of(quarter: usize) -> (Range<usize>, Range<usize>) {
 
 /// The three channels of a picture, each row by row.
 fn planes(image: &Image) -> [Vec<f32>; CHANNELS] {
-    let mut planes: [Vec<f32>; CHANNELS] = Default::default();
-    for rgb in image.rgb().chunks_exact(3) {
-        let [r, g, b] = [rgb[0], rgb[1], rgb[2]].map(|x| f32::from(x) / 255.0);
-        for (plane, x) in planes.iter_mut().zip([(r + g + b) / 3.0, r - g, (r + g) / 2.0 - b]) {
-            plane.push(x);
-        }
-    }
-    planes
+    let (pixels, _) = image.rgb().as_chunks();
+    let plane = |of: fn([f32; 3]) -> f32| -> Vec<f32> {
+        pixels.iter().map(|rgb: &[u8; 3]| of(rgb.map(|x| f32::from(x) / 255.0))).collect()
+    };
+    [
+        plane(|[r, g, b]| (r + g + b) / 3.0),
+        plane(|[r, g, _]| r - g),
+        plane(|[r, g, b]| (r + g) / 2.0 - b),
+    ]
 }
 
 impl PixelSums {
@@ -339,8 +339,8 @@ fn tile_row(planes: &[Vec<f32>; CHANNELS], row: usize) -> Vec<f32> {
         for (i, &(column, channel)) in two.iter().enumerate() {
             let line =
                 |y: usize| &planes[channel][(row * HOP + y) * Image::COLS + column * HOP..][..SIDE];
-            let sum: f32 = (0..SIDE).map(|y| line(y).iter().sum::<f32>()).sum();
-            let mean = sum / (SIDE * SIDE) as f32;
+            let sum: f64 = (0..SIDE).map(|y| sum(line(y))).sum();
+            let mean = (sum / (SIDE * SIDE) as f64) as f32;
             for (y, out) in pair.chunks_exact_mut(SIDE).enumerate() {
                 for ((out, x), w) in out.iter_mut().zip(line(y)).zip(&rings.window) {
                     let value = (x - mean) * w * rings.window[y];
