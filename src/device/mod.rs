@@ -26,7 +26,7 @@ use crossbeam_channel::{SendTimeoutError, Sender};
 
 use crate::ring::{Sink, Stop, Stopped};
 use crate::scene::{Phase, SourceId};
-use crate::trial::TrialKey;
+use crate::trial::{Doubt, TrialKey};
 
 pub trait Device: Send {
     fn name(&self) -> &str;
@@ -197,9 +197,7 @@ pub enum Mark {
         end: u64,
     },
     /// The scan goes on, but its result should not be trusted.
-    Spoil {
-        why: String,
-    },
+    Spoil(Doubt),
     /// The marked part was no scan, so its data are dropped.
     GiveUp {
         why: String,

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::library::LibraryError;
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
-use crate::trial::{Signal, Trial, TrialKey};
+use crate::trial::{Doubt, Signal, Trial, TrialKey};
 
 /// Why a trial cannot be named.
 #[derive(Debug, thiserror::Error)]
@@ -32,10 +32,7 @@ pub enum RecogniseError {
     NeedsRecordings(&'static str),
     #[error("{trial} was prepared for {by}, and cannot be compared by {method}")]
     PreparedByAnother { method: &'static str, by: &'static str, trial: String },
-    #[error(
-        "too little to name: every source is silent, or shorter than a frame; drag for longer, and \
-         check the cables"
-    )]
+    #[error("{}", Doubt::TooLittle.text())]
     TooLittle,
     #[error("{source_name}: {found} channel(s) in {trial}, but the scene says {expected}")]
     Channels { source_name: SourceId, found: usize, expected: usize, trial: String },

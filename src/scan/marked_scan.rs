@@ -13,7 +13,7 @@ use super::Scan;
 use super::recent_frames::{SeriesHistory, Stream, StreamBuffer, image, narrow};
 use crate::device::{Begin, CutFrom, Mark, Open};
 use crate::scene::{Phase, SourceId};
-use crate::trial::{Image, Series, Signal, Trial, TrialKey};
+use crate::trial::{Doubt, Image, Series, Signal, Trial, TrialKey};
 
 #[derive(Debug, Default)]
 pub(super) struct Marked {
@@ -25,8 +25,8 @@ pub(super) struct Marked {
     pub ended: Option<(Instant, Instant)>,
     /// Number of the last step of progress that was sent.
     pub steps: u64,
-    /// Reasons why the scan should not be trusted, apart from reasons found in its data.
-    pub spoiled: Vec<String>,
+    /// Why the scan should not be trusted, apart from what is found in its data.
+    pub spoiled: Vec<Doubt>,
     pub phase: Option<Phase>,
 }
 
@@ -67,7 +67,7 @@ impl Marked {
         match mark {
             // The collector applies these marks itself.
             Mark::Begin(_) | Mark::GiveUp { .. } => {}
-            Mark::Spoil { why } => self.spoiled.push(why),
+            Mark::Spoil(doubt) => self.spoiled.push(doubt),
             Mark::Open(open) => self.open(open, streams)?,
             Mark::Close { source, end } => match self.cuts.get_mut(&source) {
                 Some(cut) if end >= cut.start => cut.end = Some(end),
@@ -109,7 +109,7 @@ impl Marked {
 const BRIDGED_S: f64 = 1e-3;
 
 /// The signal of one source, the number of its lost frames, and why the signal should not be trusted.
-type CutPiece = (Option<Signal>, u64, Option<String>);
+type CutPiece = (Option<Signal>, u64, Option<Doubt>);
 
 /// Cuts a scan out of the streams; `None` if the scan has not ended.
 pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
@@ -121,7 +121,7 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
             StreamBuffer::Series { history, .. } => cut_series(source, cut, history),
             StreamBuffer::Images { recent, .. } => match image(recent, cut.start) {
                 Some(image) => (Some(Signal::Image(Image::clone(image))), 0, None),
-                None => (None, 1, Some(format!("{source}: the picture was lost"))),
+                None => (None, 1, Some(Doubt::PictureLost { source: source.clone() })),
             },
         };
         lost_samples += lost;
@@ -129,7 +129,7 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
         signals.extend(signal.map(|signal| (source.clone(), signal)));
     }
     if signals.is_empty() {
-        spoiled.push("no source of the scene has any data in this scan".into());
+        spoiled.push(Doubt::NoData);
     }
     let trial = Trial { key: TrialKey::new("", "", marked.number), signals };
     let drag_s = trial.longest_s(|id| marked.cuts[id].phase == Phase::Drag);
@@ -149,7 +149,8 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
 
 fn cut_series(source: &SourceId, cut: &SourceSpan, history: &SeriesHistory) -> CutPiece {
     let end = cut.end.unwrap_or(cut.start);
-    let ms = |frames: u64| frames as f64 / cut.rate_hz * 1e3;
+    let (seconds, of) = (|frames: u64| frames as f64 / cut.rate_hz, || source.clone());
+    let expected_s = seconds(end - cut.start);
     let (first, samples) = history.frames(cut.start..end);
     let kept = (samples.len() / history.channels) as u64;
     let gaps: Vec<_> = history.missing_in(first..first + kept).collect();
@@ -159,18 +160,15 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, history: &SeriesHistory) -> C
     let lost = gone + in_gaps;
     let mut spoiled = None;
     if lost == end - cut.start {
-        let spoiled = format!("{source}: none of its {:.1} ms arrived", ms(lost));
-        return (None, lost, Some(spoiled));
+        let doubt = Doubt::Missing { source: of(), missing_s: expected_s, expected_s };
+        return (None, lost, Some(doubt));
     }
     let worst = gaps.iter().map(|gap| gap.end - gap.start).max().unwrap_or(0);
     if gone > 0 {
-        spoiled = Some(format!("{source}: {:.1} ms of it are missing", ms(gone)));
+        spoiled = Some(Doubt::Missing { source: of(), missing_s: seconds(gone), expected_s });
     } else if worst as f64 > BRIDGED_S * cut.rate_hz {
-        spoiled = Some(format!(
-            "{source}: a gap of {:.1} ms, longer than the {:.0} ms that can be bridged",
-            ms(worst),
-            BRIDGED_S * 1e3
-        ));
+        let gap_s = seconds(worst);
+        spoiled = Some(Doubt::Gap { source: of(), gap_s, bridged_s: BRIDGED_S });
     }
     let mut own = narrow(samples, history.channels, cut.channels);
     // At the very begin, no frame of this source precedes a gap, so the frame after it fills it.
@@ -183,7 +181,7 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, history: &SeriesHistory) -> C
     }
     match Series::new(cut.rate_hz, cut.channels, own) {
         Ok(series) => (Some(Signal::Series(series)), lost, spoiled),
-        Err(error) => (None, lost, Some(format!("{source} is left out: {error}"))),
+        Err(error) => (None, lost, Some(Doubt::Unusable { source: of(), why: error.to_string() })),
     }
 }
 

@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 use crate::device::DeviceState;
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
-use crate::trial::{Trial, TrialKey};
+use crate::trial::{Doubt, Trial, TrialKey};
 use detect::{DetectorConfig, SensorKind};
 
 /// The data of one interaction, as they came out of the rings.
@@ -43,9 +43,9 @@ pub struct Scan {
     pub scan_s: f64,
     /// Frames (and pictures) lost within the scan, over all sources.
     pub lost_samples: u64,
-    /// Reasons why the scan should not be trusted, one line each; empty if there are none. A gap of
-    /// at most 1 ms is no reason, since the frame before the gap is repeated to fill it.
-    pub spoiled: Vec<String>,
+    /// Why the scan should not be trusted; empty if nothing spoils it. A gap of at most 1 ms does
+    /// not, since the frame before the gap is repeated to fill it.
+    pub spoiled: Vec<Doubt>,
     pub ended_at: Instant,
 }
 

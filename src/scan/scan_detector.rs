@@ -12,6 +12,7 @@ use super::recent_frames::{Stream, StreamBuffer};
 use super::{CutFrom, Detection, ScanCommand};
 use crate::device::{Begin, Mark, Open};
 use crate::scene::Phase;
+use crate::trial::Doubt;
 
 /// In seconds, as in LMT108, a tap's source begins this long before the onset and lasts `TAP_S`.
 const BEFORE_TAP_S: f64 = 0.02;
@@ -82,8 +83,7 @@ impl ScanDetector {
                 let last = group.detector.finish();
                 let cut_off = last.is_some_and(|last| group.cut_off(last));
                 if cut_off && self.leads(at) {
-                    let why = "its data stopped before it was over";
-                    self.marks.push(Mark::Spoil { why: why.into() });
+                    self.marks.push(Mark::Spoil(Doubt::EndedEarly));
                 }
                 events.extend(last);
             }

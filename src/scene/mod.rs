@@ -130,6 +130,12 @@ pub struct SourceSpec {
 }
 
 impl SourceSpec {
+    /// Whether the source is a switch, such as a metal detector, which may rest for a whole scan.
+    /// Only switches have a fixed length scale.
+    pub fn is_switch(&self) -> bool {
+        self.sigma.is_some()
+    }
+
     /// Makes the band end at `end_hz`; a band that began above `end_hz` then begins at 0.
     pub(crate) fn end_band_at(&mut self, end_hz: f64) {
         if let Domain::Spectrum { band_hz } | Domain::Time { band_hz: Some(band_hz) } =
@@ -201,6 +207,11 @@ impl Scene {
 
     pub fn get(&self, id: &str) -> Option<&SourceSpec> {
         self.sources.get(id)
+    }
+
+    /// Whether a source is a switch ([`SourceSpec::is_switch`]); false if the scene lacks the source.
+    pub fn is_switch(&self, id: &SourceId) -> bool {
+        self.get(id.as_str()).is_some_and(SourceSpec::is_switch)
     }
 
     /// Whether a source is recorded during the drag; false if the scene lacks the source.

@@ -2,12 +2,16 @@
 
 use std::time::SystemTime;
 
-use serde::{Deserialize, Serialize};
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Serialize, Serializer};
 
+use super::account;
+use super::certainty::reasons;
 use crate::recognise::RankedSurface;
 use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
 use crate::scene::SourceId;
+use crate::trial::{Doubt, lines};
 
 /// The answer to a scan that has ended; as JSON, it takes one line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -21,8 +25,6 @@ pub struct Answer {
     /// Number of the scan in its session, counted from 1.
     pub scan: u32,
     pub state: AnswerState,
-    /// The reasons for a state other than [`AnswerState::Named`], a line each.
-    pub reasons: Vec<String>,
     /// The surface named; `None` if the scan fits no surface or could not be compared.
     pub surface: Option<String>,
     /// The true surface, if a recording states it; `user` and `trial` also come from the recording.
@@ -35,11 +37,14 @@ pub struct Answer {
     pub ranked: Vec<RankedSurface>,
     /// Natural logarithm of the second score divided by the first.
     pub margin: f64,
-    /// Probability of the first surface; `None` if the method gives no probabilities.
+    /// Probability of the named surface, if it is one of the library's. `None` if no surface is named,
+    /// or the method gives no probabilities. This is the one number for how sure an answer is.
     pub confidence: Option<f64>,
     /// Share of left-out library trials that fit their own surface no better than this scan fits
-    /// the first surface (a conformal p-value); `None` if the library is too small.
-    pub fit: Option<f64>,
+    /// the first surface (a conformal p-value); `None` if the library is too small. In JSON, it is also
+    /// called `fit`.
+    #[serde(flatten, serialize_with = "by_both_names")]
+    pub p_value: Option<f64>,
     /// Probability that the surface is not in the library; one half at the threshold for unknown
     /// surfaces. `None` if unknown surfaces are not detected.
     #[serde(skip)]
@@ -52,16 +57,19 @@ pub struct Answer {
     /// Number of frames and pictures lost during the scan.
     pub lost_samples: u64,
     pub sources: Vec<SourceId>,
-    /// Reasons why the scan should not be trusted, a line each.
-    pub spoiled: Vec<String>,
-    /// All damage. It has one entry for each reason in `spoiled`, and the damage of single sources.
-    pub damage: Vec<Damage>,
     /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
-    pub remarks: Vec<Remark>,
-    /// Whether the scan held too little to be named: it is silent, or shorter than a frame.
-    #[serde(skip)]
-    pub too_little: bool,
+    /// What is known against the scan and its answer. In JSON, lists of lines stand beside `doubts`:
+    /// `reasons` for a state other than [`AnswerState::Named`], `spoiled`, `damage` and `remarks`.
+    #[serde(flatten, serialize_with = "account::of_answer")]
+    pub doubts: Vec<Doubt>,
+}
+
+fn by_both_names<S: Serializer>(p_value: &Option<f64>, to: S) -> Result<S::Ok, S::Error> {
+    let mut map = to.serialize_map(None)?;
+    map.serialize_entry("fit", p_value)?;
+    map.serialize_entry("p_value", p_value)?;
+    map.end()
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -91,30 +99,6 @@ impl AnswerState {
     }
 }
 
-/// A fault in the signals of a scan, such as a dead or clipped channel.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Damage {
-    /// The source; `None` for damage of the whole scan.
-    pub source: Option<SourceId>,
-    /// The damage, and the remedy.
-    pub text: String,
-}
-
-/// A flaw of a scan. Only its text is written as JSON.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-#[serde(into = "String")]
-pub struct Remark {
-    /// The source whose signal is flawed; `None` if the drag is shorter than the library's scan time.
-    pub source: Option<SourceId>,
-    pub text: String,
-}
-
-impl From<Remark> for String {
-    fn from(remark: Remark) -> Self {
-        remark.text
-    }
-}
-
 impl Answer {
     /// Makes an answer without a name; `latency_ms` is the time since the end of the scan.
     pub(crate) fn of(scan: &Scan, latency_ms: f64) -> Self {
@@ -132,21 +116,31 @@ impl Answer {
             latency_ms,
             scan_s: scan.scan_s,
             lost_samples: scan.lost_samples,
-            spoiled: scan.spoiled.clone(),
-            damage: (scan.spoiled.iter())
-                .map(|why| Damage { source: None, text: why.clone() })
-                .collect(),
+            doubts: scan.spoiled.clone(),
             ..Self::default()
         }
     }
 
     pub(crate) fn not_named(&self) -> String {
-        format!("scan {} was not named: {}", self.scan, self.reasons.join("; "))
+        format!("scan {} was not named: {}", self.scan, lines(self.reasons()).join("; "))
     }
 
-    /// How many seconds the drag was too short; `None` below 0.05 s, which would be printed as 0.0.
+    /// The doubts that are the reasons for the answer's state.
+    pub(crate) fn reasons(&self) -> Vec<&Doubt> {
+        reasons(&self.doubts)
+    }
+
+    /// Why the scan should not be trusted.
+    pub(crate) fn spoiled(&self) -> impl Iterator<Item = &Doubt> {
+        self.doubts.iter().filter(|doubt| doubt.spoils())
+    }
+
+    /// How many seconds the drag was too short; `None` if it was long enough.
     pub(crate) fn more_s(&self) -> Option<f64> {
-        self.needed_s.map(|needed_s| needed_s - self.scan_s).filter(|more_s| *more_s >= 0.05)
+        self.doubts.iter().find_map(|doubt| match doubt {
+            Doubt::TooShort { scan_s, needed_s, .. } => Some(needed_s - scan_s),
+            _ => None,
+        })
     }
 }
 

@@ -1,7 +1,9 @@
-//! Decides how certain an answer is: its state, and the reasons for doubt.
+//! Decides how certain an answer is: its state, and the doubts that follow from the whole answer.
 
 use super::answer::{Answer, AnswerState};
-use crate::recognise::Rejection;
+use crate::recognise::{LOOK_S, Rejection};
+use crate::scan::Scan;
+use crate::trial::Doubt;
 
 /// Below this probability, the first surface is less likely than all others together.
 const EVEN: f64 = 0.5;
@@ -26,51 +28,99 @@ pub(super) fn so_far(
     }
 }
 
-/// The state of an answer, and the reasons for this state, a line each. Everything else in `answer` is
-/// known. `left_out` says which sources were not compared, and why; `lacking` are the sources of the
-/// library that the scan does not have.
-pub(super) fn judge(
-    answer: &Answer,
-    rejection: Option<&Rejection>,
-    left_out: Vec<String>,
-    lacking: &[&str],
-) -> (AnswerState, Vec<String>) {
-    if let (Some(p), Some(rejection)) = (answer.fit, rejection)
-        && rejection.rejects(p)
-    {
-        let (of, p, rate) = (answer.ranked.len(), digits(p), digits(rejection.rate));
-        let reason =
-            format!("matches none of your {of} surfaces (p = {p}; unknown at {rate} or below)");
-        return (AnswerState::Unknown, vec![reason]);
-    }
-    let mut doubts = answer.spoiled.clone();
-    doubts.extend(left_out);
-    let scan_s = answer.scan_s;
-    match answer.needed_s.filter(|needed_s| scan_s < LONG_ENOUGH * needed_s) {
-        // A settled answer does not need a longer scan, so only others are doubted.
-        Some(needed_s) if answer.settled_s.is_none() => {
-            doubts.push(format!("too short: {scan_s:.1} s of {needed_s:.1} s"));
+/// Sets the state of an answer, and adds the doubts that follow from it as a whole: whether the scan
+/// is long enough, fits a surface, and which surface is probable. Everything else in `answer` is known,
+/// and its doubts name the sources that are missing.
+pub(super) fn judge(answer: &mut Answer, rejection: Option<&Rejection>) {
+    let Answer { scan_s, ranked, p_value, .. } = &*answer;
+    let mut found = Vec::new();
+    let short = answer.needed_s.and_then(|needed_s| {
+        too_short(*scan_s, needed_s, answer.settled_s.is_some())
+    });
+    let is_far_too_short = short.as_ref().is_some_and(|short| decides(short, &[]));
+    found.extend(short);
+    match (*p_value, rejection) {
+        (_, None) => found.push(Doubt::UnknownNotDetected),
+        (Some(p_value), Some(rejection)) if rejection.rejects(p_value) => {
+            let (surfaces, threshold) = (ranked.len(), rejection.rate);
+            found.push(Doubt::FitsNone { surfaces, p_value, threshold });
         }
-        _ if rejection.is_none() || answer.fit.is_some() => {}
-        _ if lacking.is_empty() => {
-            doubts.push("too short to tell whether it is an unknown surface".into());
+        (None, Some(_)) if !is_far_too_short => {
+            let lacking = answer.doubts.iter().filter_map(|doubt| match doubt {
+                Doubt::SourceMissing { source } => Some(source.clone()),
+                _ => None,
+            });
+            found.push(Doubt::Untested { without: lacking.collect() });
         }
-        _ => doubts.push(format!(
-            "without {}, which the library has, it cannot be told whether it is an unknown surface",
-            lacking.join(", ")
-        )),
+        _ => {}
     }
-    if let Some(confidence) = answer.confidence.filter(|confidence| *confidence < EVEN) {
-        let (percent, surface) = (100.0 * confidence, &answer.ranked[0].surface);
-        doubts.push(format!("{surface} is the most probable surface, by {percent:.0} %"));
+    if let Some(probability) = answer.confidence.filter(|confidence| *confidence < EVEN) {
+        let surface = ranked[0].surface.clone();
+        found.push(Doubt::Improbable { surface, probability });
     }
-    if !doubts.is_empty() {
-        return (AnswerState::Unsure, doubts);
+    answer.doubts.extend(found);
+    answer.state = state(&answer.doubts);
+    match answer.state {
+        AnswerState::Unknown => answer.confidence = None,
+        _ => answer.surface = Some(answer.ranked[0].surface.clone()),
     }
-    if rejection.is_none() {
-        return (AnswerState::Nearest, vec!["unknown surfaces are not detected".into()]);
+}
+
+/// A doubt if a drag is shorter than needed by half a look or more.
+pub(super) fn too_short(scan_s: f64, needed_s: f64, settled: bool) -> Option<Doubt> {
+    let is_short = scan_s < needed_s - 0.5 * LOOK_S;
+    is_short.then_some(Doubt::TooShort { scan_s, needed_s, settled })
+}
+
+/// The doubts about the data of a scan that was taken whole or with losses.
+pub(super) fn lost_in(scan: &Scan) -> Vec<Doubt> {
+    let mut doubts = scan.spoiled.clone();
+    if scan.lost_samples > 0 && doubts.is_empty() {
+        doubts.push(Doubt::LostSamples { samples: scan.lost_samples });
     }
-    (AnswerState::Named, Vec::new())
+    doubts
+}
+
+/// The state of an answer with all its doubts.
+fn state(doubts: &[Doubt]) -> AnswerState {
+    match reasons(doubts)[..] {
+        [] => AnswerState::Named,
+        [Doubt::FitsNone { .. }] => AnswerState::Unknown,
+        [Doubt::NotNamed { .. } | Doubt::TooLittle] => AnswerState::Unnamed,
+        [Doubt::UnknownNotDetected] => AnswerState::Nearest,
+        _ => AnswerState::Unsure,
+    }
+}
+
+/// The doubts that are the reasons for the state of an answer.
+pub(super) fn reasons(doubts: &[Doubt]) -> Vec<&Doubt> {
+    let answers = |doubt: &&Doubt| {
+        matches!(doubt, Doubt::FitsNone { .. } | Doubt::NotNamed { .. } | Doubt::TooLittle)
+    };
+    if let Some(answer) = doubts.iter().find(answers) {
+        return vec![answer];
+    }
+    let mut reasons: Vec<&Doubt> = doubts.iter().filter(|doubt| decides(doubt, doubts)).collect();
+    if reasons.is_empty() {
+        reasons.extend(doubts.iter().find(|doubt| **doubt == Doubt::UnknownNotDetected));
+    }
+    reasons
+}
+
+/// Whether a doubt, one of `all`, makes an answer unsure.
+fn decides(doubt: &Doubt, all: &[Doubt]) -> bool {
+    match doubt {
+        Doubt::NotCompared { .. } | Doubt::Untested { .. } | Doubt::Improbable { .. } => true,
+        // A settled answer does not need a longer scan.
+        Doubt::TooShort { scan_s, needed_s, settled } => {
+            !settled && *scan_s < LONG_ENOUGH * needed_s
+        }
+        // A fault of a sensor counts if its source was left out for it.
+        fault if fault.is_sensor_fault() => fault.source().is_some_and(|source| {
+            all.iter().any(|other| matches!(other, Doubt::NotCompared { source: s } if s == source))
+        }),
+        other => other.spoils(),
+    }
 }
 
 /// The probability that a scan is of an unknown surface; `None` without a p-value or a threshold.
@@ -88,29 +138,32 @@ pub(super) fn unknown_share(p_value: Option<f64>, rejection: Option<&Rejection>)
     Some(evidence(threshold) / (evidence(threshold) + evidence(p)))
 }
 
-fn digits(p: f64) -> String {
-    if p >= 0.1 { format!("{p:.2}") } else { format!("{p:.3}") }
-}
-
 #[cfg(test)]
 mod tests {
     use super::AnswerState::{Named, Nearest, Unknown, Unsure};
     use super::*;
     use crate::recognise::RankedSurface;
+    use crate::scene::SourceId;
+    use crate::trial::lines;
 
     fn rejection() -> Rejection {
         Rejection::usual(99, true).unwrap()
     }
 
-    fn answer(fit: Option<f64>, scan_s: f64) -> Answer {
+    fn answer(p_value: Option<f64>, scan_s: f64) -> Answer {
         let ranked = ["oak", "ash"].map(|s| RankedSurface { surface: s.into(), score: 1.0 }).into();
         let (confidence, needed_s) = (Some(0.9), Some(0.9));
-        Answer { ranked, fit, scan_s, confidence, needed_s, ..Answer::default() }
+        Answer { ranked, p_value, scan_s, confidence, needed_s, ..Answer::default() }
+    }
+
+    fn judged_by(answer: &Answer, rejection: Option<&Rejection>) -> (AnswerState, String) {
+        let mut answer = answer.clone();
+        judge(&mut answer, rejection);
+        (answer.state, lines(answer.reasons()).join("\n"))
     }
 
     fn judged(answer: &Answer) -> (AnswerState, String) {
-        let (state, reasons) = judge(answer, Some(&rejection()), Vec::new(), &[]);
-        (state, reasons.join("\n"))
+        judged_by(answer, Some(&rejection()))
     }
 
     #[test]
@@ -130,19 +183,39 @@ mod tests {
         assert_eq!(state, Unknown);
         assert!(reason.starts_with("matches none of your 2 surfaces (p = 0.004"), "{reason}");
         let short = answer(Some(0.4), 0.2);
-        assert_eq!(judged(&short), (Unsure, "too short: 0.2 s of 0.9 s".into()));
+        assert_eq!(judged(&short), (Unsure, "lifted after 0.2 s; 0.9 s needed".into()));
         let settled = Answer { settled_s: Some(0.1), ..short };
         assert_eq!(judged(&settled).0, Named, "it was settled");
         assert_eq!(judged(&answer(Some(0.4), 0.6)).0, Named, "it is long enough");
         let untested = answer(None, 1.0);
-        assert_eq!(judge(&untested, None, Vec::new(), &[]).0, Nearest);
+        assert_eq!(judged_by(&untested, None).0, Nearest);
         assert_eq!(judged(&untested).0, Unsure);
-        let (state, reasons) = judge(&untested, Some(&rejection()), Vec::new(), &["ir"]);
-        assert!(state == Unsure && reasons[0].starts_with("without ir"), "{reasons:?}");
-        let left_out = vec!["mi2 is left out".to_string()];
-        let silent = judge(&known, Some(&rejection()), left_out.clone(), &[]);
-        assert_eq!(silent, (Unsure, left_out));
-        assert_eq!(judged(&Answer { confidence: Some(0.4), ..known }).0, Unsure);
+        let id = |name: &str| SourceId::new(name).unwrap();
+        let lacks = vec![Doubt::SourceMissing { source: id("ir") }];
+        let (state, reason) = judged(&Answer { doubts: lacks.clone(), ..untested });
+        assert!(state == Unsure && reason.starts_with("without ir"), "{reason}");
+        assert_eq!(judged(&Answer { doubts: lacks, ..known.clone() }).0, Named, "others suffice");
+        assert_eq!(judged(&Answer { confidence: Some(0.4), ..known.clone() }).0, Unsure);
+        let fault = Doubt::Stuck { source: id("mi2"), channel: 1, value: 0.0, share: 1.0 };
+        let compared = Answer { doubts: vec![fault.clone()], ..known.clone() };
+        assert_eq!(judged(&compared).0, Named, "by the other sources");
+        let left_out = vec![fault, Doubt::NotCompared { source: id("mi2") }];
+        let (state, reason) = judged(&Answer { doubts: left_out, ..known });
+        assert_eq!(state, Unsure);
+        assert_eq!(reason, "mi2: channel 1 is stuck at 0; check its cable\nmi2: not compared");
+    }
+
+    #[test]
+    fn every_answer_that_was_lifted_early_says_so_and_no_surface_means_no_certainty() {
+        for (p_value, scan_s) in [(0.4, 0.2), (0.4, 0.6), (0.004, 0.2)] {
+            let mut answer = answer(Some(p_value), scan_s);
+            judge(&mut answer, Some(&rejection()));
+            let short = Doubt::TooShort { scan_s, needed_s: 0.9, settled: false };
+            assert!(answer.doubts.contains(&short), "{:?}", answer.doubts);
+            let is_known = p_value == 0.4;
+            assert_eq!((answer.surface.is_some(), answer.confidence.is_some()), (is_known, is_known));
+            assert_eq!(answer.p_value, Some(p_value));
+        }
     }
 
     #[test]

@@ -9,11 +9,13 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::Receiver;
 use serde::Serialize;
 
-use super::answer::{Answer, AnswerState, Damage};
+use super::account;
+use super::answer::{Answer, AnswerState};
 use super::recogniser::{LibraryState, Recogniser};
 use crate::device::DeviceState;
 use crate::scan::{Scan, StreamMeter, Totals, Trace};
 use crate::scene::Phase;
+use crate::trial::Doubt;
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SurfaceProbability {
@@ -29,7 +31,9 @@ pub struct Guess {
     pub state: Option<AnswerState>,
     /// The most probable surfaces, at most five; empty while the scan cannot be compared yet.
     pub named: Vec<SurfaceProbability>,
-    pub damage: Vec<Damage>,
+    /// The faults of sensors so far; in JSON also as lines, `damage`.
+    #[serde(flatten, serialize_with = "account::of_guess")]
+    pub doubts: Vec<Doubt>,
     /// Whether a longer drag would give the same answer, except for a stated loss of accuracy.
     pub settled: bool,
     /// How long the drag should last, in seconds; `None` if that is not known.
@@ -37,6 +41,14 @@ pub struct Guess {
     /// Whether the drag may end, since it has lasted `needed_s`, or since its answer is settled by a
     /// rule that rests on enough trials.
     pub enough: bool,
+}
+
+impl Guess {
+    /// How many seconds the drag must still last; `None` if that is not known, or it may end.
+    pub(crate) fn more_s(&self) -> Option<f64> {
+        let more_s = self.needed_s.map(|needed_s| needed_s - self.scan_s);
+        more_s.filter(|more_s| !self.enough && *more_s > 0.0)
+    }
 }
 
 /// The outcome of a scan that was to be kept as a trial of a library.
@@ -49,8 +61,9 @@ pub struct Enrolled {
     /// Number of the new trial; `None` if the scan was not kept.
     pub trial: Option<u32>,
     pub folder: Option<PathBuf>,
-    /// Reasons why the scan was not kept, or flaws of a kept scan, a line each.
-    pub remarks: Vec<String>,
+    /// Why the scan was not kept, or what is known against a kept scan; in JSON also as lines, `remarks`.
+    #[serde(flatten, serialize_with = "account::of_enrolled")]
+    pub doubts: Vec<Doubt>,
     /// The surface that the library named for this scan before the trial was added, if any.
     pub nearest: Option<String>,
     /// Number of trials that the order still lacks; 0 if it has ended, `u32::MAX` if it has no limit.
@@ -58,7 +71,7 @@ pub struct Enrolled {
 }
 
 /// The order for the next scan: surface and user of its trial, and the progress of the order.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Enrolling {
     pub surface: String,
     pub user: String,
@@ -71,10 +84,12 @@ pub struct Enrolling {
 }
 
 /// A scan that was refused as a trial. It can be kept anyway until the next scan is judged.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RefusedScan {
     pub scan: u32,
-    pub reasons: Vec<String>,
+    /// Why it was refused; in JSON also as lines, `reasons`.
+    #[serde(flatten, serialize_with = "account::of_refused")]
+    pub doubts: Vec<Doubt>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

@@ -5,6 +5,7 @@
 //! or the HTTP API sends a [`Command`]. Listeners and senders know nothing of each other, and
 //! neither can delay a device.
 
+mod account;
 mod answer;
 mod assemble;
 mod certainty;
@@ -17,7 +18,8 @@ mod store;
 mod trial_need;
 mod worker;
 
-pub use answer::{Answer, AnswerState, Damage, Remark};
+pub(crate) use account::{damage, told};
+pub use answer::{Answer, AnswerState};
 pub use assemble::{Assembled, assemble};
 pub use event::{
     AnsweredScan, Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, RefusedScan,

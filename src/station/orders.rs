@@ -122,9 +122,9 @@ impl Orders {
             let ended = enrolled.outcome != EnrolledOutcome::Waiting;
             order.being_written = order.being_written.saturating_sub(u32::from(ended));
             order.kept += u32::from(enrolled.outcome == EnrolledOutcome::Kept);
-            let (scan, reasons) = (enrolled.scan, &enrolled.remarks);
+            let (scan, doubts) = (enrolled.scan, &enrolled.doubts);
             order.refused = (enrolled.outcome == EnrolledOutcome::Refused)
-                .then(|| RefusedScan { scan, reasons: reasons.clone() });
+                .then(|| RefusedScan { scan, doubts: doubts.clone() });
             enrolled.wanted = match order.until {
                 None => order.wanted().unwrap_or(u32::MAX),
                 Some(_) => 0,

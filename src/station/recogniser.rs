@@ -5,18 +5,20 @@ use std::sync::Arc;
 
 use serde::{Serialize, Serializer};
 
-use super::answer::{Answer, AnswerState, Damage, Remark};
-use super::certainty::{judge, so_far, unknown_share};
+use super::account;
+use super::answer::{Answer, AnswerState};
+use super::certainty::{judge, lost_in, so_far, unknown_share};
 use crate::library::Entry;
 use crate::recognise::{
-    Evidence, FollowOptions, Follower, GuessSoFar, LOOK_S, Model, Prepared, RankedSurface, Ranking,
+    Evidence, FollowOptions, Follower, GuessSoFar, Model, Prepared, RankedSurface, Ranking,
     RecogniseError, Rejection, RejectionError, Settling, SourceEvidence, without_flawed,
 };
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Flaw, Signal, TrialKey, flaws, worst_damage};
+use crate::trial::{Doubt, Series, SeriesFlaws, Signal, TrialKey, is_plain};
 
-pub(super) type FlawsBySource = BTreeMap<SourceId, Vec<Flaw>>;
+/// The flaws of a scan's series.
+pub(super) type FlawsBySource = BTreeMap<SourceId, Vec<Doubt>>;
 
 /// A function that reads the library from disk each time it is called.
 pub type Load = Arc<dyn Fn() -> Result<Arc<Recogniser>, String> + Send + Sync>;
@@ -95,45 +97,36 @@ impl Recogniser {
         (&self.models[at], &self.following[at])
     }
 
-    /// Whether a source is a switch. In a scene, only switches have a fixed length scale (`sigma`).
-    fn is_switch(&self, id: &SourceId) -> bool {
-        self.scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some())
-    }
-
-    /// The flaws of a scan's series, except switches, which often rest; `known` flaws are reused.
-    fn flaws(&self, scan: &Scan, mut known: FlawsBySource) -> FlawsBySource {
-        known.retain(|id, _| !self.is_switch(id));
-        for (id, signal) in scan.trial.signals.iter().filter(|(id, _)| !self.is_switch(id)) {
-            if let Signal::Series(series) = signal {
-                known.entry(id.clone()).or_insert_with(|| flaws(series));
+    /// The flaws of a scan's signals, except of switches, which often rest; `known` flaws are reused.
+    fn flaws(&self, scan: &Scan, mut known: FlawsBySource) -> Vec<Doubt> {
+        let signals = scan.trial.signals.iter().filter(|(id, _)| !self.scene.is_switch(id));
+        let of = |(id, signal): (&SourceId, &Signal)| match signal {
+            Signal::Image(image) if is_plain(image) => vec![Doubt::OneColour { source: id.clone() }],
+            Signal::Image(_) => Vec::new(),
+            Signal::Series(series) => {
+                let known = known.remove(id);
+                known.unwrap_or_else(|| self.flaws_of(scan.truth.as_ref(), id, series))
             }
-        }
-        known
-    }
-
-    /// Finds the damage of each source from its flaws; `truth` is the scan's [`Scan::truth`].
-    fn damage(&self, truth: Option<&TrialKey>, flaws: &FlawsBySource) -> Vec<Damage> {
-        let of = |(id, found): (&SourceId, &Vec<Flaw>)| {
-            let text = worst_damage(found, |channel| self.moves(truth, id, channel))?;
-            Some(Damage { source: Some(id.clone()), text })
         };
-        flaws.iter().filter_map(of).collect()
+        signals.flat_map(of).collect()
     }
 
-    /// Whether a channel (counted from 0) changes in the library that names a scan of this `truth`.
-    pub(super) fn moves(&self, truth: Option<&TrialKey>, id: &SourceId, channel: usize) -> bool {
-        let embedding = self.model(truth).0.clone().embedding();
-        embedding.is_none_or(|embedding| embedding.moves(id, channel))
-    }
-
-    pub(super) fn damage_so_far(
+    /// The flaws of one source in a scan of this [`Scan::truth`], judged by the library that names it.
+    pub(super) fn flaws_of(
         &self,
         truth: Option<&TrialKey>,
-        follower: &Follower,
-    ) -> Vec<Damage> {
-        let sources = self.library.sources.iter().filter(|id| !self.is_switch(id));
-        let found = sources.filter_map(|id| Some((id.clone(), follower.flaws(id)?))).collect();
-        self.damage(truth, &found)
+        id: &SourceId,
+        series: &Series,
+    ) -> Vec<Doubt> {
+        let embedding = self.model(truth).0.clone().embedding();
+        let rests = embedding.as_ref().map_or(&[][..], |embedding| embedding.rests(id));
+        SeriesFlaws::of(series).doubts(id, rests)
+    }
+
+    /// The flaws in the part of a scan that was followed.
+    pub(super) fn flaws_so_far(&self, follower: &Follower) -> Vec<Doubt> {
+        let sources = self.library.sources.iter().filter(|id| !self.scene.is_switch(id));
+        sources.filter_map(|id| follower.doubts(id)).flatten().collect()
     }
 
     /// The state of the answer if the scan ended now; `None` until unknown surfaces can be recognised.
@@ -146,24 +139,6 @@ impl Recogniser {
         so_far(guess.p_value, self.model(truth).1.rejection.as_ref(), *probability)
     }
 
-    /// Remarks on flaws of the scan's channels, and on a drag that is too short.
-    fn remarks(&self, scan: &Scan, ranking: &Ranking, flaws: &FlawsBySource) -> Vec<Remark> {
-        let mut remarks = Vec::new();
-        for (id, found) in flaws {
-            let left_out =
-                if ranking.sources.contains(id) { "" } else { "; the source is left out" };
-            let text = |flaw: &Flaw| format!("{id}: {flaw}{left_out}");
-            let remark = |flaw: &Flaw| Remark { source: Some(id.clone()), text: text(flaw) };
-            remarks.extend(found.iter().map(remark));
-        }
-        if let Some(needed_s) = self.needed_s.filter(|s| scan.scan_s < s - 0.5 * LOOK_S) {
-            let so_long = format!("{:.1} s, and this library needs {needed_s:.1} s", scan.scan_s);
-            let text = format!("the drag was short: {so_long}");
-            remarks.push(Remark { source: None, text });
-        }
-        remarks
-    }
-
     /// Ranks the surfaces of the library by their similarity to a scan.
     ///
     /// # Errors
@@ -172,12 +147,13 @@ impl Recogniser {
         self.model(scan.truth.as_ref()).0.rank(&self.query(scan)?.0)
     }
 
-    /// Prepares a scan as a query for its model. Sources with flaws are left out; each text names a
-    /// source that was left out, and its flaw.
-    fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<String>), RecogniseError> {
+    /// Prepares a scan as a query for its model. Sources with flaws are left out; there is a doubt for
+    /// each of them.
+    fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<Doubt>), RecogniseError> {
         let (model, _) = self.model(scan.truth.as_ref());
-        let moves = |id: &SourceId, channel: usize| self.moves(scan.truth.as_ref(), id, channel);
-        let (trial, left_out) = without_flawed(scan.trial.clone(), &self.scene, moves);
+        let embedding = model.clone().embedding();
+        let rests = |id: &SourceId| embedding.as_ref().map_or(&[][..], |model| model.rests(id));
+        let (trial, left_out) = without_flawed(scan.trial.clone(), &self.scene, rests);
         let trial = Arc::new(trial);
         Ok((model.prepare(&Entry::in_memory(trial.clone()), &trial)?, left_out))
     }
@@ -191,13 +167,15 @@ impl Recogniser {
         let (model, following) = self.model(scan.truth.as_ref());
         let (query, mut left_out) = self.query(scan)?;
         let (ranking, evidence) = (model.rank(&query)?, model.explain(&query)?);
-        left_out.extend(self.lacking(scan).map(|id| format!("{id} is not in this scan")));
+        left_out.extend(self.missing(scan));
         Ok(Why::new(ranking, evidence.as_ref(), following.rejection.as_ref(), left_out))
     }
 
-    /// The sources of the library that a scan does not have.
-    fn lacking(&self, scan: &Scan) -> impl Iterator<Item = &SourceId> {
-        self.library.sources.iter().filter(|id| !scan.trial.signals.contains_key(*id))
+    /// A doubt for each source of the library that a scan does not have.
+    fn missing(&self, scan: &Scan) -> impl Iterator<Item = Doubt> {
+        let lacks = |id: &&SourceId| !scan.trial.signals.contains_key(*id);
+        let lacking = self.library.sources.iter().filter(lacks);
+        lacking.map(|id| Doubt::SourceMissing { source: id.clone() })
     }
 
     /// The answer to a scan with this ranking; `known` are the flaws found while the scan was followed,
@@ -210,39 +188,26 @@ impl Recogniser {
         settled_s: Option<f64>,
     ) -> Answer {
         let rejection = self.model(scan.truth.as_ref()).1.rejection.as_ref();
-        let flaws = self.flaws(scan, known);
-        let remarks = self.remarks(scan, &ranking, &flaws);
-        let left_out = self.left_out(scan, &ranking, &remarks);
-        let lacking: Vec<&str> = self.lacking(scan).map(SourceId::as_str).collect();
+        let mut doubts = lost_in(scan);
+        doubts.extend(self.flaws(scan, known));
+        let held = self.library.sources.iter().filter(|id| scan.trial.signals.contains_key(*id));
+        let not_compared = held.filter(|id| !ranking.sources.contains(id));
+        doubts.extend(not_compared.map(|id| Doubt::NotCompared { source: id.clone() }));
+        doubts.extend(self.missing(scan));
         let mut answer = Answer {
             margin: ranking.margin,
             confidence: ranking.confidence,
-            fit: ranking.p_value,
+            p_value: ranking.p_value,
             unknown: unknown_share(ranking.p_value, rejection),
             settled_s,
             sources: ranking.sources,
             needed_s: self.needed_s,
-            remarks,
+            doubts,
             ranked: ranking.ranked,
             ..Answer::of(scan, 0.0)
         };
-        answer.damage.extend(self.damage(scan.truth.as_ref(), &flaws));
-        (answer.state, answer.reasons) = judge(&answer, rejection, left_out, &lacking);
-        let is_known = answer.state != AnswerState::Unknown;
-        answer.surface = is_known.then(|| answer.ranked[0].surface.clone());
+        judge(&mut answer, rejection);
         answer
-    }
-
-    /// Sources that both scan and library have but that were not compared, with reasons.
-    fn left_out(&self, scan: &Scan, ranking: &Ranking, remarks: &[Remark]) -> Vec<String> {
-        let held = self.library.sources.iter().filter(|id| scan.trial.signals.contains_key(*id));
-        let not_compared = held.filter(|id| !ranking.sources.contains(id));
-        // A remark with a source always states a flaw, which is why that source was left out.
-        let why = |id: &SourceId| {
-            let flaw = remarks.iter().find(|remark| remark.source.as_ref() == Some(id));
-            flaw.map_or_else(|| format!("{id} was not compared"), |flaw| flaw.text.clone())
-        };
-        not_compared.map(why).collect()
     }
 
     /// Starts to follow a scan with this [`Scan::truth`]; `None` if the method cannot follow scans.
@@ -296,8 +261,9 @@ pub struct Why {
     pub runner_up: Option<String>,
     /// The sources, those that favour the winner most first; empty if the method cannot separate them.
     pub sources: Vec<SourceSays>,
-    /// Sources that were not compared, and the reasons, a line each.
-    pub left_out: Vec<String>,
+    /// Why sources were not compared; in JSON also as lines, `left_out`.
+    #[serde(flatten, serialize_with = "account::of_left_out")]
+    pub left_out: Vec<Doubt>,
     pub p_value: Option<f64>,
     /// The p-value at or below which a scan is unknown; `None` if unknown surfaces are not detected.
     pub threshold: Option<f64>,
@@ -324,7 +290,7 @@ impl Why {
         ranking: Ranking,
         evidence: Option<&Evidence>,
         rejection: Option<&Rejection>,
-        left_out: Vec<String>,
+        left_out: Vec<Doubt>,
     ) -> Self {
         let winner = ranking.surface().to_string();
         let runner_up = ranking.ranked.get(1).map(|second| second.surface.clone());

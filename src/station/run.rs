@@ -17,6 +17,7 @@ use super::worker::{Job, Work, Worker, WorkerEvent, unnamed};
 use crate::device::Device;
 use crate::scan::{Event, Options, Progress, Scan, ScanCommand, Session, SessionError, Totals};
 use crate::scene::SourceId;
+use crate::trial::Doubt;
 
 /// Time after [`Command::Quit`] for naming the last scans. Devices have 2 s of this time to stop.
 const NAMED: Duration = Duration::from_millis(2500);
@@ -251,7 +252,7 @@ impl<'a> StationRun<'a> {
 
     fn enrolled(&mut self, enrolment: &Enrolment, enrolled: Enrolled) {
         let enrolled = self.orders.count(enrolment, enrolled);
-        let why = enrolled.remarks.last().map_or("", String::as_str);
+        let why = enrolled.doubts.last().map_or_else(String::new, Doubt::text);
         let what = match enrolled.outcome {
             EnrolledOutcome::Waiting => Some("could not be written and will be tried again"),
             EnrolledOutcome::Lost => Some("could not be written and is lost"),
@@ -383,7 +384,8 @@ impl<'a> StationRun<'a> {
                 |job| !matches!(job, Job::Progress(progress) if progress.number == scan.number),
             );
             let from = scan.ended_at;
-            self.answered(unnamed(scan, "too many scans were waiting", false, from));
+            let why = "too many scans were waiting".into();
+            self.answered(unnamed(scan, Doubt::NotNamed { why }, from));
         }
     }
 
@@ -427,7 +429,9 @@ impl<'a> StationRun<'a> {
             }
             WorkerEvent::Progress(guess) => self.emit(StationEvent::Guess(guess)),
             WorkerEvent::Nearest(nearest) => {
-                if let Some((enrolment, enrolled)) = self.kept.pop_front() {
+                if let Some((enrolment, mut enrolled)) = self.kept.pop_front() {
+                    let other = nearest.clone().filter(|nearest| *nearest != enrolled.surface);
+                    enrolled.doubts.extend(other.map(|surface| Doubt::NearSurface { surface }));
                     self.enrolled(&enrolment, Enrolled { nearest, ..enrolled });
                 }
             }

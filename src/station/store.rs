@@ -21,7 +21,7 @@ use crate::library::{About, LibraryError};
 use crate::record::{TrialOptions, append_trial, edit, number_by_names, utc};
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Trial, TrialKey, normal};
+use crate::trial::{Doubt, Trial, TrialKey, lines, normal};
 
 const RETRY: Duration = Duration::from_secs(2);
 /// How many scans may wait to be written. Scans of 10 s then take 200 MB.
@@ -86,8 +86,8 @@ impl RecordingThread {
     ) {
         self.under_way.insert(scan.number, enrolment.clone());
         // Sending fails only if the thread has panicked; `finish` then reports the scan as lost.
-        let remarks = Vec::new();
-        let _ = self.scans.send(Task::Store(WaitingScan { scan, enrolment, by, remarks }));
+        let doubts = Vec::new();
+        let _ = self.scans.send(Task::Store(WaitingScan { scan, enrolment, by, doubts }));
     }
 
     /// Stores the scan that was refused last, if its number is `scan`.
@@ -112,8 +112,9 @@ impl RecordingThread {
         let mut last: Vec<StoredScan> = std::iter::from_fn(next).collect();
         last.iter().for_each(|stored| settle(&mut under_way, &stored.enrolled));
         let lost = under_way.into_iter().map(|(scan, enrolment)| {
-            let why = "it was not on disk when the station ended";
-            let enrolled = enrolled(scan, &enrolment, EnrolledOutcome::Lost, vec![why.into()]);
+            let why = "it was not on disk when the station ended".into();
+            let doubts = vec![Doubt::NotWritten { why }];
+            let enrolled = enrolled(scan, &enrolment, EnrolledOutcome::Lost, doubts);
             StoredScan { enrolment, enrolled, kept: None }
         });
         last.extend(lost);
@@ -133,7 +134,7 @@ struct WaitingScan {
     scan: Box<Scan>,
     enrolment: Enrolment,
     by: Option<Arc<Recogniser>>,
-    remarks: Vec<String>,
+    doubts: Vec<Doubt>,
 }
 
 struct StoreWriter {
@@ -180,8 +181,8 @@ impl StoreWriter {
 
     fn accept(&mut self, mut new: WaitingScan) {
         let ScanStore { scene, by_t_star, .. } = &self.store;
-        new.remarks = faults(&new.scan, scene, by_t_star, new.by.as_deref());
-        if new.enrolment.keep.good_only && !new.remarks.is_empty() {
+        new.doubts = faults(&new.scan, scene, by_t_star, new.by.as_deref());
+        if new.enrolment.keep.good_only && !new.doubts.is_empty() {
             self.report(&new, EnrolledOutcome::Refused);
             self.refused = Some(new);
         } else {
@@ -202,9 +203,9 @@ impl StoreWriter {
             Err(error) => {
                 let outcome =
                     if may_wait { EnrolledOutcome::Waiting } else { EnrolledOutcome::Lost };
-                new.remarks.push(error.to_string());
+                new.doubts.push(Doubt::NotWritten { why: error.to_string() });
                 self.report(&new, outcome);
-                new.remarks.pop();
+                new.doubts.pop();
                 self.waiting.extend(may_wait.then_some(new));
             }
         }
@@ -234,7 +235,7 @@ impl StoreWriter {
         let began = SystemTime::now() - Duration::from_secs_f64(took.max(0.0));
         let about = About {
             started_at: Some(utc(began)),
-            notes: (!scan.spoiled.is_empty()).then(|| scan.spoiled.join("\n")),
+            notes: (!scan.spoiled.is_empty()).then(|| lines(&scan.spoiled).join("\n")),
             synthetic: scan.synthetic,
             // A spoiled scan is marked as incomplete, so that no scan is compared with it.
             incomplete: !scan.spoiled.is_empty(),
@@ -250,15 +251,15 @@ impl StoreWriter {
     }
 
     fn report(&self, of: &WaitingScan, outcome: EnrolledOutcome) {
-        let WaitingScan { scan, enrolment, remarks, .. } = of;
-        let enrolled = enrolled(scan.number, enrolment, outcome, remarks.clone());
+        let WaitingScan { scan, enrolment, doubts, .. } = of;
+        let enrolled = enrolled(scan.number, enrolment, outcome, doubts.clone());
         // Sending fails only if the station has panicked or has stopped waiting for outcomes.
         let _ = self.send.send(StoredScan { enrolment: enrolment.clone(), enrolled, kept: None });
     }
 
     fn kept(&self, of: WaitingScan, (trial, folder): (u32, PathBuf)) {
-        let WaitingScan { scan, enrolment, by, remarks } = of;
-        let enrolled = enrolled(scan.number, &enrolment, EnrolledOutcome::Kept, remarks);
+        let WaitingScan { scan, enrolment, by, doubts } = of;
+        let enrolled = enrolled(scan.number, &enrolment, EnrolledOutcome::Kept, doubts);
         let enrolled = Enrolled { trial: Some(trial), folder: Some(folder), ..enrolled };
         // Sending fails only if the station has panicked or has stopped waiting, as in `report`.
         let _ = self.send.send(StoredScan { enrolment, enrolled, kept: by.map(|by| (scan, by)) });
@@ -291,7 +292,7 @@ pub(super) fn enrolled(
     scan: u32,
     of: &Enrolment,
     outcome: EnrolledOutcome,
-    remarks: Vec<String>,
+    doubts: Vec<Doubt>,
 ) -> Enrolled {
     Enrolled {
         scan,
@@ -300,7 +301,7 @@ pub(super) fn enrolled(
         outcome,
         trial: None,
         folder: None,
-        remarks,
+        doubts,
         nearest: None,
         wanted: 0,
     }

@@ -3,13 +3,14 @@
 
 use std::collections::BTreeMap;
 
+use super::certainty::{lost_in, too_short};
 use super::recogniser::Recogniser;
 use crate::duration::{OnlineDuration, SAMPLES, of_recording, scan_s};
 use crate::recognise::LOOK_S;
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::{Scene, SourceId};
 use crate::station::event::Guess;
-use crate::trial::{Series, Signal, flaws, worst_damage};
+use crate::trial::{Doubt, Series, SeriesFlaws, Signal};
 
 /// A source is not judged if it has not changed after this many seconds of drag.
 const RESTS_S: f64 = 1.0;
@@ -86,58 +87,53 @@ impl TrialNeed {
     }
 }
 
-/// Reasons why a scan is not a good trial, a line each. A good trial is undamaged, lasts at least
-/// `LEAST_S` and the scan time of the library of `by`, and holds enough independent samples of the
-/// sources `by_t_star`.
+/// Why a scan is not a good trial. A good trial is undamaged, lasts at least `LEAST_S` and the scan
+/// time of the library of `by`, and holds enough independent samples of the sources `by_t_star`.
 pub(super) fn faults(
     scan: &Scan,
     scene: &Scene,
     by_t_star: &[SourceId],
     by: Option<&Recogniser>,
-) -> Vec<String> {
-    let mut faults = scan.spoiled.clone();
-    if scan.lost_samples > 0 && faults.is_empty() {
-        faults.push(format!("{} samples were lost in it", scan.lost_samples));
-    }
+) -> Vec<Doubt> {
+    let mut faults = lost_in(scan);
     let needed_s = by.and_then(|by| by.needed_s).unwrap_or(LEAST_S).max(LEAST_S);
-    if scan.scan_s < needed_s - 0.5 * LOOK_S {
-        faults.push(format!("{:.1} s is too short, drag for {needed_s:.1} s", scan.scan_s));
-    }
+    faults.extend(too_short(scan.scan_s, needed_s, false));
     for (id, signal) in &scan.trial.signals {
         let Signal::Series(series) = signal else { continue };
-        // A source with a fixed length scale is a switch, which may rest, so it is not judged.
-        if scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_none()) {
-            // Without a library, any channel may rest, so a constant channel is no damage.
-            let moves =
-                |channel: usize| by.is_some_and(|by| by.moves(scan.truth.as_ref(), id, channel));
-            let damage = worst_damage(&flaws(series), moves);
-            faults.extend(damage.map(|damage| format!("{id}: {damage}")));
+        // A switch may rest, so it is not judged.
+        if scene.get(id.as_str()).is_some_and(|spec| !spec.is_switch()) {
+            faults.extend(match by {
+                Some(by) => by.flaws_of(scan.truth.as_ref(), id, series),
+                // Without a library, any channel may rest, but none may be clipped.
+                None => clipped(id, series),
+            });
         }
         if by_t_star.contains(id) {
-            faults.extend(too_short(id, series));
+            faults.extend(few_independent(id, series));
         }
     }
     faults
 }
 
-/// A message if a recording holds too few independent samples, judged by its own T*.
-fn too_short(id: &SourceId, series: &Series) -> Option<String> {
+fn clipped(id: &SourceId, series: &Series) -> Vec<Doubt> {
+    let mut found = SeriesFlaws::of(series).doubts(id, &[]);
+    found.retain(|doubt| matches!(doubt, Doubt::Clipped { .. }));
+    found
+}
+
+/// A doubt if a recording holds too few independent samples, judged by its own T*.
+fn few_independent(id: &SourceId, series: &Series) -> Option<Doubt> {
     let held_s = series.duration_s();
     let t_star = of_recording(series).and_then(|estimate| estimate.t_star_samples());
     let needed_s = match t_star {
-        Some(t_star) => scan_s(t_star as f64 / series.rate_hz(), SAMPLES),
+        Some(t_star) => Some(scan_s(t_star as f64 / series.rate_hz(), SAMPLES)),
         // A constant source stays constant, so a longer drag does not help.
         _ if series.is_constant() => return None,
-        _ => f64::INFINITY,
+        _ => None,
     };
-    if held_s >= needed_s {
-        return None;
-    }
-    let take = match needed_s.is_finite() {
-        true => format!("{SAMPLES} independent samples take {needed_s:.1} s here"),
-        false => "no two samples in it are known to be independent".into(),
-    };
-    Some(format!("{id}: {held_s:.1} s is too short: {take}; drag longer, or move faster"))
+    let is_enough = needed_s.is_some_and(|needed_s| held_s >= needed_s);
+    let (source, samples) = (id.clone(), SAMPLES);
+    (!is_enough).then_some(Doubt::FewIndependent { source, held_s, needed_s, samples })
 }
 
 #[cfg(test)]

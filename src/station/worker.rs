@@ -13,6 +13,7 @@ use super::trial_need::TrialNeed;
 use crate::recognise::{Follower, FreshFrames, GuessSoFar, Ranking, RecogniseError};
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::SourceId;
+use crate::trial::Doubt;
 
 pub(super) enum Job {
     Scan(Box<Scan>),
@@ -35,9 +36,9 @@ pub(super) enum WorkerEvent {
     Nearest(Option<String>),
 }
 
-pub(super) fn unnamed(scan: Box<Scan>, why: &str, too_little: bool, from: Instant) -> AnsweredScan {
-    let reasons = vec![why.into()];
-    let answer = Answer { reasons, too_little, ..Answer::of(&scan, since_ms(from)) };
+pub(super) fn unnamed(scan: Box<Scan>, why: Doubt, from: Instant) -> AnsweredScan {
+    let mut answer = Answer::of(&scan, since_ms(from));
+    answer.doubts.push(why);
     AnsweredScan { scan, answer: Arc::new(answer), by: None }
 }
 
@@ -93,7 +94,7 @@ fn name(
 ) -> AnsweredScan {
     let by = match by {
         Ok(by) => by,
-        Err(why) => return unnamed(scan, &why, false, from),
+        Err(why) => return unnamed(scan, Doubt::NotNamed { why }, from),
     };
     let ranked = followed.finish(&scan, &by);
     let settled_s = followed.settled_s(scan.number);
@@ -109,11 +110,11 @@ fn name(
             let answer = Arc::new(Answer { latency_ms: since_ms(from), ..answer });
             AnsweredScan { scan, answer, by: Some(by) }
         }
-        Some(Err(error)) => {
-            let too_little = matches!(error, RecogniseError::TooLittle);
-            unnamed(scan, &error.to_string(), too_little, from)
+        Some(Err(error)) => unnamed(scan, error.into(), from),
+        None => {
+            let why = "the method panicked; please report this".into();
+            unnamed(scan, Doubt::NotNamed { why }, from)
         }
-        None => unnamed(scan, "the method panicked; please report this", false, from),
     }
 }
 
@@ -121,7 +122,7 @@ fn nearest(scan: &Scan, by: &Recogniser) -> Option<String> {
     caught(|| by.answer(scan, by.rank(scan).ok()?, FlawsBySource::new(), None).surface)?
 }
 
-/// Damage is reported only after a drag of this many seconds.
+/// Faults of sensors are reported only after a drag of this many seconds.
 const DAMAGE_AFTER_S: f64 = 0.5;
 
 #[derive(Default)]
@@ -168,7 +169,7 @@ impl Followed {
         if let Some((by, follower)) = &self.follower
             && progress.scan_s >= DAMAGE_AFTER_S
         {
-            news.damage = by.damage_so_far(truth, follower);
+            news.doubts = by.flaws_so_far(follower);
         }
         news.needed_s = by.and_then(|by| by.needed_s);
         let supported = self.follower.as_ref().is_some_and(|(_, f)| f.settling().shown);
@@ -186,7 +187,7 @@ impl Followed {
             return None;
         }
         let ranking = caught(|| follower.finish(&scan.trial)).flatten()?;
-        let flaws_of = |id: &SourceId| Some((id.clone(), follower.flaws(id)?));
+        let flaws_of = |id: &SourceId| Some((id.clone(), follower.doubts(id)?));
         Some((ranking, scan.trial.signals.keys().filter_map(flaws_of).collect()))
     }
 
@@ -293,7 +294,7 @@ mod tests {
                 let is_named = answer.state != AnswerState::Unnamed;
                 assert_eq!((answer.scan, is_named), (number, names), "{part}");
                 let text = answer.not_named();
-                assert!(!answer.too_little && is_named != text.contains("panicked"), "{part}");
+                assert_ne!(is_named, text.contains("panicked"), "{part}");
             }
             drop(worker.work);
             assert_eq!(worker.done.iter().count(), 0);

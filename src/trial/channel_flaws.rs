@@ -1,98 +1,15 @@
 //! Finds channels that are stuck, as by a broken cable, or reach their limits too often, as by a
-//! wrong gain.
+//! wrong gain. All who judge signals do it here: scans in progress and finished ones, trials to be
+//! kept, and the audit of a library.
+//!
+//! A channel may rest as long as it does in the library: a taxel, a switch or a counter is 0 most of
+//! the time. So each channel is judged by its rest ([`usual_rest`]).
 
 use std::collections::HashMap;
 
+use super::doubt::Doubt;
 use super::{Image, Series};
-
-#[derive(Clone, Debug, PartialEq)]
-pub enum Flaw {
-    /// Every sample has the same value.
-    Constant {
-        /// channel, counted from 1
-        channel: usize,
-        value: f32,
-    },
-    /// All samples from some point to the end of the scan have the same value.
-    Stuck {
-        /// channel, counted from 1
-        channel: usize,
-        value: f32,
-        /// share of samples from that point on, 0 to 1
-        share: f64,
-    },
-    /// The channel rests at its highest or lowest value too often to be chance.
-    Saturated {
-        /// channel, counted from 1
-        channel: usize,
-        /// the limit; a value of 0 points to a loose cable, not to a limit of the converter
-        value: f32,
-        /// share of samples at the limit, 0 to 1
-        share: f64,
-    },
-}
-
-impl Flaw {
-    /// The channel, counted from 1.
-    pub fn channel(&self) -> usize {
-        let (Self::Constant { channel, .. }
-        | Self::Stuck { channel, .. }
-        | Self::Saturated { channel, .. }) = self;
-        *channel
-    }
-}
-
-impl std::fmt::Display for Flaw {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Constant { channel, value } => {
-                write!(f, "channel {channel} is stuck at {value}; check its cable")
-            }
-            Self::Stuck { channel, value, share } => write!(
-                f,
-                "channel {channel} is stuck at {value} for the last {:.0} % of the scan; check its \
-                 cable",
-                share * 100.0
-            ),
-            Self::Saturated { channel, value: 0.0, share } => write!(
-                f,
-                "channel {channel} is at 0 for {:.0} % of the scan; check its cable",
-                share * 100.0
-            ),
-            Self::Saturated { channel, share, .. } => write!(
-                f,
-                "channel {channel} is saturated: {:.1} % of its samples are at its limit; lower \
-                 the gain, or press less",
-                share * 100.0
-            ),
-        }
-    }
-}
-
-/// If a channel is constant for at least this share of a scan, the whole channel is called dead.
-const DEAD: f64 = 0.9;
-
-/// The worst damage of a source, and the remedy; a dead channel is worse than a clipped one.
-/// A constant channel counts only if it changes in the library (`moves` is true for its index).
-pub(crate) fn worst_damage(flaws: &[Flaw], moves: impl Fn(usize) -> bool) -> Option<String> {
-    // Ranks a flaw by whether the channel is dead (not clipped), then by the affected share of time.
-    let weight = |flaw: &Flaw| match flaw {
-        Flaw::Constant { .. } => (true, 1.0),
-        Flaw::Stuck { share, .. } | Flaw::Saturated { value: 0.0, share, .. } => (true, *share),
-        Flaw::Saturated { share, .. } => (false, *share),
-    };
-    let found =
-        flaws.iter().filter(|flaw| !weight(flaw).0 || moves(flaw.channel() - 1)).map(weight);
-    let worst = found.max_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)))?;
-    let percent = 100.0 * worst.1;
-    Some(match worst {
-        (true, DEAD..) => "dead, check the cable".into(),
-        (true, _) => format!("dead for {percent:.0} % of the scan, check the cable"),
-        (false, _) => {
-            format!("clipped in {percent:.0} % of its samples, lower the gain or press less")
-        }
-    })
-}
+use crate::scene::SourceId;
 
 /// A channel with fewer distinct values is a switch or a coarse converter, and may rest at its limits.
 const FEWEST_VALUES: usize = 16;
@@ -156,33 +73,43 @@ impl ChannelFlaws {
         self.seen.len() < FEWEST_VALUES
     }
 
-    /// [`Flaw::Constant`] or [`Flaw::Stuck`], if the samples show it; `channel` counts from 0.
-    fn dead(&self, channel: usize) -> Option<Flaw> {
-        let (channel, value) = (channel + 1, self.last);
-        if self.samples > 0 && self.run == self.samples {
-            return Some(Flaw::Constant { channel, value });
-        }
+    /// The channel as stuck, if the samples show it; `channel` counts from 1.
+    fn dead(&self, source: &SourceId, channel: usize) -> Option<Doubt> {
         let share = self.share(self.run);
-        (share >= STUCK && !self.varies_little()).then_some(Flaw::Stuck { channel, value, share })
+        let is_constant = self.samples > 0 && self.run == self.samples;
+        let is_stuck = is_constant || share >= STUCK && !self.varies_little();
+        let (source, value) = (source.clone(), self.last);
+        is_stuck.then_some(Doubt::Stuck { source, channel, value, share })
     }
 
-    /// [`Flaw::Saturated`], if the samples so far show it; `channel` counts from 0.
-    fn saturated(&self, channel: usize) -> Option<Flaw> {
+    /// The channel as clipped or at 0, if the samples so far show it; `channel` counts from 1.
+    fn saturated(&self, source: &SourceId, channel: usize) -> Option<Doubt> {
+        if self.varies_little() {
+            return None;
+        }
         let limits = [self.low, self.high].map(|limit| (limit + 0.0).to_bits());
         let others = self.resting.iter().filter(|(value, _)| !limits.contains(value));
         let others = others.map(|(_, count)| *count).max().unwrap_or(0);
         let rests = |limit: &u32| self.resting.get(limit).copied().unwrap_or(0);
         let outstanding = |limit: &u32| rests(limit) >= ABOVE_OTHERS * others;
-        let found = |value: f32, share: f64, least: f64| {
-            let found = share >= least && !self.varies_little();
-            found.then_some(Flaw::Saturated { channel: channel + 1, value, share })
-        };
         let (zeros, limits): (Vec<u32>, _) = limits.into_iter().partition(|limit| *limit == 0);
         let limits: Vec<u32> = limits.into_iter().filter(outstanding).collect();
-        let most = limits.iter().max_by_key(|limit| rests(limit)).copied().unwrap_or(0);
         let share = self.share(limits.iter().map(rests).sum());
-        let at_zero = zeros.first().map_or(0.0, |zero| self.share(rests(zero)));
-        found(f32::from_bits(most), share, SHARE).or_else(|| found(0.0, at_zero, STUCK))
+        let source = source.clone();
+        if share >= SHARE {
+            let most = limits.iter().max_by_key(|limit| rests(limit)).copied().unwrap_or(0);
+            return Some(Doubt::Clipped { source, channel, value: f32::from_bits(most), share });
+        }
+        let share = zeros.first().map_or(0.0, |zero| self.share(rests(zero)));
+        (share >= STUCK).then_some(Doubt::AtZero { source, channel, share })
+    }
+
+    /// The largest share of the samples that rests at one value.
+    fn rest(&self) -> f32 {
+        if self.run == self.samples {
+            return 1.0;
+        }
+        self.share(self.resting.values().copied().max().unwrap_or(0)) as f32
     }
 
     fn share(&self, samples: usize) -> f64 {
@@ -190,12 +117,56 @@ impl ChannelFlaws {
     }
 }
 
+/// Share of the time that a library's channel usually rests, from its rest in each trial
+/// ([`SeriesFlaws::rests`]); 0 if it moves all the time.
+///
+/// It is the rest that some trials reach: one of five, or one of 20 for a channel that rests at times
+/// in most trials; always two, so that one broken trial hides no other. A channel that rests for half
+/// of a trial may rest for a whole one, so its rest is 1.
+pub(crate) fn usual_rest(mut of_trials: Vec<f32>) -> f32 {
+    let trials = of_trials.len();
+    of_trials.sort_by(|a, b| b.total_cmp(a));
+    let is_steady = of_trials.get(trials / 2).is_none_or(|median| *median < STEADY);
+    let some = trials.div_ceil(if is_steady { 5 } else { 20 }).max(2).min(trials);
+    let rest = some.checked_sub(1).map_or(0.0, |at| of_trials[at]);
+    if f64::from(rest) >= STUCK { 1.0 } else { rest }
+}
+
+/// A channel that rests for less than this share of most trials moves steadily.
+const STEADY: f32 = 0.05;
+
+impl Doubt {
+    /// Whether a channel rests here as it does in the library, so that nothing is wrong. `rests` is
+    /// the [`usual_rest`] of each channel; channels beyond its end never rest.
+    pub(crate) fn is_usual(&self, rests: &[f32]) -> bool {
+        let rest = |channel: usize| rests.get(channel - 1).copied().map_or(0.0, f64::from);
+        match self {
+            // The channel must rest for half of the time in which it usually moves.
+            Self::Stuck { channel, share, .. } | Self::AtZero { channel, share, .. } => {
+                let rest = rest(*channel);
+                rest >= 1.0 || *share < rest + STUCK * (1.0 - rest)
+            }
+            // The limit may be the value at which the channel rests.
+            Self::Clipped { channel, .. } => rest(*channel) >= 1.0,
+            _ => false,
+        }
+    }
+}
+
+/// The flaws of the channels of a growing series.
 #[derive(Clone, Debug)]
 pub struct SeriesFlaws(Vec<ChannelFlaws>);
 
 impl SeriesFlaws {
     pub fn new(channels: usize) -> Self {
         Self(vec![ChannelFlaws::default(); channels])
+    }
+
+    /// The flaws of a whole series.
+    pub fn of(series: &Series) -> Self {
+        let mut found = Self::new(series.channels());
+        found.add(series.samples());
+        found
     }
 
     /// Takes the next frames, their channels interleaved.
@@ -207,21 +178,26 @@ impl SeriesFlaws {
         }
     }
 
-    pub fn flaws(&self) -> Vec<Flaw> {
-        let channels = self.0.iter().enumerate();
-        channels.filter_map(|(at, c)| c.dead(at).or_else(|| c.saturated(at))).collect()
+    /// The channels of `source` that are stuck, at 0 or clipped so far. `rests` is the share of time
+    /// that each channel rests in the library, see [`Doubt::is_usual`]; empty if no channel may rest.
+    pub fn doubts(&self, source: &SourceId, rests: &[f32]) -> Vec<Doubt> {
+        let of = |(at, c): (usize, &ChannelFlaws)| {
+            c.dead(source, at + 1).or_else(|| c.saturated(source, at + 1))
+        };
+        let found = self.0.iter().enumerate().filter_map(of);
+        found.filter(|doubt| !doubt.is_usual(rests)).collect()
     }
 
-    /// The [`Flaw::Constant`]s and [`Flaw::Stuck`]s so far, channel by channel.
-    pub fn dead(&self) -> impl Iterator<Item = Flaw> {
-        self.0.iter().enumerate().filter_map(|(at, channel)| channel.dead(at))
+    /// Whether a channel is stuck so far; `rests` as in [`SeriesFlaws::doubts`].
+    pub(crate) fn is_dead(&self, source: &SourceId, rests: &[f32]) -> bool {
+        let mut dead = self.0.iter().enumerate().filter_map(|(at, c)| c.dead(source, at + 1));
+        dead.any(|doubt| !doubt.is_usual(rests))
     }
-}
 
-pub fn flaws(series: &Series) -> Vec<Flaw> {
-    let mut found = SeriesFlaws::new(series.channels());
-    found.add(series.samples());
-    found.flaws()
+    /// For each channel, the largest share of the samples that rests at one value.
+    pub(crate) fn rests(&self) -> Vec<f32> {
+        self.0.iter().map(ChannelFlaws::rest).collect()
+    }
 }
 
 #[cfg(test)]
@@ -229,16 +205,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn damage_says_what_to_do_about_the_worst_channel() {
-        let of = |flaws: &[Flaw]| worst_damage(flaws, |channel| channel != 2);
-        let text = |flaws: &[Flaw]| of(flaws).unwrap();
-        let dead = |channel| Flaw::Constant { channel, value: 0.0 };
-        let clipped = |channel, share| Flaw::Saturated { channel, value: 1.0, share };
-        assert_eq!(text(&[dead(1), clipped(2, 0.1)]), "dead, check the cable");
-        let loose = Flaw::Saturated { channel: 1, value: 0.0, share: 0.6 };
-        assert_eq!(text(&[loose]), "dead for 60 % of the scan, check the cable");
-        let texts = text(&[clipped(1, 0.1), clipped(2, 0.47)]);
-        assert_eq!(texts, "clipped in 47 % of its samples, lower the gain or press less");
-        assert_eq!(of(&[dead(3)]), None, "it rests in the library, too");
+    fn a_channel_may_rest_as_some_trials_do_and_one_broken_trial_excuses_nothing() {
+        assert_eq!(usual_rest(Vec::new()), 0.0);
+        assert_eq!(usual_rest([vec![0.0; 9], vec![1.0]].concat()), 0.0, "one cable broke");
+        assert_eq!(usual_rest([vec![0.0; 18], vec![1.0; 2]].concat()), 0.0, "in two of 20 trials");
+        assert_eq!(usual_rest([vec![0.02; 7], vec![1.0; 3]].concat()), 1.0, "often untouched");
+        assert_eq!(usual_rest([vec![0.3; 19], vec![0.8; 2]].concat()), 1.0, "a taxel");
+        assert_eq!(usual_rest(vec![0.3; 20]), 0.3);
+        assert_eq!(usual_rest(vec![1.0]), 1.0);
+    }
+
+    #[test]
+    fn a_channel_is_stuck_if_it_rests_for_half_of_the_time_in_which_it_usually_moves() {
+        let source = SourceId::new("skin").unwrap();
+        let stuck = |share| Doubt::Stuck { source: source.clone(), channel: 2, value: 0.0, share };
+        let usual = |share, rest: f32| stuck(share).is_usual(&[0.0, rest]);
+        assert!(usual(0.49, 0.0) && !usual(0.5, 0.0) && !stuck(0.5).is_usual(&[]));
+        assert!(usual(0.69, 0.4) && !usual(0.71, 0.4) && usual(1.0, 1.0));
     }
 }

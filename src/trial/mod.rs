@@ -1,10 +1,13 @@
 //! One recorded interaction with one surface, with all its sources as they came from the sensors.
 
 mod channel_flaws;
+mod doubt;
 mod label;
 
-pub use channel_flaws::{Flaw, SeriesFlaws, flaws};
-pub(crate) use channel_flaws::{is_plain, worst_damage};
+pub use channel_flaws::SeriesFlaws;
+pub(crate) use channel_flaws::{is_plain, usual_rest};
+pub use doubt::Doubt;
+pub(crate) use doubt::lines;
 pub(crate) use label::{checked_label, normal};
 
 use std::collections::BTreeMap;

@@ -20,7 +20,7 @@ use crate::recognise::error::RecogniseError;
 use crate::recognise::follow::{FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
 use crate::recognise::rank::Ranking;
 use crate::scene::{Phase, SourceId};
-use crate::trial::{Flaw, Image, SeriesFlaws, Signal, Trial, is_plain};
+use crate::trial::{Doubt, Image, SeriesFlaws, Signal, Trial, is_plain};
 
 const NAMED: usize = 5;
 
@@ -206,11 +206,11 @@ impl Follower {
         Some(self.model.ranking(&vector, &present, self.model.left_out.ended_s(drag_s)))
     }
 
-    /// The flaws of a source in the scan so far ([`crate::trial::flaws`]), or in the whole scan once
+    /// The flaws of a source in the scan so far ([`SeriesFlaws::doubts`]), or in the whole scan once
     /// it is finished. `None` if the source was not followed, or had NaN or infinite samples.
-    pub fn flaws(&self, source: &SourceId) -> Option<Vec<Flaw>> {
+    pub fn doubts(&self, source: &SourceId) -> Option<Vec<Doubt>> {
         let whole = self.scan.series.get(source).filter(|series| !series.broken);
-        whole.map(|series| series.flaws.flaws())
+        whole.map(|series| series.flaws.doubts(source, self.model.rests(source)))
     }
 
     /// The stopping rule for answers, and its results on left-out trials.
@@ -242,9 +242,7 @@ impl ScanSoFar {
     /// scans, see [`crate::recognise::without_flawed`].
     fn sound(&self, model: &EmbeddingModel) -> BTreeSet<SourceId> {
         let is_flawed = |id: &SourceId| {
-            let stuck = |series: &GrowingSeries| {
-                series.flaws.dead().any(|flaw| model.moves(id, flaw.channel() - 1))
-            };
+            let stuck = |series: &GrowingSeries| series.flaws.is_dead(id, model.rests(id));
             self.pictures.get(id).is_some_and(|picture| picture.is_plain)
                 || self.series.get(id).is_some_and(stuck)
         };

@@ -20,7 +20,7 @@ use crate::recognise::features::windowed_frames::FrameView;
 use crate::recognise::follow::LOOK_S;
 use crate::recognise::shape::{LibraryShape, SourceShape};
 use crate::scene::{Phase, Scene, SourceId, SourceSpec};
-use crate::trial::{Series, Signal, Trial, TrialKey};
+use crate::trial::{Series, SeriesFlaws, Signal, Trial, TrialKey};
 
 /// Duration of a long frame in seconds, if that is enough samples.
 const FRAME_S: f64 = 0.0464;
@@ -105,6 +105,8 @@ pub struct SeriesFrames {
     pub views: SourceViews,
     /// Length of the series in samples a channel.
     pub samples: usize,
+    /// For each channel, the largest share of the samples that rests at one value; none for a query.
+    pub rests: Vec<f32>,
     pub whole: Piece,
     /// Augmented copies of the series; a query has none.
     pub copies: Vec<Piece>,
@@ -116,7 +118,8 @@ pub struct SeriesFrames {
 impl SeriesFrames {
     pub fn new(views: SourceViews, series: &Series) -> Self {
         let whole = Piece::new(&views, series.samples());
-        Self { whole, samples: series.frames(), views, copies: Vec::new(), looks: Vec::new() }
+        let (rests, copies, looks) = (Vec::new(), Vec::new(), Vec::new());
+        Self { whole, samples: series.frames(), rests, views, copies, looks }
     }
 
     /// Cuts a recording of a library, and its copies, into frames. The trial's digest and the seed
@@ -148,7 +151,8 @@ impl SeriesFrames {
         }
         grow(&mut growing, series.frames());
         let whole = growing.ended(frames);
-        Self { whole, samples: series.frames(), views, copies, looks }
+        let rests = SeriesFlaws::of(series).rests();
+        Self { whole, samples: series.frames(), rests, views, copies, looks }
     }
 
     pub fn rate_hz(&self) -> f64 {

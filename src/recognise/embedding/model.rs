@@ -353,13 +353,13 @@ impl dyn Model {
 }
 
 impl EmbeddingModel {
-    /// Whether a channel of a source, counted from 0, varies in the library's trials. A channel that
-    /// is constant in the library may be constant in a query without being dead. True for sources that
-    /// the library lacks.
-    pub fn moves(&self, source: &SourceId, channel: usize) -> bool {
+    /// The share of time, from 0 to 1, that each channel of a source usually rests at one value in a
+    /// trial of the library; a query's channel that rests as long is not dead. Empty for pictures and
+    /// for sources that the library lacks.
+    pub fn rests(&self, source: &SourceId) -> &[f32] {
         match self.joint.stretch(source).map(|stretch| &stretch.embedder) {
-            Some(SourceEmbedder::Series(embedder)) => embedder.moves(channel),
-            _ => true,
+            Some(SourceEmbedder::Series(embedder)) => &embedder.rests,
+            _ => &[],
         }
     }
 

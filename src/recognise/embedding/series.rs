@@ -14,6 +14,7 @@ use super::moments::{LOUDNESS, MOMENTS, Moments, Statistics};
 use super::packed::PackedFrames;
 use super::quantiles::QUANTILES;
 use crate::recognise::features::windowed_frames::FrameView;
+use crate::trial::usual_rest;
 
 /// Lags in samples; the joint covariance is of the series shifted by each of them.
 const LAGS: [usize; 3] = [0, 1, 3];
@@ -44,6 +45,8 @@ pub(super) struct SeriesEmbedder {
     deviations: Vec<f64>,
     /// Whether the library's median trial is long enough for quantiles.
     ranked: bool,
+    /// Share of time that each channel rests in the library ([`usual_rest`]).
+    pub rests: Vec<f32>,
 }
 
 impl SeriesEmbedder {
@@ -62,10 +65,15 @@ impl SeriesEmbedder {
             .collect();
         let deviation = |c: usize| median(all.iter().map(|of_trial| of_trial[c]).collect());
         let length = median(trials.iter().map(|trial| trial.samples as f64).collect());
+        let rest = |c: usize| {
+            usual_rest(trials.iter().filter_map(|trial| trial.rests.get(c).copied()).collect())
+        };
+        let channels = 0..views.frames[0].channels;
         Self {
             frames,
-            deviations: (0..views.frames[0].channels).map(deviation).collect(),
+            deviations: channels.clone().map(deviation).collect(),
             ranked: length >= FEWEST_RANKED,
+            rests: channels.map(rest).collect(),
             views,
         }
     }
@@ -76,7 +84,7 @@ impl SeriesEmbedder {
     }
 
     /// Whether a channel varies in most trials of the library.
-    pub(super) fn moves(&self, channel: usize) -> bool {
+    fn moves(&self, channel: usize) -> bool {
         self.deviations.get(channel).is_none_or(|&deviation| deviation > STILL)
     }
 

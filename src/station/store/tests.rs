@@ -115,8 +115,8 @@ fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
     let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
     let mut writer = StoreWriter::new(store, send, ending);
     drop(working);
-    let (scan, enrolment, remarks) = (scan(1), enrolment(), Vec::new());
-    writer.accept(WaitingScan { scan, enrolment, by: None, remarks });
+    let (scan, enrolment, doubts) = (scan(1), enrolment(), Vec::new());
+    writer.accept(WaitingScan { scan, enrolment, by: None, doubts });
     // The library holds no trial and would give number 1, but it is not read at the end.
     let Enrolled { trial, outcome, .. } = stored.recv().unwrap().enrolled;
     assert_eq!((trial, outcome), (Some(8), EnrolledOutcome::Kept));
@@ -131,7 +131,8 @@ fn a_scan_that_was_refused_is_kept_once_somebody_says_so() {
     thread.store(scan(1), strict.clone(), None);
     let refused = stored.recv().unwrap().enrolled;
     assert_eq!(refused.outcome, EnrolledOutcome::Refused);
-    assert_eq!(refused.remarks, ["0.0 s is too short, drag for 1.0 s"]);
+    let short = Doubt::TooShort { scan_s: 0.0, needed_s: 1.0, settled: false };
+    assert_eq!(refused.doubts, [short]);
     thread.keep_refused(1, strict);
     let kept = stored.recv().unwrap().enrolled;
     assert_eq!((kept.scan, kept.outcome, kept.trial), (1, EnrolledOutcome::Kept, Some(1)));

@@ -52,7 +52,7 @@ const IN_THE_AIR: f64 = 0.02;
 /// The stylus sticks and slips five times a second: at each slip, every signal of the drag loses a
 /// share of its strength, which is the level, and then swells again.
 pub(super) fn stick_slip(spec: &SourceSpec, series: &mut Series, depth: f64, _: &mut ChaCha8Rng) {
-    if spec.sigma.is_some() {
+    if spec.is_switch() {
         return;
     }
     let rate_hz = series.rate_hz();

@@ -142,11 +142,11 @@ fn any(_: &SourceSpec) -> bool {
 
 /// Whether a source is a series of an analog sensor, not of a switch such as the metal detector.
 fn analog(spec: &SourceSpec) -> bool {
-    spec.domain != Domain::Image && spec.sigma.is_none()
+    spec.domain != Domain::Image && !spec.is_switch()
 }
 
 fn sensed(spec: &SourceSpec) -> bool {
-    spec.sigma.is_none()
+    !spec.is_switch()
 }
 
 fn sound(spec: &SourceSpec) -> bool {
@@ -159,7 +159,7 @@ fn drag(spec: &SourceSpec) -> bool {
 
 /// Whether a source is analog, and is compared as a series in time.
 fn slow(spec: &SourceSpec) -> bool {
-    matches!(spec.domain, Domain::Time { .. }) && spec.sigma.is_none()
+    matches!(spec.domain, Domain::Time { .. }) && !spec.is_switch()
 }
 
 fn many_channels(spec: &SourceSpec) -> bool {
