@@ -9,8 +9,9 @@ use crate::evaluate::{LeftOutSources, Share};
 use crate::library::Library;
 use crate::printable;
 pub(super) use crate::printable::{counted, json_text};
+use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
-use crate::trial::TrialKey;
+use crate::trial::{Doubt, TrialKey};
 
 /// Prints what a library contains, and what was skipped.
 pub(super) fn library(library: &Library) {
@@ -45,27 +46,31 @@ pub(super) fn result<T: serde::Serialize>(as_json: bool, value: &T, print: impl 
 /// The sources that were left out of queries, and the reasons. There is one line for each source and
 /// channel, even if the channel was stuck at many values.
 pub(super) fn left_out(left_out: &LeftOutSources) -> Vec<String> {
-    let mut kinds: BTreeMap<&str, (BTreeSet<&str>, BTreeSet<&TrialKey>)> = BTreeMap::new();
-    for (remark, trials) in left_out {
-        let kind = remark.split(" at ").next().unwrap_or_default();
-        let (remarks, of_kind) = kinds.entry(kind).or_default();
-        remarks.insert(remark);
-        of_kind.extend(trials);
+    let mut kinds: BTreeMap<(Option<&SourceId>, usize), (BTreeSet<&TrialKey>, BTreeSet<String>)> =
+        BTreeMap::new();
+    for (trial, doubt) in left_out {
+        let channel = if let Doubt::Stuck { channel, .. } = doubt { *channel } else { 0 };
+        let (trials, texts) = kinds.entry((doubt.source(), channel)).or_default();
+        trials.insert(trial);
+        texts.insert(doubt.text());
     }
-    let line = |(kind, (remarks, trials)): (&str, (BTreeSet<&str>, BTreeSet<&TrialKey>))| {
+    let line = |((source, channel), (trials, texts)): ((Option<&SourceId>, usize), (_, _))| {
+        let (trials, texts): (BTreeSet<&TrialKey>, BTreeSet<String>) = (trials, texts);
         let first = trials.first().map(ToString::to_string).unwrap_or_default();
         let more = match trials.len() {
             0 | 1 => String::new(),
             several => format!(" and {} more", several - 1),
         };
-        let remark = *remarks.first()?;
-        let remark = match (remarks.len(), remark.rsplit_once("; ")) {
-            (2.., Some((_, advice))) => format!("{kind}; {advice}"),
-            _ => remark.into(),
+        let text = match texts.len() {
+            2.. if channel > 0 => format!("channel {channel} is stuck; check its cable"),
+            _ => texts.first().cloned().unwrap_or_default(),
         };
-        Some(format!("{remark} ({first}{more})"))
+        match source {
+            Some(source) => format!("{source} is left out: {text} ({first}{more})"),
+            None => format!("not named: {text} ({first}{more})"),
+        }
     };
-    kinds.into_iter().filter_map(line).collect()
+    kinds.into_iter().map(line).collect()
 }
 
 pub(super) fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
@@ -138,20 +143,14 @@ mod tests {
     #[test]
     fn a_channel_that_is_stuck_at_many_values_is_warned_of_once() {
         let key = |number| TrialKey::new("oak", "anna", number);
-        let stuck = |channel, value| {
-            format!("vel is left out: channel {channel} is stuck at {value}; check its cable")
+        let source = SourceId::new("vel").unwrap();
+        let stuck = |number, channel, value, share| {
+            (key(number), Doubt::Stuck { source: source.clone(), channel, value, share })
         };
-        let mut all = LeftOutSources::new();
-        for (remark, number) in [
-            (stuck(1, "0.5"), 3),
-            (stuck(1, "-0.2 for the last 50 % of the scan"), 2),
-            (stuck(2, "0"), 4),
-        ] {
-            all.entry(remark).or_default().insert(key(number));
-        }
+        let all = vec![stuck(3, 1, 0.5, 1.0), stuck(2, 1, -0.2, 0.5), stuck(4, 2, 0.0, 1.0)];
         let lines = [
             format!("vel is left out: channel 1 is stuck; check its cable ({} and 1 more)", key(2)),
-            format!("{} ({})", stuck(2, "0"), key(4)),
+            format!("vel is left out: channel 2 is stuck at 0; check its cable ({})", key(4)),
         ];
         assert_eq!(left_out(&all), lines);
     }

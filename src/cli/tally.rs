@@ -6,7 +6,8 @@ use std::sync::Arc;
 use super::{Done, Failure, say, show};
 use crate::evaluate::{Share, percentile};
 use crate::scene::SourceId;
-use crate::station::{Answer, AnswerState, Listener, Remark, StationEvent};
+use crate::station::{Answer, AnswerState, Listener, StationEvent, told};
+use crate::trial::Doubt;
 
 /// The answers of a replay so far, and its warnings.
 #[derive(Default)]
@@ -14,8 +15,8 @@ pub(super) struct Tally {
     each: bool,
     total: usize,
     answers: Vec<Arc<Answer>>,
-    /// Number of remarks by source. Only the first remark of a source is printed.
-    remarks: BTreeMap<Option<SourceId>, usize>,
+    /// Number of scans with doubts about a source, or about the scan. Only the first is printed.
+    doubted: BTreeMap<Option<SourceId>, usize>,
     damages: usize,
     /// Number of scans with too little data to be named.
     too_little: usize,
@@ -27,7 +28,7 @@ impl Listener for Tally {
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Warning(text) => self.damage(text),
             StationEvent::Unnamed(answer) => {
-                self.too_little += usize::from(answer.too_little);
+                self.too_little += usize::from(answer.doubts.contains(&Doubt::TooLittle));
                 self.damage(&answer.not_named());
             }
             _ => {}
@@ -43,12 +44,14 @@ impl Tally {
 
     fn answer(&mut self, answer: &Arc<Answer>) {
         self.answers.push(answer.clone());
-        for reason in &answer.spoiled {
-            say!("warning: scan {}: {reason}", answer.scan);
-        }
-        for remark in &answer.remarks {
-            self.remark(remark, answer.scan);
-        }
+        answer.spoiled().for_each(|why| say!("warning: scan {}: {why}", answer.scan));
+        told(&answer.doubts).filter(|doubt| is_repeated(doubt)).for_each(|doubt| {
+            let count = self.doubted.entry(doubt.source().cloned()).or_insert(0);
+            *count += 1;
+            if *count == 1 {
+                say!("warning: scan {}: {doubt}", answer.scan);
+            }
+        });
         if self.each {
             self.show(answer);
         }
@@ -77,20 +80,10 @@ impl Tally {
             show::longer(answer)
         );
         // Prints the reasons for doubt that no warning has printed. Other states explain themselves.
-        let is_known = |why: &&String| {
-            answer.spoiled.contains(why) || answer.remarks.iter().any(|remark| remark.text == **why)
-        };
         if answer.state == AnswerState::Unsure {
-            let news = answer.reasons.iter().filter(|why| !is_known(why));
+            let reasons = answer.reasons().into_iter();
+            let news = reasons.filter(|why| !why.spoils() && !is_repeated(why));
             news.for_each(|why| say!("        {why}"));
-        }
-    }
-
-    fn remark(&mut self, remark: &Remark, scan: u32) {
-        let count = self.remarks.entry(remark.source.clone()).or_insert(0);
-        *count += 1;
-        if *count == 1 {
-            say!("warning: scan {scan}: {}", remark.text);
         }
     }
 
@@ -101,7 +94,7 @@ impl Tally {
     }
 
     pub(super) fn sum_up(&self, synthetic: bool) {
-        let again: usize = self.remarks.values().map(|count| count - 1).sum();
+        let again: usize = self.doubted.values().map(|count| count - 1).sum();
         if again > 0 {
             say!("({} of these kinds not shown)", show::counted(again, "more warning"));
         }
@@ -153,8 +146,8 @@ impl Tally {
         }
         let mut left_out: BTreeMap<&SourceId, usize> = BTreeMap::new();
         for answer in &self.answers {
-            let sources: BTreeSet<&SourceId> =
-                answer.remarks.iter().filter_map(|remark| remark.source.as_ref()).collect();
+            let faults = answer.doubts.iter().filter(|doubt| doubt.is_sensor_fault());
+            let sources: BTreeSet<&SourceId> = faults.filter_map(Doubt::source).collect();
             // A source with a flawed channel may still have been used, so `sources` decides.
             for source in sources.into_iter().filter(|source| !answer.sources.contains(source)) {
                 *left_out.entry(source).or_default() += 1;
@@ -172,7 +165,8 @@ impl Tally {
         if named == 0 && self.too_little == 0 {
             return Err(Failure::Failed("no scan was named; see the warnings above".into()));
         }
-        let spoiled = self.answers.iter().filter(|answer| !answer.spoiled.is_empty()).count();
+        let spoiled = |answer: &&Arc<Answer>| answer.spoiled().next().is_some();
+        let spoiled = self.answers.iter().filter(spoiled).count();
         if damages + spoiled > 0 || lost > 0 {
             return Err(Failure::Damaged(format!(
                 "{named} of {total} scans named; warnings: {damages}, spoiled scans: {spoiled}, \
@@ -181,6 +175,11 @@ impl Tally {
         }
         Ok(())
     }
+}
+
+/// Whether a doubt tends to come with each scan of a replay, so that it is printed once.
+fn is_repeated(doubt: &Doubt) -> bool {
+    doubt.is_sensor_fault() || matches!(doubt, Doubt::TooShort { .. })
 }
 
 /// Whether an answer is right. An answer without a surface (unknown) is right if the library lacks the

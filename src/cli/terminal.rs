@@ -13,8 +13,9 @@ use crate::device::DeviceState;
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
 use crate::station::{
-    Answer, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent,
+    Answer, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent, told,
 };
+use crate::trial::Doubt;
 use crate::system::has_status_line;
 
 /// Shows a station to people. Answers go to stdout, everything else to stderr.
@@ -76,21 +77,18 @@ impl Terminal {
                 show::longer(answer)
             );
         }
-        for why in &answer.spoiled {
-            tracing::warn!("scan {}: {why}", answer.scan);
-        }
+        answer.spoiled().for_each(|why| tracing::warn!("scan {}: {why}", answer.scan));
         if !self.json {
-            let doubts = answer.reasons.iter().filter(|why| !answer.spoiled.contains(why));
-            doubts.for_each(|why| tracing::info!("  {why}"));
-            let texts = answer.remarks.iter().map(|remark| &remark.text);
-            let news = texts.filter(|text| !answer.reasons.contains(text));
-            news.for_each(|text| tracing::info!("  {text}"));
+            let others = told(&answer.doubts).filter(|doubt| !doubt.spoils());
+            // The library may have sources that this station never has, so they are not repeated.
+            let news = others.filter(|doubt| !matches!(doubt, Doubt::SourceMissing { .. }));
+            news.for_each(|why| tracing::info!("  {why}"));
         }
         self.last = Some(name);
     }
 
     fn enrolled(&mut self, enrolled: &Enrolled) {
-        let Enrolled { scan, surface, outcome, trial, folder, remarks, wanted, .. } = enrolled;
+        let Enrolled { scan, surface, outcome, trial, folder, doubts, wanted, .. } = enrolled;
         match (outcome, trial, folder) {
             (_, Some(trial), Some(folder)) => {
                 tracing::info!("kept: trial {trial} of {surface} in {}", folder.display());
@@ -99,9 +97,11 @@ impl Terminal {
             // Other outcomes come with a warning, so nothing is printed here.
             _ => return,
         }
-        remarks.iter().for_each(|remark| tracing::info!("  {remark}"));
-        if let Some(nearest) = enrolled.nearest.as_ref().filter(|nearest| *nearest != surface) {
-            tracing::warn!("this looks like {nearest}, which the library has");
+        for doubt in told(doubts) {
+            match doubt {
+                Doubt::NearSurface { .. } => tracing::warn!("{doubt}"),
+                _ => tracing::info!("  {doubt}"),
+            }
         }
         self.last = Some(match wanted {
             0 => format!("{surface} is complete"),
@@ -174,8 +174,7 @@ fn so_far(guess: &Guess) -> String {
         let settled = if guess.settled { ", settled" } else { "" };
         format!(": {} {:.0} %{settled}", best.surface, best.probability * 100.0)
     });
-    let more_s = guess.needed_s.map(|needed_s| needed_s - guess.scan_s).filter(|s| *s > 0.0);
-    let more = match more_s {
+    let more = match guess.more_s() {
         _ if guess.enough => " (lift)".into(),
         Some(s) => format!(" ({s:.1} s more)"),
         None => String::new(),

@@ -5,7 +5,7 @@
 //! Run ─► model of a fold ─► queries, one by one ─► Measured (outcome, predictions, left out)
 //! ```
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -19,7 +19,7 @@ use crate::recognise::{
     without_flawed,
 };
 use crate::scene::Scene;
-use crate::trial::{Trial, TrialKey};
+use crate::trial::{Doubt, Trial, TrialKey};
 
 /// A function that is called after each step with the name of the work, the number of steps done, and
 /// their total number.
@@ -105,13 +105,13 @@ pub struct Run<'a, 'm> {
 
 pub struct Query {
     pub prepared: Prepared,
-    pub left_out: Vec<String>,
+    pub left_out: Vec<Doubt>,
     /// The moment when the query's raw samples were in memory and preparation began.
     pub started: Instant,
 }
 
-/// The reasons why sources were left out of queries, each with the queries concerned.
-pub type LeftOutSources = BTreeMap<String, BTreeSet<TrialKey>>;
+/// Why sources were left out of queries, or queries not named, query by query.
+pub type LeftOutSources = Vec<(TrialKey, Doubt)>;
 
 #[derive(Clone, Debug)]
 pub struct Measured {
@@ -172,7 +172,7 @@ impl Run<'_, '_> {
     }
 
     /// Like [`Run::query`], for a recording in memory. Leaves out sources with a dead sensor. For
-    /// `embedding`, a constant channel is dead only if it varies in most library trials.
+    /// `embedding`, a channel is dead only if it rests for longer than in library trials.
     pub(crate) fn query_of(
         &self,
         model: &Arc<dyn Model>,
@@ -185,8 +185,8 @@ impl Run<'_, '_> {
             None => trial,
         };
         let embedding = model.clone().embedding();
-        let (trial, left_out) = without_flawed(trial, scene, |id, channel| {
-            embedding.as_ref().is_none_or(|embedding| embedding.moves(id, channel))
+        let (trial, left_out) = without_flawed(trial, scene, |id| {
+            embedding.as_ref().map_or(&[], |embedding| embedding.rests(id))
         });
         let trial = Arc::new(trial);
         let entry = Entry::in_memory(Arc::clone(&trial));
@@ -223,9 +223,7 @@ impl Run<'_, '_> {
                     let key = self.on.trials.key(query);
                     let (prediction, remarks) = self.name(&model, (at, query), seconds)?;
                     predictions.push(prediction);
-                    for remark in remarks {
-                        left_out.entry(remark).or_default().insert(key.clone());
-                    }
+                    left_out.extend(remarks.into_iter().map(|doubt| (key.clone(), doubt)));
                     done += 1;
                     (self.on.progress)("naming queries", done, total);
                 }
@@ -243,13 +241,13 @@ impl Run<'_, '_> {
         model: &Arc<dyn Model>,
         (fold, index): (usize, usize),
         seconds: Option<f64>,
-    ) -> Result<(Prediction, Vec<String>), RecogniseError> {
+    ) -> Result<(Prediction, Vec<Doubt>), RecogniseError> {
         let query = self.query(model, index, seconds)?;
         let mut remarks = query.left_out;
         let ranking = match model.rank(&query.prepared) {
             // A query with too little data to name counts as named wrong.
-            Err(error @ RecogniseError::TooLittle) => {
-                remarks.push(format!("not named: {error}"));
+            Err(RecogniseError::TooLittle) => {
+                remarks.push(Doubt::TooLittle);
                 None
             }
             ranking => Some(ranking?),

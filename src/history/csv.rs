@@ -6,12 +6,13 @@ use serde_json::Value;
 
 /// The columns for one station: fields of an answer, its correction and its trial.
 pub(crate) const COLUMNS: &str = "id unix_ms scan state surface nearest reasons confidence fit margin scan_s \
-                       settled_s latency_ms lost_samples truth sources spoiled correction became";
+                       settled_s latency_ms lost_samples truth sources spoiled correction became \
+                       p_value doubts";
 
 /// The columns for many stations, with the station and without corrections.
 pub(crate) const STATION_COLUMNS: &str = "station sequence id unix_ms scan state surface nearest reasons \
                                    confidence fit margin scan_s settled_s latency_ms lost_samples \
-                                   truth sources spoiled";
+                                   truth sources spoiled p_value doubts";
 
 /// Writes scans, given as JSON, as CSV (RFC 4180). Items of lists are separated by semicolons.
 pub(crate) fn write_csv(
@@ -35,6 +36,7 @@ fn cell(scan: &Value, column: &str) -> String {
             "surface" | "" => (&scan["correction"]["surface"], None),
             other => (&Value::Null, Some(format!("({other})"))),
         },
+        "doubts" => (&Value::Null, Some(kinds(&scan["doubts"]))),
         column => (&scan[column], None),
     };
     let text = text.unwrap_or_else(|| self::text(value));
@@ -43,6 +45,12 @@ fn cell(scan: &Value, column: &str) -> String {
         true => format!("'{text}"),
         false => text,
     }
+}
+
+/// The kinds of the doubts about a scan; scans of older versions have none.
+fn kinds(doubts: &Value) -> String {
+    let kinds = doubts.as_array().into_iter().flatten().filter_map(|doubt| doubt["kind"].as_str());
+    kinds.collect::<Vec<_>>().join("; ")
 }
 
 fn text(value: &Value) -> String {
@@ -63,6 +71,7 @@ mod tests {
         let scan = serde_json::json!({
             "id": "x", "surface": "oak, \"sanded\"", "reasons": ["a", "b"], "scan_s": 1.5,
             "ranked": [{"surface": "oak"}], "correction": {"was": "unknown"},
+            "doubts": [{"kind": "clipped", "text": "a"}, {"kind": "too_short"}],
         });
         let mut text = Vec::new();
         write_csv(&mut text, COLUMNS, [Ok(scan)].into_iter()).unwrap();
@@ -74,6 +83,6 @@ mod tests {
         assert_eq!(cell(&cells, "surface"), "'=1+1");
         let others = ["margin", "truth", "sources", "became"].map(|column| cell(&cells, column));
         assert_eq!(others, ["-1.5", "'@x", "'+a", "'-b"]);
-        assert_eq!(line, "x,,,,\"oak, \"\"sanded\"\"\",oak,a; b,,,,1.5,,,,,,,(unknown),");
+        assert_eq!(line, "x,,,,\"oak, \"\"sanded\"\"\",oak,a; b,,,,1.5,,,,,,,(unknown),,,clipped; too_short");
     }
 }

@@ -17,7 +17,7 @@ use crate::printable::json_text;
 use crate::record::{TrialOptions, utc, write_trial};
 use crate::scene::Scene;
 use crate::station::{AnsweredScan, End, Listener, StationEvent, Why};
-use crate::trial::{Signal, Trial, TrialKey};
+use crate::trial::{Signal, Trial, TrialKey, lines};
 
 /// How many scans may wait in the queue of each thread. Scans of ten seconds then take some 50 MB.
 const QUEUE: usize = 16;
@@ -143,7 +143,7 @@ impl Work {
             .saturating_sub(Duration::from_secs_f64(scan.scan_s.max(0.0)));
         let about = About {
             started_at: Some(utc(UNIX_EPOCH + began)).filter(|_| began > Duration::ZERO),
-            notes: (!scan.spoiled.is_empty()).then(|| scan.spoiled.join("\n")),
+            notes: (!scan.spoiled.is_empty()).then(|| lines(&scan.spoiled).join("\n")),
             synthetic: scan.synthetic,
             devices: self.devices.clone(),
             ..About::default()

@@ -7,7 +7,7 @@ use crate::recognise::RankedSurface;
 use crate::scan::Scan;
 use crate::scene::Scene;
 use crate::station::{AnsweredScan, Listener, StationEvent};
-use crate::trial::{Series, Signal};
+use crate::trial::{Doubt, Series, Signal};
 
 fn answer(scan: u32, surface: Option<&str>) -> Answer {
     let id = format!("20260921-143000.{scan:03}-{scan:02}");
@@ -85,7 +85,7 @@ fn a_scan_without_a_name_is_kept_with_its_reason_and_its_signals() {
         let scan = Scan { scan_s: 0.01, ..Scan::of_signals(number, signals) };
         let unnamed = Answer {
             state: AnswerState::Unnamed,
-            reasons: vec!["too little to name".into()],
+            doubts: vec![Doubt::NotNamed { why: "too little to name".into() }],
             ranked: Vec::new(),
             ..answer(number, None)
         };

@@ -26,9 +26,11 @@ struct Message<'a> {
     sequence: u64,
     #[serde(flatten)]
     answer: &'a Answer,
-    /// The surfaces, the most probable first; with `unknown` they sum to 1. Empty for some methods.
+    /// The surfaces, the most probable first, if it is one of them; they sum to 1. Empty for an unknown
+    /// surface, and for some methods.
     probabilities: Vec<SurfaceProbability>,
-    /// The probability that the surface is not in the library; null if that is not known.
+    /// A scale of the p-value: one half at the threshold for unknown surfaces, 1 far below it. Null if
+    /// unknown surfaces are not detected.
     unknown: Option<f64>,
 }
 
@@ -51,7 +53,8 @@ fn of_surfaces(station: &str, sequence: u64, answer: &Answer, most: usize) -> St
     json_text(&Message { station, sequence, answer, probabilities, unknown: answer.unknown })
 }
 
-/// The probabilities of all surfaces; empty if the method gives none.
+/// The probabilities of all surfaces, of which the first is the answer's confidence; empty if the answer
+/// has none.
 ///
 /// Scores of such a method are 1/p for probabilities p. If the first p exceeds the confidence that
 /// the library supports, each of n surfaces gets (1 − s) p + s/n, with s chosen to make them equal.
@@ -61,10 +64,9 @@ fn probabilities(answer: &Answer) -> Vec<SurfaceProbability> {
     };
     let (alike, best) = (1.0 / answer.ranked.len() as f64, best.score.recip());
     let shared = if best > alike { ((best - first) / (best - alike)).clamp(0.0, 1.0) } else { 0.0 };
-    let known = 1.0 - answer.unknown.unwrap_or(0.0);
     let of = |one: &RankedSurface| SurfaceProbability {
         surface: one.surface.clone(),
-        probability: known * ((1.0 - shared) * one.score.recip() + shared * alike),
+        probability: (1.0 - shared) * one.score.recip() + shared * alike,
     };
     answer.ranked.iter().map(of).collect()
 }
@@ -171,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn probabilities_sum_to_one_with_the_unknown_and_scores_without_a_meaning_are_left_out() {
+    fn the_first_probability_is_the_confidence_and_scores_without_a_meaning_are_left_out() {
         // The scores stand for probabilities of 0.6, 0.4 and 0; the first is then lowered to 0.59.
         let scored = with_scores(&[1.0 / 0.6, 1.0 / 0.4, f64::MAX]);
         let given = Answer { confidence: Some(0.59), unknown: Some(0.25), ..scored };
@@ -180,8 +182,8 @@ mod tests {
         assert_eq!(said["ranked"].as_array().unwrap().len(), 2);
         let shares = said["probabilities"].as_array().unwrap();
         let share = |at: usize| shares[at]["probability"].as_f64().unwrap();
-        assert!((share(0) - 0.75 * 0.59).abs() < 1e-9, "{said}");
-        let sum: f64 = (0..3).map(share).sum::<f64>() + said["unknown"].as_f64().unwrap();
+        assert!((share(0) - 0.59).abs() < 1e-9 && said["confidence"] == 0.59, "{said}");
+        let sum: f64 = (0..3).map(share).sum();
         assert!((sum - 1.0).abs() < 1e-9 && share(2) > 0.0, "{said}");
         let plain = self::said(&with_scores(&[2.0, f64::INFINITY]));
         assert_eq!(

@@ -30,6 +30,7 @@ use crate::history::{History, HistoryError};
 use crate::scan::Scan;
 use crate::station::config::{HttpAddress, OutputsConfig};
 use crate::station::{Answer, End, Listener, StationEvent};
+use crate::trial::Doubt;
 
 /// How many answers may wait between the station and an outbox.
 const QUEUE: usize = 256;
@@ -259,10 +260,8 @@ pub(crate) struct OutputTest {
 }
 
 pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryError> {
-    let answer = Answer {
-        reasons: vec!["a test of this output, and no scan".into()],
-        ..Answer::of(&Scan::of_signals(0, Default::default()), 0.0)
-    };
+    let mut answer = Answer::of(&Scan::of_signals(0, Default::default()), 0.0);
+    answer.doubts.push(Doubt::NotNamed { why: "a test of this output, and no scan".into() });
     let text = message::answer(&config.station, 0, &answer);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(|error| HistoryError::Io { path: "outputs".into(), error })?;

@@ -48,6 +48,16 @@ pub(crate) fn if_enough<T>(named: Result<T, RecogniseError>) -> Result<Option<T>
     }
 }
 
+impl From<RecogniseError> for Doubt {
+    /// Why a scan has no name.
+    fn from(error: RecogniseError) -> Self {
+        match error {
+            RecogniseError::TooLittle => Self::TooLittle,
+            other => Self::NotNamed { why: other.to_string() },
+        }
+    }
+}
+
 /// Applies `make`, in parallel, to each source of a trial that the scene describes.
 ///
 /// # Errors

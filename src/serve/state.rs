@@ -9,7 +9,9 @@ use serde::Serialize;
 use crate::device::DeviceState;
 use crate::record;
 use crate::scene::Phase;
-use crate::station::{Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent};
+use crate::station::{
+    Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent, damage,
+};
 
 const MOST_WARNINGS: usize = 50;
 /// How many devices are listed, at most. Hardware chooses their names, so there could be many.
@@ -175,8 +177,8 @@ impl State {
             AnswerState::Unsure => counts.unsure += 1,
             AnswerState::Unknown => counts.unknown += 1,
         }
-        self.counts.spoiled += u64::from(!answer.spoiled.is_empty());
-        self.counts.damaged += u64::from(!answer.damage.is_empty());
+        self.counts.spoiled += u64::from(answer.spoiled().next().is_some());
+        self.counts.damaged += u64::from(!damage(&answer.doubts).is_empty());
         self.counts.lost_samples += answer.lost_samples;
         self.answer = Some(answer.clone());
     }
@@ -230,7 +232,7 @@ impl State {
         if guess.enough {
             return say(AdviceKind::Lift, "lift");
         }
-        match guess.needed_s.map(|needed_s| needed_s - guess.scan_s) {
+        match guess.more_s() {
             Some(more_s) => {
                 // The time is rounded up to tenths, so that it is long enough. The 1e-6 keeps
                 // rounding errors from turning 1.2 s into 1.3 s.

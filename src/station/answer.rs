@@ -45,8 +45,8 @@ pub struct Answer {
     /// called `fit`.
     #[serde(flatten, serialize_with = "by_both_names")]
     pub p_value: Option<f64>,
-    /// Probability that the surface is not in the library; one half at the threshold for unknown
-    /// surfaces. `None` if unknown surfaces are not detected.
+    /// A scale of the p-value: one half at the threshold for unknown surfaces, 1 far below it. `None`
+    /// if unknown surfaces are not detected.
     #[serde(skip)]
     pub unknown: Option<f64>,
     /// Time from the end of the scan to its answer, in milliseconds.

@@ -119,16 +119,16 @@ def damaged(stage, trial):
     def clipped(sample):
         return [x * 300 for x in sample[:3]] + sample[3:]
 
-    badge = lambda: browser.wait("the badge", lambda: "acceleration: clipped in" in (browser.text("#damage") or ""))
+    badge = lambda: browser.wait("the badge", lambda: "is clipped in" in (browser.text("#damage") or ""))
     said, answer = stage.play(scan_of(trial, change=clipped), badge)
-    assert stage.state() == "damaged" and browser.text("#word") == "Damaged", said
-    assert "acceleration: clipped in" in browser.text("#damage") and "lower the gain" in browser.text("#damage")
+    assert stage.state() == "damaged" and browser.text("#word") == "Sensor fault", said
+    assert "acceleration: channel " in browser.text("#damage") and "lower the gain" in browser.text("#damage")
     dead = lambda sample: sample[:5] + [0, sample[6]]
     said, answer = stage.play(scan_of(trial, change=dead))
-    assert answer["damage"] == [{"source": "ir", "text": "dead, check the cable"}], answer["damage"]
-    assert browser.text("#damage") == "infrared: dead, check the cable", browser.text("#damage")
+    assert answer["damage"] == [{"source": "ir", "text": "channel 1 is stuck at 0; check its cable"}], answer["damage"]
+    assert browser.text("#damage") == "infrared: channel 1 is stuck at 0; check its cable", browser.text("#damage")
     assert browser.run("return document.querySelectorAll('#scans .badge.bad').length") == 2
-    assert "2 damaged" in browser.text("#counts"), browser.text("#counts")
+    assert "2 with sensor faults" in browser.text("#counts"), browser.text("#counts")
     stage.seen("damaged")
 
 

@@ -16,6 +16,7 @@ use surfaced::serve::{Reporter, Server, Settings};
 use surfaced::station::{
     Answer, AnswerState, Command, Guess, LibraryState, Listener, StationEvent, SurfaceProbability,
 };
+use surfaced::trial::Doubt;
 
 use super::id;
 
@@ -190,7 +191,7 @@ pub fn session() -> Vec<StationEvent> {
             SurfaceProbability { surface: "beech".into(), probability: 0.25 },
         ],
         state: Some(AnswerState::Named),
-        damage: vec![],
+        doubts: vec![],
         settled: false,
         needed_s: Some(2.7),
         enough: false,
@@ -219,26 +220,25 @@ pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
         scan,
         surface: surface.map(Into::into),
         state: if known { AnswerState::Named } else { AnswerState::Unknown },
-        reasons: if known { vec![] } else { vec!["matches none of your 2 surfaces".into()] },
         truth: None,
         user: None,
         trial: None,
         synthetic: false,
         ranked: vec![score("oak", if known { 0.5 } else { 9.5 }), score("beech", 10.0)],
         margin: if known { 3.0 } else { 0.05 },
-        confidence: Some(if known { 0.97 } else { 0.51 }),
-        fit: Some(if known { 0.6 } else { 0.0 }),
+        confidence: known.then_some(0.97),
+        p_value: Some(if known { 0.6 } else { 0.0 }),
         unknown: None,
         latency_ms: 12.5,
         scan_s: 4.8,
         settled_s: known.then_some(1.9),
         lost_samples: 0,
         sources: vec![id("ac"), id("mi2")],
-        spoiled: vec![],
-        damage: vec![],
         needed_s: Some(2.7),
-        remarks: vec![],
-        too_little: false,
+        doubts: match known {
+            true => vec![],
+            false => vec![Doubt::FitsNone { surfaces: 2, p_value: 0.0, threshold: 0.01 }],
+        },
     }
 }
 

@@ -17,7 +17,7 @@ use surfaced::recognise::{
 };
 use surfaced::scene::{Phase, Scene};
 use surfaced::station::{LibraryState, Recogniser};
-use surfaced::trial::{Image, Signal, Trial, flaws};
+use surfaced::trial::{Image, SeriesFlaws, Signal, Trial};
 
 fn embedding(scene: &Scene) -> Embedding {
     Embedding::new(scene.clone(), EmbeddingOptions::default())
@@ -145,7 +145,7 @@ fn a_dead_or_stuck_source_is_left_out_during_the_scan_as_it_is_at_its_end() {
     let black = Image::new(Image::COLS, Image::ROWS, black).unwrap();
     flawed.signals.insert(id("ca1"), Signal::Image(black));
     assert_eq!(said(&mut follower, &scene, &flawed, 0.1), expected);
-    let (left, _) = without_flawed(flawed, &scene, |_, _| true);
+    let (left, _) = without_flawed(flawed, &scene, |_| &[]);
     assert_eq!(left, without);
     // A source that stops halfway counts until it has rested for half of what came.
     let mut halfway = scan.clone();
@@ -164,7 +164,7 @@ fn a_dead_or_stuck_source_is_left_out_during_the_scan_as_it_is_at_its_end() {
 fn a_scan_that_was_followed_is_named_as_a_scan_that_was_not() {
     let (scene, model, scan) = made();
     let whole = |trial: &Trial| {
-        let (sound, _) = without_flawed(trial.clone(), &scene, |id, c| model.moves(id, c));
+        let (sound, _) = without_flawed(trial.clone(), &scene, |id| model.rests(id));
         let query = model.prepare(&Entry::in_memory(sound.clone()), &sound).unwrap();
         model.rank(&query).unwrap()
     };
@@ -190,12 +190,12 @@ fn a_scan_that_was_followed_is_named_as_a_scan_that_was_not() {
             );
             assert!((ranking.margin - expected.margin).abs() < 1e-3 * expected.margin);
             for (id, signal) in &trial.signals {
-                if let (Some(found), Signal::Series(series)) = (follower.flaws(id), signal) {
-                    assert_eq!(found, flaws(series), "{id}");
+                if let (Some(found), Signal::Series(series)) = (follower.doubts(id), signal) {
+                    assert_eq!(found, SeriesFlaws::of(series).doubts(id, model.rests(id)), "{id}");
                 }
             }
             assert_eq!(
-                follower.flaws(&id("fr")).map(|found| found.len()),
+                follower.doubts(&id("fr")).map(|found| found.len()),
                 Some(usize::from(trial == &stuck))
             );
         }

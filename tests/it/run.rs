@@ -99,7 +99,7 @@ fn a_trial_that_is_too_short_by_its_own_t_star_or_clipped_is_refused() {
     let line = enroll.line(&mut fake);
     assert_eq!((&line["trial"], &line["wanted"]), (&Value::Null, &1.into()), "{line}");
     let remarks = line["remarks"].to_string();
-    assert!(remarks.contains("is too short, drag for 1.0 s"), "{line}");
+    assert!(remarks.contains("s; 1.0 s needed"), "{line}");
     assert!(remarks.contains("ir: 0.6 s is too short: "), "{line}");
     // Half of the drag is at the converter's end.
     let mut loud = trial(&data, 0, 2);

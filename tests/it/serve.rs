@@ -204,7 +204,7 @@ fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
             outcome: EnrolledOutcome::Kept,
             trial: Some(1),
             folder: None,
-            remarks: vec![],
+            doubts: vec![],
             nearest: None,
             wanted,
         });

@@ -14,7 +14,7 @@ use surfaced::scan::Scan;
 use surfaced::scene::Scene;
 use surfaced::serve::LibraryFolder;
 use surfaced::station::{Answer, AnswerState, AnsweredScan, Listener, StationEvent};
-use surfaced::trial::{Series, Signal, Trial, TrialKey};
+use surfaced::trial::{Doubt, Series, Signal, Trial, TrialKey};
 
 #[test]
 fn a_scan_that_cannot_be_named_is_among_the_past_scans_with_its_reason() {
@@ -24,7 +24,7 @@ fn a_scan_that_cannot_be_named_is_among_the_past_scans_with_its_reason() {
     let why = "too little to name it";
     let answer = Arc::new(Answer {
         state: AnswerState::Unnamed,
-        reasons: vec![why.into()],
+        doubts: vec![Doubt::NotNamed { why: why.into() }],
         ranked: Vec::new(),
         confidence: None,
         ..answer(4, None)
@@ -85,7 +85,7 @@ fn reviewed(dir: &Path, scans: u32) -> Served {
     let mut keeper = Keeper::start(history.clone(), scene.clone(), BTreeMap::new()).unwrap();
     for number in 1..=scans {
         let scan = Box::new(Scan { scan_s: 0.2, ..Scan::of_signals(number, signals()) });
-        let answer = Arc::new(Answer { spoiled: Vec::new(), ..answer(number, Some("oak")) });
+        let answer = Arc::new(answer(number, Some("oak")));
         let whole = AnsweredScan { scan, answer, by: None };
         keeper.on_event(&StationEvent::Scan(Arc::new(whole)));
     }

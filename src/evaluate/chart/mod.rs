@@ -148,10 +148,7 @@ pub(crate) fn measure(
         ChartPoint::new(&measured.outcome, protocol, name, *seconds, charted.control.is_some())
     };
     let points = charted.seconds.iter().zip(&measured).map(point).collect();
-    let mut left_out = LeftOutSources::new();
-    for (remark, trials) in measured.into_iter().flat_map(|measured| measured.left_out) {
-        left_out.entry(remark).or_default().extend(trials);
-    }
+    let left_out = measured.into_iter().flat_map(|measured| measured.left_out).collect();
     Ok((points, left_out))
 }
 

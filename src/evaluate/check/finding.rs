@@ -13,7 +13,7 @@ use crate::evaluate::loudness::level_of;
 use crate::library::{Entry, LibraryError, Unreadable};
 use crate::printable::quoted;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Flaw, Signal, Trial, flaws, is_plain};
+use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, is_plain, usual_rest};
 
 /// A trial is too loud or quiet if ln of its loudness is this far from its surface's median: 20 dB.
 const LOUD: f64 = std::f64::consts::LN_10;
@@ -97,10 +97,8 @@ impl Audited<'_> {
 pub(super) struct Inspected {
     /// The trial; its signals are kept in memory if there is room.
     pub entry: Entry,
-    /// The flaws of each source, without channels that are constant in at least half of the trials.
-    pub flaws: Vec<(SourceId, Flaw)>,
-    /// Sources with a picture of a single colour.
-    pub plain: Vec<SourceId>,
+    /// The faults of its sensors, judged by how long each channel rests in the whole library.
+    pub doubts: Vec<Doubt>,
     /// The measurements of each series, except of switches such as the metal detector.
     pub series: BTreeMap<SourceId, Measured>,
 }
@@ -111,6 +109,8 @@ pub(super) struct Measured {
     pub level: f64,
     /// Hash of the samples, to find copies; `None` for a constant series.
     pub hash: Option<u64>,
+    /// For each channel, the largest share of the samples that rests at one value.
+    rests: Vec<f32>,
 }
 
 /// Reads all trials. Returns the trials with a readable source, and the sources that cannot be read.
@@ -129,7 +129,7 @@ pub(super) fn inspect(
         entries.into_par_iter().enumerate().map(one).collect();
     let (mut inspected, unreadable): (Vec<_>, Vec<_>) = read.into_iter().unzip();
     inspected.retain(|trial: &Inspected| !trial.entry.sources.is_empty());
-    forget_resting(&mut inspected);
+    forget_usual(&mut inspected);
     (inspected, unreadable.into_iter().flatten().collect())
 }
 
@@ -147,17 +147,20 @@ fn of_entry(
         }
     }
     entry.sources.retain(|source| signals.contains_key(source));
-    let (mut flawed, mut plain, mut series) = (Vec::new(), Vec::new(), BTreeMap::new());
+    let (mut doubts, mut series) = (Vec::new(), BTreeMap::new());
     for (id, signal) in &signals {
-        let is_switch = scene.get(id.as_str()).is_some_and(|spec| spec.sigma.is_some());
         match signal {
-            Signal::Image(image) if is_plain(image) => plain.push(id.clone()),
-            Signal::Series(one) if !is_switch => {
-                flawed.extend(flaws(one).into_iter().map(|flaw| (id.clone(), flaw)));
+            Signal::Image(image) if is_plain(image) => {
+                doubts.push(Doubt::OneColour { source: id.clone() });
+            }
+            Signal::Series(one) if !scene.is_switch(id) => {
+                let flaws = SeriesFlaws::of(one);
+                doubts.extend(flaws.doubts(id, &[]));
                 let measured = Measured {
                     seconds: one.duration_s(),
                     level: level_of(one.samples(), one.channels()),
                     hash: (!one.is_constant()).then(|| signal.content_hash()),
+                    rests: flaws.rests(),
                 };
                 series.insert(id.clone(), measured);
             }
@@ -169,7 +172,7 @@ fn of_entry(
         let key = entry.key.clone();
         entry = entry.held(Arc::new(Trial { key, signals }));
     }
-    (Inspected { entry, flaws: flawed, plain, series }, unreadable)
+    (Inspected { entry, doubts, series }, unreadable)
 }
 
 fn bytes(signal: &Signal) -> usize {
@@ -232,7 +235,7 @@ pub(super) fn of_signals(
         for (id, of) in &one.series {
             let below = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level < u - by);
             let above = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level > u + by);
-            let is_flawed = one.flaws.iter().any(|(flawed, _)| flawed == id);
+            let is_flawed = one.doubts.iter().any(|doubt| doubt.source() == Some(id));
             let (usual_s, usual_level) = of_sources[id];
             let of_surface = usual(id, Some(surface), |m| m.level);
             if (of.hash.is_none() && is_flawed) || below(usual_level, SILENT) {
@@ -246,20 +249,24 @@ pub(super) fn of_signals(
                 add(FaultKind::Level, id, "is too loud or too quiet for its surface", detail);
             }
         }
-        for (id, flaw) in &one.flaws {
-            let channel = format!("channel {}", flaw.channel());
-            match flaw {
-                Flaw::Saturated { share, .. } => {
-                    let detail = format!("{:.0} % of {channel} at its limit", 100.0 * share);
-                    add(FaultKind::Clipped, id, "is clipped", detail);
+        for doubt in &one.doubts {
+            match doubt {
+                Doubt::Clipped { source, channel, share, .. } => {
+                    let detail = format!("{:.0} % of channel {channel} at its limit", 100.0 * share);
+                    add(FaultKind::Clipped, source, "is clipped", detail);
                 }
-                Flaw::Constant { .. } | Flaw::Stuck { .. } => {
-                    add(FaultKind::Stuck, id, "is stuck", channel);
+                Doubt::AtZero { source, channel, share } => {
+                    let detail = format!("channel {channel} for {:.0} %", 100.0 * share);
+                    add(FaultKind::Stuck, source, "is at 0", detail);
                 }
+                Doubt::Stuck { source, channel, .. } => {
+                    add(FaultKind::Stuck, source, "is stuck", format!("channel {channel}"));
+                }
+                Doubt::OneColour { source } => {
+                    add(FaultKind::Stuck, source, "is of one colour", String::new());
+                }
+                _ => {}
             }
-        }
-        for id in &one.plain {
-            add(FaultKind::Stuck, id, "is of one colour", String::new());
         }
     }
     grouped(faults, inspected.len(), audited)
@@ -359,20 +366,23 @@ fn copies(inspected: &[Inspected], audited: &Audited<'_>) -> Vec<Fault> {
     faults
 }
 
-/// Forgets constant values of channels that are constant in at least half of the trials.
-fn forget_resting(inspected: &mut [Inspected]) {
-    let mut counts: BTreeMap<(SourceId, usize), usize> = BTreeMap::new();
-    for (id, flaw) in inspected.iter().flat_map(|inspected| &inspected.flaws) {
-        if let Flaw::Constant { channel, .. } = flaw {
-            *counts.entry((id.clone(), *channel)).or_default() += 1;
-        }
+/// Forgets doubts about channels that rest no longer than they usually do in the library.
+fn forget_usual(inspected: &mut [Inspected]) {
+    let mut of_trials: BTreeMap<&SourceId, Vec<Vec<f32>>> = BTreeMap::new();
+    for (id, of) in inspected.iter().flat_map(|one| &one.series) {
+        let channels = of_trials.entry(id).or_default();
+        channels.resize(channels.len().max(of.rests.len()), Vec::new());
+        channels.iter_mut().zip(&of.rests).for_each(|(all, rest)| all.push(*rest));
     }
-    counts.retain(|_, count| *count * 2 >= inspected.len());
-    let rests = |id: &SourceId, flaw: &Flaw| {
-        matches!(flaw, Flaw::Constant { .. }) && counts.contains_key(&(id.clone(), flaw.channel()))
+    let usual = |(id, channels): (&SourceId, Vec<Vec<f32>>)| {
+        (id.clone(), channels.into_iter().map(usual_rest).collect())
     };
+    let usual: BTreeMap<SourceId, Vec<f32>> = of_trials.into_iter().map(usual).collect();
     for one in inspected {
-        one.flaws.retain(|(id, flaw)| !rests(id, flaw));
+        one.doubts.retain(|doubt| {
+            let rests = doubt.source().and_then(|id| usual.get(id));
+            !doubt.is_usual(rests.map_or(&[], Vec::as_slice))
+        });
     }
 }
 

@@ -17,7 +17,7 @@ use super::plain::better_plain;
 use crate::library::{Entry, Opened};
 use crate::recognise::{Method, MethodName};
 use crate::scene::{Scene, SourceId};
-use crate::trial::TrialKey;
+use crate::trial::{Doubt, TrialKey, lines};
 
 /// Largest number of folds. A fold leaves out several trials of a surface that has more than this.
 const MOST_FOLDS: usize = 10;
@@ -78,7 +78,9 @@ pub struct TrialCheck {
     pub margin: Option<f64>,
     /// Whether the trial was named another surface, and more clearly than most trials of that surface.
     pub mislabelled: bool,
+    /// The faults of its sensors as lines, and as data.
     pub flaws: Vec<String>,
+    pub doubts: Vec<Doubt>,
 }
 
 fn left_out_share<S: Serializer>(share: &Option<Share>, to: S) -> Result<S::Ok, S::Error> {
@@ -283,8 +285,6 @@ fn trials(
     let one = |(key, inspected): (&TrialKey, &Inspected)| {
         let prediction = by_key.get(key).copied();
         let is_right = prediction.map(Prediction::is_correct);
-        let flaws = inspected.flaws.iter().map(|(id, flaw)| format!("{id}: {flaw}"));
-        let plain = inspected.plain.iter().map(|id| format!("{id}: the picture is of one colour"));
         TrialCheck {
             key: key.clone(),
             verdict: match is_right {
@@ -295,7 +295,8 @@ fn trials(
             named: prediction.map(|p| p.surface.clone()).filter(|named| !named.is_empty()),
             margin: prediction.map(|p| p.margin),
             mislabelled: suspects.contains_key(key),
-            flaws: flaws.chain(plain).collect(),
+            flaws: lines(&inspected.doubts),
+            doubts: inspected.doubts.clone(),
         }
     };
     keys.iter().zip(inspected).map(one).collect()

@@ -1,6 +1,6 @@
 // How an answer is put into words.
 
-import { damageLines, percent, plainLine, times } from "./dom.js";
+import { doubtLines, percent, plainLine, times } from "./dom.js";
 
 // The surface that an answer names, or words such as "unknown" if it names none.
 export function nameOf(answer) {
@@ -27,13 +27,29 @@ export function sureness(answer) {
 }
 
 // The damage of a scan, a line each. Older answers list only the reasons why they are spoiled.
-export const damageOf = (answer) => (answer.damage ? damageLines(answer.damage) : answer.spoiled);
+export const damageOf = (answer) => (answer.damage ? doubtLines(answer.damage) : answer.spoiled);
 
-// The reasons for doubt, without damage, which is shown separately.
+// The kinds of doubts that are faults of a sensor, and of those that say that data are missing. Both
+// are damage.
+const FAULTS = ["stuck", "at_zero", "clipped", "one_colour"];
+const LOSSES = ["gap", "missing", "picture_lost", "unusable", "no_data", "ended_early"];
+
+const has = (answer, kinds) => (answer.doubts ?? []).some(({ kind }) => kinds.includes(kind));
+
+// Whether a sensor is at fault; false if data are missing, or nothing is known of an older answer.
+export const isFault = (answer) => has(answer, FAULTS);
+
+// Whether the drag was lifted before the time that its library needs.
+export const isShort = (answer) => has(answer, ["too_short"]);
+
+// The doubts in words, without damage, which is shown separately, and without the reason for an
+// unknown surface or for no surface, which is the state itself. Older answers have only reasons.
 function doubts(answer) {
-  const known = (reason) => answer.spoiled.includes(reason) || answer.remarks.includes(reason)
-    || (answer.damage ?? []).some(({ source }) => source && reason.startsWith(`${source} is left out`));
-  return answer.reasons.filter((reason) => !known(reason)).map(plainLine);
+  if (!answer.doubts) return answer.state === "unknown" ? [] : answer.reasons.map(plainLine);
+  const own = [...FAULTS, ...LOSSES, "source_missing", "fits_none", "unknown_not_detected"];
+  const shown = answer.doubts.filter(({ kind }) => !own.includes(kind));
+  if (answer.state === "nearest") shown.push(...answer.doubts.filter(({ kind }) => kind === "unknown_not_detected"));
+  return doubtLines(answer.state === "unknown" ? shown.filter(({ kind }) => kind === "too_short") : shown);
 }
 
 // An answer as a sentence: how sure it is, or the closest surface, then the reasons for doubt.
@@ -44,8 +60,7 @@ export function certainty(answer) {
   else if (answer.confidence === null) {
     parts.push(answer.margin < 0.05 ? "no more alike than the next" : `${sureness(answer)} more alike than the next`);
   } else parts.push(`${sureness(answer)} sure`);
-  // For an unknown surface, the reasons explain the state; they are not doubts.
-  if (answer.state !== "unknown") parts.push(...doubts(answer));
+  parts.push(...doubts(answer));
   if (answer.truth) parts.push(answer.truth === answer.surface ? "right" : `it was ${answer.truth}`);
   return parts.join(" · ");
 }

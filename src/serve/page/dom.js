@@ -65,9 +65,9 @@ export function sourceName(source, tag = "strong") {
   return element;
 }
 
-// Damage as lines of plain words.
-export const damageLines = (damage) =>
-  damage.map(({ source, text }) => (source ? `${plain(source)}: ${text}` : text));
+// Doubts, or damage, as lines with the plain names of sources.
+export const doubtLines = (doubts) =>
+  doubts.map(({ source, text }) => (source ? `${plain(source)}: ${text}` : text));
 
 // A button that runs `act`.
 export function button(text, act, className) {

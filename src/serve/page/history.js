@@ -1,6 +1,6 @@
 // The list of past scans, the newest first, and the share of reviewed answers that were right.
 
-import { corrected, damageOf, nameOf, sureness } from "./answer.js";
+import { corrected, damageOf, isFault, isShort, nameOf, sureness } from "./answer.js";
 import { $, ask, button, clock, hide, make, many, percent, printable, say } from "./dom.js";
 import { go } from "./route.js";
 
@@ -73,7 +73,8 @@ function row(scan) {
   if (scan.state === "unknown" && scan.ranked[0]) name.append(badge(`closest: ${scan.ranked[0].surface}`, ""));
   if (scan.state === "unnamed") name.append(make("small", scan.reasons.join(" · ")));
   const damage = damageOf(scan);
-  if (damage.length) name.append(badge("damaged", "bad", damage.join("\n")));
+  if (damage.length) name.append(badge(isFault(scan) ? "sensor fault" : "data lost", "bad", damage.join("\n")));
+  if (isShort(scan)) name.append(badge("too short", ""));
   if (scan.correction) name.append(badge(corrected(scan), corrected(scan).startsWith("right") ? "good" : ""));
   if (scan.became) name.append(badge("in the library", "good", scan.became));
   line.append(make("td", scan.scan), make("td", day(scan.unix_ms)), name, make("td", sureness(scan)),
@@ -98,7 +99,7 @@ export function render(counts) {
   const { scans: count, unknown, unsure, unnamed, damaged } = counts;
   const parts = [many(count, "scan"), `${unknown} unknown`, `${unsure} unsure`];
   if (unnamed) parts.push(`${unnamed} not named`);
-  if (damaged) parts.push(`${damaged} damaged`);
+  if (damaged) parts.push(`${damaged} with sensor faults or lost data`);
   say("counts", count || unnamed ? parts.join(" · ") : "");
 }
 

@@ -1,10 +1,10 @@
 // The state of the station, readable from three metres: colour, word and sign; below them the name,
 // its probability, and any damage.
 
-import { certainty, damageOf, probabilities } from "./answer.js";
-import { $, clock, damageLines, fill, hide, make, many, parts, percent, printable, say, times } from "./dom.js";
+import { certainty, damageOf, isFault, isShort, probabilities } from "./answer.js";
+import { $, clock, doubtLines, fill, hide, make, many, parts, percent, printable, say, times } from "./dom.js";
 
-const WORDS = { named: "Named", nearest: "Nearest surface", unsure: "Unsure", unnamed: "No answer", damaged: "Damaged" };
+const WORDS = { named: "Named", nearest: "Nearest surface", unsure: "Unsure", unnamed: "No answer" };
 
 function disconnected({ advice, devices }) {
   const since = devices.find(({ device }) => device === advice.device)?.since_unix_ms ?? Date.now();
@@ -20,7 +20,7 @@ function dragging({ advice, scan, guess: last, enrolling }) {
   const more = advice.more_s === null ? "" : `: ${advice.more_s.toFixed(1)} s more`;
   const now = { kind: lift ? "lift" : "drag", word: lift ? "Done, lift" : `Drag on${more}`, label: `scan ${scan}` };
   if (guess?.needed_s) now.done = guess.scan_s / guess.needed_s;
-  now.damage = damageLines(guess?.damage ?? []);
+  now.damage = doubtLines(guess?.damage ?? []);
   if (enrolling) return { ...now, name: enrolling.surface, label: `scan ${scan}, to be kept` };
   if (!guess?.state) return { ...now, name: "listening", faint: true };
   const [{ surface, probability }] = guess.named;
@@ -38,9 +38,13 @@ function runners(answer) {
 
 function answered(answer, surfaces) {
   const damage = damageOf(answer);
-  const kind = damage.length && answer.state !== "unnamed" ? "damaged" : answer.state;
+  const short = isShort(answer) && ["named", "nearest"].includes(answer.state);
+  const kind = damage.length && answer.state !== "unnamed" ? "damaged" : short ? "unsure" : answer.state;
   const unknown = answer.state === "unknown";
-  const word = kind === "unknown" ? `None of your ${many(surfaces, "surface")}` : WORDS[kind];
+  const words = {
+    ...WORDS, unknown: `None of your ${many(surfaces, "surface")}`, damaged: isFault(answer) ? "Sensor fault" : "Data lost",
+  };
+  const word = short && kind === "unsure" ? "Too short" : words[kind];
   const name = unknown ? "unknown" : answer.surface ?? "not named";
   const label = `scan ${answer.scan}${answer.synthetic ? " · synthetic" : ""} · answered in ${answer.latency_ms.toFixed(0)} ms`;
   return { kind, word, name, label, damage, sure: certainty(answer), id: answer.id, runners: unknown ? [] : runners(answer) };

@@ -94,7 +94,8 @@ function ranking(scan) {
   const shares = scan.state === "unknown" ? null : probabilities(scan);
   scan.ranked.slice(0, 8).forEach(({ surface, score }, at) => {
     const item = make("li");
-    const text = shares ? percent(shares[at]) : scan.confidence === null ? score.toPrecision(3) : at === 0 ? "closest" : "";
+    const closest = at === 0 ? "closest" : "";
+    const text = scan.state === "unknown" ? closest : shares ? percent(shares[at]) : score.toPrecision(3);
     item.append(make("span", surface), make("b", text));
     list.append(item);
   });
