@@ -17,7 +17,7 @@ use surfaced::recognise::{
 };
 use surfaced::scene::{Phase, Scene};
 use surfaced::station::{LibraryState, Recogniser};
-use surfaced::trial::{Image, SeriesFlaws, Signal, Trial};
+use surfaced::trial::{Doubt, Image, Series, SeriesFlaws, Signal, Trial, TrialKey};
 
 fn embedding(scene: &Scene) -> Embedding {
     Embedding::new(scene.clone(), EmbeddingOptions::default())
@@ -303,4 +303,50 @@ fn replay_and_eval_report_the_scan_time_used_and_agree_on_it() {
     let (output, stderr) = run("eval", &["reference", "--settle"]);
     assert_eq!(output.status.code(), Some(1), "{stderr}");
     assert!(stderr.contains("cannot follow a scan"), "{stderr}");
+}
+
+/// A library of two surfaces with a moving sensor and a skin of three taxels. A taxel is 0 most of the
+/// time, and taxel 3 is touched in a third of the trials only.
+fn skin() -> (Scene, Arc<EmbeddingModel>, impl Fn(&str, u32, bool) -> Trial) {
+    let toml = "format = 1\n[sources.ir]\nrate_hz = 200\n[sources.skin]\nrate_hz = 200\nchannels = 3\n";
+    let scene = Scene::from_toml(toml).unwrap();
+    let trial = |surface: &str, number: u32, touched: bool| {
+        let rough = if surface == "oak" { 0.9 } else { 0.2 };
+        let noise = |i: usize, c: usize| {
+            ((i * 7919 + c * 104_729 + number as usize * 1_299_709) as f32 * 0.618_034).fract() - 0.5
+        };
+        let ir = (0..600).map(|i| (i as f32 * rough).sin() + 0.2 * noise(i, 9)).collect();
+        let taxel = |i: usize, c: usize| {
+            let at = (60 * c + 40 * number as usize) % 400;
+            let touches = touched && (c < 2 || number % 3 == 0) && (at..at + 90).contains(&i);
+            if touches { 1.0 + noise(i, c) } else { 0.0 }
+        };
+        let skin = (0..600).flat_map(|i| (0..3).map(move |c| taxel(i, c))).collect();
+        let series = |channels, x| Signal::Series(Series::new(200.0, channels, x).unwrap());
+        let signals = [(id("ir"), series(1, ir)), (id("skin"), series(3, skin))].into();
+        Trial { key: TrialKey::new(surface, "expert", number), signals }
+    };
+    let all = ["ash", "oak"].into_iter().flat_map(|s| (1..=9).map(move |n| trial(s, n, true)));
+    let entries: Vec<Entry> = all.map(Entry::in_memory).collect();
+    let shape = Arc::new(LibraryShape::of(&entries.iter().collect::<Vec<_>>()).unwrap());
+    let frames = |entry: &Entry| {
+        let trial = entry.load().unwrap();
+        Arc::new(TrialFrames::new(&entry.key, &trial, &scene, &shape, Some(1)).unwrap())
+    };
+    let model = embedding(&scene).train(entries.iter().map(frames).collect(), &shape).unwrap();
+    (scene, Arc::new(model), trial)
+}
+
+#[test]
+fn a_taxel_that_nothing_touches_is_not_broken_and_a_sensor_that_always_moves_is() {
+    let (scene, model, trial) = skin();
+    let doubts = |trial: Trial| without_flawed(trial, &scene, |id| model.rests(id)).1;
+    assert_eq!(doubts(trial("oak", 12, true)), []);
+    assert_eq!(doubts(trial("oak", 12, false)), [], "untouched for a whole scan");
+    let mut broken = trial("oak", 12, true);
+    if let Some(Signal::Series(ir)) = broken.signals.get_mut(&id("ir")) {
+        ir.view_mut().fill(0.0);
+    }
+    let (source, share) = (id("ir"), 1.0);
+    assert_eq!(doubts(broken), [Doubt::Stuck { source, channel: 1, value: 0.0, share }]);
 }
