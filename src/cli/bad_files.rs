@@ -1,9 +1,10 @@
 //! Recordings that cannot be used. A command skips them and ends with code 3; with `--strict`, it
 //! stops.
 
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::{Done, Failure, show};
 use crate::dataset;
@@ -12,8 +13,16 @@ use crate::scene::Scene;
 
 /// Whether a command stops if a recording cannot be used.
 static STRICT: AtomicBool = AtomicBool::new(false);
-/// The reasons why recordings were skipped, a line each.
-static SKIPPED: Mutex<Vec<String>> = Mutex::new(Vec::new());
+/// The libraries that were opened, each with why recordings were skipped when it was last opened.
+static SKIPPED: Mutex<BTreeMap<PathBuf, Skipped>> = Mutex::new(BTreeMap::new());
+
+/// Recordings of one library that were skipped, a line each.
+#[derive(Default)]
+struct Skipped {
+    now: Vec<String>,
+    /// Lines that were said already, since a library may be opened more than once.
+    said: BTreeSet<String>,
+}
 
 /// Sets whether a command stops if a recording cannot be used.
 pub(super) fn be_strict(strict: bool) {
@@ -26,6 +35,8 @@ pub(super) fn be_strict(strict: bool) {
 /// If no recording is usable; with `--strict`, if any recording is unusable.
 pub(super) fn open(path: &Path, defaults: &Scene) -> Result<Library, Failure> {
     let opened = dataset::open_usable(path, defaults)?;
+    // Files may have been repaired since the library was last opened.
+    locked().entry(path.into()).or_default().now.clear();
     skip(path, opened.bad)?;
     Ok(opened.library)
 }
@@ -88,9 +99,11 @@ pub(super) fn skip(path: &Path, bad: Vec<LibraryError>) -> Done {
             "{all}\nrepair or remove them, or go on without them: leave --strict out"
         )));
     }
-    let mut skipped = SKIPPED.lock().unwrap_or_else(PoisonError::into_inner);
-    // A library may be opened more than once, so only reasons that are not known yet are added.
-    let fresh: Vec<String> = lines.into_iter().filter(|why| !skipped.contains(why)).collect();
+    let mut all = locked();
+    let Skipped { now, said } = all.entry(path.into()).or_default();
+    let unknown: Vec<String> = lines.iter().filter(|why| !now.contains(why)).cloned().collect();
+    now.extend(unknown);
+    let fresh: Vec<String> = lines.into_iter().filter(|why| said.insert(why.clone())).collect();
     if let Some(first) = fresh.first() {
         let all = match fresh.len() {
             1 => format!("not used: {first}"),
@@ -101,14 +114,19 @@ pub(super) fn skip(path: &Path, bad: Vec<LibraryError>) -> Done {
         };
         say!("warning: {all}");
     }
-    skipped.extend(fresh);
     Ok(())
 }
 
-/// The reasons why recordings were skipped, a line each.
+fn locked() -> MutexGuard<'static, BTreeMap<PathBuf, Skipped>> {
+    // Each change is complete in itself, so the lists are usable even after a panic.
+    SKIPPED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Why recordings were skipped when their libraries were last opened, a line each.
 pub(super) fn skipped() -> Vec<String> {
-    let skipped = SKIPPED.lock().unwrap_or_else(PoisonError::into_inner);
-    skipped.iter().map(|why| format!("not used: {why}")).collect()
+    let all = locked();
+    let lines = all.values().flat_map(|skipped| &skipped.now);
+    lines.map(|why| format!("not used: {why}")).collect()
 }
 
 /// The result of a finished command. It is a failure (damaged) if recordings were skipped.

@@ -150,6 +150,10 @@ pub(super) fn load(
         let (scene, entries, state, ReadyModel { model, remarks, .. }) =
             ready.map_err(Failure::text)?;
         remarks.iter().for_each(|remark| say!("{remark}"));
+        if let (Some(given), Some(embedding)) = (&given, model.clone().embedding()) {
+            // Devices of the library may be missing here; training must not wait for the first drag.
+            embedding.ready_for(given);
+        }
         let lasting = how.lasting(&accuracy, &model).map_err(Failure::text)?;
         let mut by = Recogniser::new(model, scene, state).with_trials(&entries);
         by.needed_s = lasting.0;

@@ -15,8 +15,8 @@ use crate::scene::{Phase, SourceId};
 use crate::station::{
     Answer, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent, told,
 };
-use crate::trial::Doubt;
 use crate::system::has_status_line;
+use crate::trial::Doubt;
 
 /// Shows a station to people. Answers go to stdout, everything else to stderr.
 pub(super) struct Terminal {

@@ -18,6 +18,7 @@ use super::{
     keep_connected,
 };
 use crate::ring::Sink;
+use crate::system;
 
 use address::put_back;
 
@@ -84,8 +85,8 @@ impl Device for Lines {
     }
 
     fn waits(&self) -> bool {
-        // Only a pipe can wait: the program that writes to it blocks until lines are read.
-        self.config.address == LinesAddress::Stdin
+        // A file waits until its lines are read. A pipe may come from a live sensor.
+        self.config.address == LinesAddress::Stdin && system::stdin_is_a_file()
     }
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {

@@ -122,7 +122,7 @@ pub struct DeviceLink {
     device: usize,
     stop: Stop,
     reports: Sender<DeviceReport>,
-    last: RefCell<Option<DeviceState>>,
+    last: RefCell<Option<(DeviceState, String)>>,
 }
 
 impl DeviceLink {
@@ -151,10 +151,12 @@ impl DeviceLink {
         false
     }
 
-    /// Reports a state, unless the last report had the same state.
+    /// Reports a state, unless the last report had the same state and detail.
     pub fn state(&self, state: DeviceState, detail: impl Into<String>) {
-        if self.last.replace(Some(state)) != Some(state) {
-            self.send(DeviceReportKind::State { state, detail: detail.into() });
+        let detail = detail.into();
+        let now = Some((state, detail.clone()));
+        if self.last.replace(now.clone()) != now {
+            self.send(DeviceReportKind::State { state, detail });
         }
     }
 
@@ -327,13 +329,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_state_is_reported_once_a_change() {
+    fn a_state_is_reported_once_a_change_of_it_or_of_its_reason() {
         let (sender, reports) = crossbeam_channel::bounded(8);
         let link = DeviceLink::new(0, Stop::default(), sender);
         link.state(DeviceState::Opening, "");
         link.state(DeviceState::Streaming, "");
         link.state(DeviceState::Streaming, "");
         assert_eq!(reports.len(), 2);
+        link.state(DeviceState::Stalled, "no numbers come");
+        link.state(DeviceState::Stalled, "no lines come");
+        link.state(DeviceState::Stalled, "no lines come");
+        assert_eq!(reports.len(), 4);
     }
 
     #[test]

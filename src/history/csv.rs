@@ -83,6 +83,9 @@ mod tests {
         assert_eq!(cell(&cells, "surface"), "'=1+1");
         let others = ["margin", "truth", "sources", "became"].map(|column| cell(&cells, column));
         assert_eq!(others, ["-1.5", "'@x", "'+a", "'-b"]);
-        assert_eq!(line, "x,,,,\"oak, \"\"sanded\"\"\",oak,a; b,,,,1.5,,,,,,,(unknown),,,clipped; too_short");
+        assert_eq!(
+            line,
+            "x,,,,\"oak, \"\"sanded\"\"\",oak,a; b,,,,1.5,,,,,,,(unknown),,,clipped; too_short"
+        );
     }
 }

@@ -54,28 +54,42 @@ pub struct OutputView {
 
 /// The shared state of an output. Logs when answers begin to fail, and when they arrive again.
 #[derive(Clone, Debug)]
-pub struct OutputHealth(Arc<Mutex<OutputView>>);
+pub struct OutputHealth(Arc<Mutex<OutputState>>);
+
+/// The view of an output, and the number of answers that its outbox never got.
+#[derive(Debug)]
+struct OutputState {
+    view: OutputView,
+    not_taken: u64,
+}
 
 impl OutputHealth {
     fn new(output: String, outbox: &Outbox) -> Self {
         let view = OutputView { output, waiting: 0, failures: 0, dropped: 0, problem: None };
-        let health = Self(Arc::new(Mutex::new(view)));
+        let health = Self(Arc::new(Mutex::new(OutputState { view, not_taken: 0 })));
         health.holds(outbox);
         health
     }
 
     /// A copy of the present state.
     pub fn view(&self) -> OutputView {
-        lock(&self.0).clone()
+        lock(&self.0).view.clone()
     }
 
     fn holds(&self, outbox: &Outbox) {
-        let mut view = lock(&self.0);
-        (view.waiting, view.dropped) = (outbox.waiting() as u64, outbox.dropped);
+        let OutputState { view, not_taken } = &mut *lock(&self.0);
+        (view.waiting, view.dropped) = (outbox.waiting() as u64, outbox.dropped + *not_taken);
+    }
+
+    /// Counts an answer that the outbox never got, since the disk was too slow.
+    fn not_taken(&self) {
+        let mut state = lock(&self.0);
+        state.not_taken += 1;
+        state.view.dropped += 1;
     }
 
     fn failed(&self, why: &str) {
-        let mut view = lock(&self.0);
+        let view = &mut lock(&self.0).view;
         view.failures += 1;
         if view.problem.replace(why.into()).is_none() {
             tracing::warn!("answers do not reach {}: {why}", view.output);
@@ -83,7 +97,7 @@ impl OutputHealth {
     }
 
     fn arrived(&self) {
-        let mut view = lock(&self.0);
+        let view = &mut lock(&self.0).view;
         if view.problem.take().is_some() {
             tracing::warn!("answers reach {} again", view.output);
         }
@@ -210,7 +224,7 @@ impl Listener for Output {
         lock(&self.card).take(event);
         let (StationEvent::Answer(answer), Some(answers)) = (event, &self.answers) else { return };
         if answers.try_send(answer.clone()).is_err() {
-            lock(&self.health.0).dropped += 1;
+            self.health.not_taken();
             self.health.failed(&format!(
                 "the disk is too slow: {QUEUE} answers are to be written, so answer {} is dropped",
                 answer.id
@@ -310,6 +324,17 @@ async fn publish(options: MqttOptions, topic: &str, text: String) -> Result<Stri
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn answers_that_the_outbox_never_got_stay_counted() {
+        let dir = tempfile::tempdir().unwrap();
+        let outbox = Outbox::open(dir.path(), "http").unwrap();
+        let health = OutputHealth::new("http://here".into(), &outbox);
+        health.not_taken();
+        health.not_taken();
+        health.holds(&outbox);
+        assert_eq!(health.view().dropped, 2);
+    }
 
     #[test]
     fn attempts_grow_rarer_up_to_one_a_minute() {

@@ -9,9 +9,7 @@ use serde::Serialize;
 use crate::device::DeviceState;
 use crate::record;
 use crate::scene::Phase;
-use crate::station::{
-    Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent, damage,
-};
+use crate::station::{Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent, damage};
 
 const MOST_WARNINGS: usize = 50;
 /// How many devices are listed, at most. Hardware chooses their names, so there could be many.

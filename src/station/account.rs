@@ -46,9 +46,8 @@ fn damage_entries(doubts: &[Doubt]) -> Vec<Damage<'_>> {
 
 /// The doubts that are a remark on an answer: faults of sensors, and a short drag.
 fn remarks(doubts: &[Doubt]) -> Vec<String> {
-    let is_remark = |doubt: &&Doubt| {
-        doubt.is_sensor_fault() || matches!(doubt, Doubt::TooShort { .. })
-    };
+    let is_remark =
+        |doubt: &&Doubt| doubt.is_sensor_fault() || matches!(doubt, Doubt::TooShort { .. });
     lines(doubts.iter().filter(is_remark))
 }
 
@@ -113,12 +112,10 @@ mod tests {
     #[test]
     fn damage_is_what_spoils_a_scan_and_the_worst_fault_of_each_sensor() {
         let source = |id: &str| SourceId::new(id).unwrap();
-        let clipped = |channel, share| {
-            Doubt::Clipped { source: source("ac"), channel, value: 1.0, share }
-        };
-        let stuck = |id: &str, share| {
-            Doubt::Stuck { source: source(id), channel: 3, value: 0.0, share }
-        };
+        let clipped =
+            |channel, share| Doubt::Clipped { source: source("ac"), channel, value: 1.0, share };
+        let stuck =
+            |id: &str, share| Doubt::Stuck { source: source(id), channel: 3, value: 0.0, share };
         let doubts = [
             Doubt::EndedEarly,
             clipped(1, 0.9),

@@ -34,9 +34,9 @@ pub(super) fn so_far(
 pub(super) fn judge(answer: &mut Answer, rejection: Option<&Rejection>) {
     let Answer { scan_s, ranked, p_value, .. } = &*answer;
     let mut found = Vec::new();
-    let short = answer.needed_s.and_then(|needed_s| {
-        too_short(*scan_s, needed_s, answer.settled_s.is_some())
-    });
+    let short = answer
+        .needed_s
+        .and_then(|needed_s| too_short(*scan_s, needed_s, answer.settled_s.is_some()));
     let is_far_too_short = short.as_ref().is_some_and(|short| decides(short, &[]));
     found.extend(short);
     match (*p_value, rejection) {
@@ -213,7 +213,10 @@ mod tests {
             let short = Doubt::TooShort { scan_s, needed_s: 0.9, settled: false };
             assert!(answer.doubts.contains(&short), "{:?}", answer.doubts);
             let is_known = p_value == 0.4;
-            assert_eq!((answer.surface.is_some(), answer.confidence.is_some()), (is_known, is_known));
+            assert_eq!(
+                (answer.surface.is_some(), answer.confidence.is_some()),
+                (is_known, is_known)
+            );
             assert_eq!(answer.p_value, Some(p_value));
         }
     }

@@ -101,7 +101,9 @@ impl Recogniser {
     fn flaws(&self, scan: &Scan, mut known: FlawsBySource) -> Vec<Doubt> {
         let signals = scan.trial.signals.iter().filter(|(id, _)| !self.scene.is_switch(id));
         let of = |(id, signal): (&SourceId, &Signal)| match signal {
-            Signal::Image(image) if is_plain(image) => vec![Doubt::OneColour { source: id.clone() }],
+            Signal::Image(image) if is_plain(image) => {
+                vec![Doubt::OneColour { source: id.clone() }]
+            }
             Signal::Image(_) => Vec::new(),
             Signal::Series(series) => {
                 let known = known.remove(id);

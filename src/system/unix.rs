@@ -167,6 +167,12 @@ fn hangup_is_ignored() -> bool {
     mask.is_some_and(|mask| mask & 1 << (SIGHUP - 1) != 0)
 }
 
+/// Whether standard input is a file, which waits until it is read; a pipe may come from a live sensor.
+pub(crate) fn stdin_is_a_file() -> bool {
+    let file = io::stdin().as_fd().try_clone_to_owned().map(File::from);
+    file.and_then(|file| file.metadata()).is_ok_and(|about| about.is_file())
+}
+
 /// Tells the supervisor of this service its state, in the format of sd_notify(3).
 pub(crate) fn notify_supervisor(state: &str) {
     // This fails only without systemd, so the error is ignored.

@@ -129,5 +129,11 @@ pub(crate) fn watchdog() -> Option<Duration> {
     None
 }
 
+/// Whether standard input is a file, which waits until it is read; a pipe may come from a live sensor.
+pub(crate) fn stdin_is_a_file() -> bool {
+    let file = io::stdin().as_handle().try_clone_to_owned().map(File::from);
+    file.and_then(|file| file.metadata()).is_ok_and(|about| about.is_file())
+}
+
 /// Does nothing, since Windows has no supervisor that takes states.
 pub(crate) fn notify_supervisor(_: &str) {}

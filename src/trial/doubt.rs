@@ -20,54 +20,113 @@ use crate::scene::SourceId;
 #[serde(remote = "Self", tag = "kind", rename_all = "snake_case")]
 pub enum Doubt {
     /// A channel has one value for the last `share` of the samples, and moves in the library.
-    Stuck { source: SourceId, channel: usize, value: f32, share: f64 },
+    Stuck {
+        source: SourceId,
+        channel: usize,
+        value: f32,
+        share: f64,
+    },
     /// A channel is at 0 for `share` of the samples, as by a loose cable.
-    AtZero { source: SourceId, channel: usize, share: f64 },
+    AtZero {
+        source: SourceId,
+        channel: usize,
+        share: f64,
+    },
     /// A channel rests at a limit of its range for `share` of the samples.
-    Clipped { source: SourceId, channel: usize, value: f32, share: f64 },
+    Clipped {
+        source: SourceId,
+        channel: usize,
+        value: f32,
+        share: f64,
+    },
     /// All pixels of a picture are equal.
-    OneColour { source: SourceId },
+    OneColour {
+        source: SourceId,
+    },
 
     /// A gap in the data that is too long to be bridged.
-    Gap { source: SourceId, gap_s: f64, bridged_s: f64 },
+    Gap {
+        source: SourceId,
+        gap_s: f64,
+        bridged_s: f64,
+    },
     /// The first or last part of a source did not arrive, or all of it.
-    Missing { source: SourceId, missing_s: f64, expected_s: f64 },
-    PictureLost { source: SourceId },
+    Missing {
+        source: SourceId,
+        missing_s: f64,
+        expected_s: f64,
+    },
+    PictureLost {
+        source: SourceId,
+    },
     /// The samples of a source are not a signal, for example because one is NaN.
-    Unusable { source: SourceId, why: String },
+    Unusable {
+        source: SourceId,
+        why: String,
+    },
     /// No source has any data.
     NoData,
     /// The data stopped before the scan was over.
     EndedEarly,
     /// Samples and pictures were lost, in gaps that were bridged.
-    LostSamples { samples: u64 },
+    LostSamples {
+        samples: u64,
+    },
 
     /// The drag is shorter than the library, or a trial, needs. `settled`: its answer was settled
     /// before its end.
-    TooShort { scan_s: f64, needed_s: f64, settled: bool },
+    TooShort {
+        scan_s: f64,
+        needed_s: f64,
+        settled: bool,
+    },
     /// A source is too short to hold `samples` independent samples; `needed_s` is `None` if no two
     /// samples are known to be independent.
-    FewIndependent { source: SourceId, held_s: f64, needed_s: Option<f64>, samples: usize },
+    FewIndependent {
+        source: SourceId,
+        held_s: f64,
+        needed_s: Option<f64>,
+        samples: usize,
+    },
     /// The library has a source that the scan lacks.
-    SourceMissing { source: SourceId },
+    SourceMissing {
+        source: SourceId,
+    },
     /// A source of scan and library that was not compared.
-    NotCompared { source: SourceId },
+    NotCompared {
+        source: SourceId,
+    },
     /// It cannot be told whether the surface is unknown: the scan is too short or lacks sources.
-    Untested { without: Vec<SourceId> },
+    Untested {
+        without: Vec<SourceId>,
+    },
     /// The first surface is less probable than all others together.
-    Improbable { surface: String, probability: f64 },
+    Improbable {
+        surface: String,
+        probability: f64,
+    },
     /// The scan fits none of the library's surfaces: its p-value is at the threshold or below.
-    FitsNone { surfaces: usize, p_value: f64, threshold: f64 },
+    FitsNone {
+        surfaces: usize,
+        p_value: f64,
+        threshold: f64,
+    },
     /// The library, or the method, cannot tell unknown surfaces.
     UnknownNotDetected,
     /// A scan that was to be a trial of one surface resembles another of the library.
-    NearSurface { surface: String },
+    NearSurface {
+        surface: String,
+    },
 
     /// The scan is silent, or shorter than a frame.
     TooLittle,
-    NotNamed { why: String },
+    NotNamed {
+        why: String,
+    },
     /// The scan could not be written to disk.
-    NotWritten { why: String },
+    NotWritten {
+        why: String,
+    },
 }
 
 impl Doubt {
@@ -124,7 +183,10 @@ impl Doubt {
                 format!("channel {channel} is stuck at {value}{since}; check its cable")
             }
             Self::AtZero { channel, share, .. } => {
-                format!("channel {channel} is at 0 for {} of the scan; check its cable", percent(share))
+                format!(
+                    "channel {channel} is at 0 for {} of the scan; check its cable",
+                    percent(share)
+                )
             }
             Self::Clipped { channel, share, .. } => format!(
                 "channel {channel} is clipped in {:.1} % of its samples; lower the gain, or press less",
@@ -152,7 +214,9 @@ impl Doubt {
             }
             Self::FewIndependent { held_s, needed_s, samples, .. } => {
                 let take = match needed_s {
-                    Some(needed_s) => format!("{samples} independent samples take {needed_s:.1} s here"),
+                    Some(needed_s) => {
+                        format!("{samples} independent samples take {needed_s:.1} s here")
+                    }
                     None => "no two samples in it are known to be independent".into(),
                 };
                 format!("{held_s:.1} s is too short: {take}; drag longer, or move faster")
@@ -178,9 +242,11 @@ impl Doubt {
             Self::NearSurface { surface } => {
                 format!("this looks like {surface}, which the library has")
             }
-            Self::TooLittle => "too little to name: every source is silent, or shorter than a frame; \
+            Self::TooLittle => {
+                "too little to name: every source is silent, or shorter than a frame; \
                                 drag for longer, and check the cables"
-                .into(),
+                    .into()
+            }
             Self::NotNamed { why } | Self::NotWritten { why } => why.clone(),
         }
     }

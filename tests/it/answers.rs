@@ -308,12 +308,14 @@ fn replay_and_eval_report_the_scan_time_used_and_agree_on_it() {
 /// A library of two surfaces with a moving sensor and a skin of three taxels. A taxel is 0 most of the
 /// time, and taxel 3 is touched in a third of the trials only.
 fn skin() -> (Scene, Arc<EmbeddingModel>, impl Fn(&str, u32, bool) -> Trial) {
-    let toml = "format = 1\n[sources.ir]\nrate_hz = 200\n[sources.skin]\nrate_hz = 200\nchannels = 3\n";
+    let toml =
+        "format = 1\n[sources.ir]\nrate_hz = 200\n[sources.skin]\nrate_hz = 200\nchannels = 3\n";
     let scene = Scene::from_toml(toml).unwrap();
     let trial = |surface: &str, number: u32, touched: bool| {
         let rough = if surface == "oak" { 0.9 } else { 0.2 };
         let noise = |i: usize, c: usize| {
-            ((i * 7919 + c * 104_729 + number as usize * 1_299_709) as f32 * 0.618_034).fract() - 0.5
+            ((i * 7919 + c * 104_729 + number as usize * 1_299_709) as f32 * 0.618_034).fract()
+                - 0.5
         };
         let ir = (0..600).map(|i| (i as f32 * rough).sin() + 0.2 * noise(i, 9)).collect();
         let taxel = |i: usize, c: usize| {

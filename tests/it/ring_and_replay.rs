@@ -248,7 +248,11 @@ fn a_gap_at_the_end_is_seen_although_nothing_follows() {
 fn a_source_that_was_lost_altogether_is_missing_and_said() {
     let scan = gappy(0, 100);
     assert!(scan.trial.signals.is_empty() && scan.lost_samples == 100);
-    assert!(scan.spoiled[0].to_string().contains("none of its 100.0 ms arrived"), "{:?}", scan.spoiled);
+    assert!(
+        scan.spoiled[0].to_string().contains("none of its 100.0 ms arrived"),
+        "{:?}",
+        scan.spoiled
+    );
 }
 
 struct Failing(fn(&DeviceLink) -> Result<(), DeviceError>);

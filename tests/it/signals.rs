@@ -55,7 +55,9 @@ fn a_clipped_sine_is_saturated_and_a_whole_one_is_not() {
     let sine = |i: i32| (i as f32 * 0.01).sin();
     assert_eq!(one_channel((0..10_000).map(sine)), []);
     let clipped = one_channel((0..10_000).map(|i| sine(i).clamp(-0.7, 0.7)));
-    let [Doubt::Clipped { channel: 1, value, share, .. }] = clipped[..] else { panic!("{clipped:?}") };
+    let [Doubt::Clipped { channel: 1, value, share, .. }] = clipped[..] else {
+        panic!("{clipped:?}")
+    };
     assert!(value.abs() == 0.7 && share > 0.3, "{clipped:?}");
 }
 

@@ -252,7 +252,8 @@ pub(super) fn of_signals(
         for doubt in &one.doubts {
             match doubt {
                 Doubt::Clipped { source, channel, share, .. } => {
-                    let detail = format!("{:.0} % of channel {channel} at its limit", 100.0 * share);
+                    let detail =
+                        format!("{:.0} % of channel {channel} at its limit", 100.0 * share);
                     add(FaultKind::Clipped, source, "is clipped", detail);
                 }
                 Doubt::AtZero { source, channel, share } => {

@@ -363,6 +363,16 @@ impl EmbeddingModel {
         }
     }
 
+    /// Trains for scans that have these sources, if no library trial has exactly these, so that the first
+    /// such scan does not wait for it.
+    pub fn ready_for(&self, sources: &BTreeSet<SourceId>) {
+        let has = |stretch: &Stretch| sources.contains(&stretch.spec.id);
+        let present: Present = self.joint.stretches.iter().map(has).collect();
+        if present.contains(&true) {
+            self.trained(&present);
+        }
+    }
+
     /// A query that can be named several times, each time by some of its sources.
     ///
     /// # Errors
