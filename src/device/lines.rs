@@ -6,6 +6,7 @@
 
 mod address;
 mod intake;
+mod lateness;
 mod parser;
 mod survey;
 
@@ -26,7 +27,9 @@ pub use address::LinesAddress;
 pub use intake::{Column, Count, LinesStream};
 pub use survey::{ColumnSurvey, SURVEY_S, Survey};
 
-use intake::{GARBAGE, LinesEvent, LinesIntake};
+use intake::GARBAGE;
+
+pub(crate) use intake::{LinesEvent, LinesIntake};
 
 /// Pause after each read, so that one read takes many lines, even if each line is sent by itself.
 const GATHER: Duration = Duration::from_millis(4);

@@ -27,7 +27,7 @@ use crate::ring::Sink;
 pub use intake::{Intake, IntakeEvent};
 pub use port::Selector;
 
-pub(super) use intake::gap;
+pub(super) use intake::{LEAST_RESTART_S, gap};
 pub(super) use port::WAIT;
 
 pub(crate) use intake::{Value, Wanted};

@@ -6,6 +6,7 @@
 //! tap shortly before belongs, too. [`SensorKind`] defines the unit of a level.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectorConfig {
@@ -30,8 +31,9 @@ pub struct DetectorConfig {
 pub(crate) enum DetectorEvent {
     /// A drag began at hop `start`; `tap` holds the begin and end of the tap before it, if any.
     Drag { tap: Option<(u64, u64)>, start: u64 },
-    /// The drag is over; `end` is the first hop after it.
-    End { end: u64 },
+    /// The drag is over; `end` is the first hop after it. `cut` says that a gap in the data hides
+    /// what happened in it, or where it began or ended.
+    End { end: u64, cut: bool },
     /// Contact lasted too long, so it was noise, and the noise floor must be learnt again.
     NoiseTimeout,
 }
@@ -39,59 +41,104 @@ pub(crate) enum DetectorEvent {
 #[derive(Clone, Copy, Debug)]
 enum DetectorState {
     Quiet { tap: Option<(u64, u64)> },
-    Contact { tap: Option<(u64, u64)>, start: u64, quiet_at: Option<u64>, is_drag: bool },
+    Contact(Contact),
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Contact {
+    tap: Option<(u64, u64)>,
+    start: u64,
+    /// Number of hops with data since `start`. Hops in a gap do not hold a contact.
+    hops: u64,
+    /// If the last hop was quiet: where the quiet began, and its number of hops with data.
+    quiet: Option<(u64, u64)>,
+    is_drag: bool,
+    cut: bool,
 }
 
 #[derive(Clone, Debug)]
 pub(crate) struct Detector {
     pub config: DetectorConfig,
     state: DetectorState,
+    hop_s: f64,
     hop: u64,
+    /// Where the gap began that the last hop was in; `None` if the last hop had data.
+    gap_at: Option<u64>,
+    /// Where the latest gap ended.
+    gap_end: Option<u64>,
 }
 
 impl Detector {
-    pub(crate) fn new(config: DetectorConfig) -> Self {
-        Self { config, state: DetectorState::Quiet { tap: None }, hop: 0 }
+    /// A detector for hops of `hop_s` seconds.
+    pub(crate) fn new(config: DetectorConfig, hop_s: f64) -> Self {
+        let state = DetectorState::Quiet { tap: None };
+        Self { config, state, hop_s, hop: 0, gap_at: None, gap_end: None }
     }
 
-    /// Whether there is contact, during which noise floors must not rise.
+    /// Whether there is contact, during which noise floors are not learnt.
     pub(crate) fn in_contact(&self) -> bool {
         !matches!(self.state, DetectorState::Quiet { .. })
     }
 
-    /// Takes the level of the next hop, which is the highest level of all streams in this hop.
-    pub(crate) fn hop(&mut self, level: f64) -> Option<DetectorEvent> {
+    /// Takes the level of the next hop, which is the highest level of all streams in this hop;
+    /// `None` for a hop in a gap, which neither begins, holds nor ends a contact.
+    pub(crate) fn hop(&mut self, level: Option<f64>) -> Option<DetectorEvent> {
         let at = self.hop;
         self.hop += 1;
-        let config = self.config;
-        let lasted = |since: u64, seconds: f64| (at + 1 - since) as f64 * HOP_S >= seconds - 1e-9;
-        // Both comparisons are false for NaN, so NaN is neither quiet nor the begin of contact.
-        let is_quiet = level < config.quiet;
+        let (config, hop_s) = (self.config, self.hop_s);
+        let lasted = |hops: u64, seconds: f64| hops as f64 * hop_s >= seconds - 1e-9;
+        let Some(level) = level else {
+            let gap_at = *self.gap_at.get_or_insert(at);
+            let DetectorState::Contact(Contact { quiet, is_drag, .. }) = self.state else {
+                return None;
+            };
+            if !lasted(self.hop - gap_at, LONGEST_GAP_S) {
+                return None;
+            }
+            self.state = DetectorState::Quiet { tap: None };
+            let end = quiet.map_or(gap_at, |(end, _)| end);
+            return is_drag.then_some(DetectorEvent::End { end, cut: true });
+        };
+        let gap_at = self.gap_at.take();
+        if gap_at.is_some() {
+            self.gap_end = Some(at);
+        }
         match &mut self.state {
             DetectorState::Quiet { tap } => {
-                if tap.is_some_and(|(_, end)| lasted(end, config.longest_pause_s)) {
+                if tap.is_some_and(|(_, end)| lasted(at + 1 - end, config.longest_pause_s)) {
                     *tap = None;
                 }
+                // False for NaN, like `level < config.quiet`.
                 if level >= config.onset {
-                    let (tap, start, quiet_at, is_drag) = (*tap, at, None, false);
-                    self.state = DetectorState::Contact { tap, start, quiet_at, is_drag };
+                    // A contact this close to a gap may have begun within the gap.
+                    let cut = self.gap_end.is_some_and(|end| !lasted(at - end, config.tap_hold_s));
+                    let (tap, start, hops, quiet, is_drag) = (*tap, at, 1, None, false);
+                    let contact = Contact { tap, start, hops, quiet, is_drag, cut };
+                    self.state = DetectorState::Contact(contact);
                 }
                 None
             }
-            DetectorState::Contact { tap, start, quiet_at, is_drag } => {
-                *quiet_at = if is_quiet { Some(quiet_at.unwrap_or(at)) } else { None };
-                let hold_s = if *is_drag { config.drag_hold_s } else { config.tap_hold_s };
-                match *quiet_at {
-                    Some(end) if lasted(end, hold_s) => {
-                        let tap = (!*is_drag).then_some((*start, end));
+            DetectorState::Contact(contact) => {
+                contact.hops += 1;
+                contact.cut |= gap_at.is_some();
+                contact.quiet = (level < config.quiet).then(|| match contact.quiet {
+                    Some((end, hops)) => (end, hops + 1),
+                    // If the contact ended within a gap, it was last seen before the gap.
+                    None => (gap_at.unwrap_or(at), 1),
+                });
+                let Contact { tap, start, hops, quiet, is_drag, cut } = *contact;
+                let hold_s = if is_drag { config.drag_hold_s } else { config.tap_hold_s };
+                match quiet {
+                    Some((end, quiet)) if lasted(quiet, hold_s) && quiet >= LEAST_HOLD => {
+                        let tap = (!is_drag).then_some((start, end));
                         self.state = DetectorState::Quiet { tap };
-                        tap.is_none().then_some(DetectorEvent::End { end })
+                        tap.is_none().then_some(DetectorEvent::End { end, cut })
                     }
-                    None if !*is_drag && lasted(*start, config.longest_tap_s) => {
-                        *is_drag = true;
-                        Some(DetectorEvent::Drag { tap: *tap, start: *start })
+                    None if !is_drag && lasted(hops, config.longest_tap_s) => {
+                        contact.is_drag = true;
+                        Some(DetectorEvent::Drag { tap, start })
                     }
-                    _ if *is_drag && lasted(*start, config.longest_drag_s) => {
+                    _ if is_drag && lasted(hops, config.longest_drag_s) => {
                         self.state = DetectorState::Quiet { tap: None };
                         Some(DetectorEvent::NoiseTimeout)
                     }
@@ -105,8 +152,9 @@ impl Detector {
     pub(crate) fn finish(&mut self) -> Option<DetectorEvent> {
         let state = std::mem::replace(&mut self.state, DetectorState::Quiet { tap: None });
         match state {
-            DetectorState::Contact { quiet_at, is_drag: true, .. } => {
-                Some(DetectorEvent::End { end: quiet_at.unwrap_or(self.hop) })
+            DetectorState::Contact(Contact { quiet, is_drag: true, cut, .. }) => {
+                let end = quiet.map(|(end, _)| end).or(self.gap_at).unwrap_or(self.hop);
+                Some(DetectorEvent::End { end, cut: cut || self.gap_at.is_some() })
             }
             _ => None,
         }
@@ -114,35 +162,49 @@ impl Detector {
 }
 
 /// Finds the hop at which a tap begins in a stream other than the one that detected it: the first hop in
-/// `window` that reaches `onset` after a hop below it. `levels` holds a level per hop, from `first` on.
+/// `window` that reaches `onset` after a hop below it. `levels` holds a level per hop, from `first` on;
+/// `None` for a hop in a gap.
 pub(crate) fn onset_in(
-    levels: &[f64],
+    levels: &[Option<f64>],
     first: u64,
     window: std::ops::Range<u64>,
     onset: f64,
 ) -> Option<u64> {
-    let at = |hop: u64| levels.get(usize::try_from(hop.checked_sub(first)?).ok()?).copied();
+    let at = |hop: u64| *levels.get(usize::try_from(hop.checked_sub(first)?).ok()?)?;
     window.skip_while(|hop| at(*hop).is_none_or(|x| x >= onset)).find(|hop| at(*hop) >= Some(onset))
 }
 
 #[cfg(test)]
 mod tests;
 
-/// Length of a hop in seconds, which is the resolution of every onset and end.
-pub const HOP_S: f64 = 0.005;
-/// Number of hops (0.3 s) before the noise floor is first used; until then, every level is 0.
-const LEARN: u64 = 60;
-/// Number of hops (0.1 s) over which the floor is smoothed, so that one quiet hop does not lower it.
+/// Length of a hop in seconds, which is the resolution of every onset and end; a stream below 200 Hz
+/// has hops of one frame.
+const HOP_S: f64 = 0.005;
+/// Seconds before the noise floor is first used; until then, every level is 0.
+const LEARN_S: f64 = 0.3;
+/// Number of hops over which the floor is smoothed, so that one quiet hop does not lower it.
 const SMOOTH: f64 = 20.0;
-/// The floor is the minimum over the last [`BLOCKS`] blocks (10 s) of [`BLOCK`] hops (0.5 s) each.
-const BLOCK: u64 = 100;
+/// The floor is the minimum over the last [`BLOCKS`] blocks of [`BLOCK_S`] seconds each, without contact.
+const BLOCK_S: f64 = 0.5;
 const BLOCKS: usize = 20;
+/// A floor is forgotten in a gap that is longer than all its blocks, in seconds.
+const MEMORY_S: f64 = BLOCK_S * BLOCKS as f64;
+/// Fewest quiet hops that end a contact, since a single frame of any vibration may be near 0.
+const LEAST_HOLD: u64 = 4;
+/// A gap in a drag that is longer than this ends it, in seconds.
+pub(super) const LONGEST_GAP_S: f64 = 3.0;
 /// Vibration below this share of full scale (about 6 steps of 16 bits) is noise of the converter.
 const LEAST_VIBRATION: f64 = 2e-4;
 /// Force above the floor at level 1, as a share of full scale.
 const FORCE: f64 = 5e-3;
-/// Cut-off frequency in Hz. Vibration lies above it; tilt and movements of the hand lie below it.
+/// Cut-off frequency in Hz, but at most a quarter of the rate. Vibration lies above it; tilt and
+/// movements of the hand lie below it.
 const HIGH_PASS_HZ: f64 = 20.0;
+
+/// Number of frames in a hop of a stream at this rate in Hz.
+pub(super) fn hop_frames(rate_hz: f64) -> f64 {
+    (rate_hz * HOP_S).max(1.0)
+}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -155,17 +217,21 @@ pub enum SensorKind {
 }
 
 #[derive(Debug)]
-pub struct StreamLevel {
+pub(super) struct StreamLevel {
     kind: SensorKind,
     channels: usize,
-    hop: f64,
-    /// Factor by which the mean `slow` shrinks at each frame, as in a low-pass at [`HIGH_PASS_HZ`].
+    hop_s: f64,
+    /// Factor by which the mean `slow` shrinks at each frame, as in a low-pass at the cut-off.
     keep: f64,
+    /// Longest gap, in frames, across which `slow` still holds.
+    held_frames: u64,
     /// The last finite sample of each channel.
     last: Vec<f64>,
     slow: Vec<f64>,
-    sum: f64,
-    frames: u64,
+    /// Number of frames missing since the last frame, and of hops without a level since the last level.
+    missing: u64,
+    silent: u64,
+    /// Number of hops from which the floor was learnt.
     hops: u64,
     smooth: f64,
     blocks: VecDeque<f64>,
@@ -174,16 +240,18 @@ pub struct StreamLevel {
 
 impl StreamLevel {
     /// Measures the level of a stream of this many channels, at this rate in Hz.
-    pub fn new(kind: SensorKind, channels: usize, rate_hz: f64) -> Self {
+    pub(super) fn new(kind: SensorKind, channels: usize, rate_hz: f64) -> Self {
+        let turn = std::f64::consts::TAU * HIGH_PASS_HZ.min(rate_hz / 4.0) / rate_hz;
         Self {
             kind,
             channels: channels.max(1),
-            hop: (rate_hz * HOP_S).max(1.0),
-            keep: (-std::f64::consts::TAU * HIGH_PASS_HZ / rate_hz).exp(),
+            hop_s: hop_frames(rate_hz) / rate_hz,
+            keep: (-turn).exp(),
+            held_frames: (1.0 / turn).max(2.0) as u64,
             last: Vec::new(),
             slow: Vec::new(),
-            sum: 0.0,
-            frames: 0,
+            missing: 0,
+            silent: 0,
             hops: 0,
             smooth: 0.0,
             blocks: VecDeque::new(),
@@ -192,59 +260,91 @@ impl StreamLevel {
     }
 
     /// A new meter of the same stream at another rate in Hz; it has learnt nothing yet.
-    pub(crate) fn at_rate(&self, rate_hz: f64) -> Self {
+    pub(super) fn at_rate(&self, rate_hz: f64) -> Self {
         Self::new(self.kind, self.channels, rate_hz)
     }
 
-    /// Takes interleaved frames and passes the level of each completed hop to `on`. While `held`
-    /// (during contact), the noise floor may fall but not rise. A sample that is not finite is
-    /// replaced by the last finite one.
-    pub fn feed(&mut self, samples: &[f32], held: bool, mut on: impl FnMut(f64)) {
+    /// Takes the interleaved frames of the next hop, and returns the hop's level; `None` if more than
+    /// half of its frames are `missing` (ranges in order, counted from the hop's first frame), or if
+    /// there are none. Missing frames count for nothing. The noise floor is learnt unless `held` (during contact). A sample that is not
+    /// finite is replaced by the last finite one.
+    pub(super) fn hop(
+        &mut self,
+        samples: &[f32],
+        missing: impl IntoIterator<Item = Range<u64>>,
+        held: bool,
+    ) -> Option<f64> {
+        let (mut sum, mut real, mut frames) = (0.0, 0_u64, 0_u64);
+        let mut missing = missing.into_iter().peekable();
         for frame in samples.chunks_exact(self.channels) {
+            let at = frames;
+            frames += 1;
+            while missing.next_if(|gap| gap.end <= at).is_some() {}
+            if missing.peek().is_some_and(|gap| gap.start <= at) {
+                self.missing += 1;
+                continue;
+            }
             self.last.resize(self.channels, 0.0);
             for (last, x) in self.last.iter_mut().zip(frame).filter(|(_, x)| x.is_finite()) {
                 *last = f64::from(*x);
             }
-            if self.slow.is_empty() {
-                self.slow.clone_from(&self.last);
+            if std::mem::take(&mut self.missing) > self.held_frames {
+                self.slow.clear();
             }
             match self.kind {
-                SensorKind::Force => self.sum += self.last.iter().sum::<f64>(),
+                SensorKind::Force => sum += self.last.iter().sum::<f64>(),
+                // The first frame shows no vibration yet.
+                SensorKind::Vibration if self.slow.is_empty() => {
+                    self.slow.clone_from(&self.last);
+                    continue;
+                }
                 SensorKind::Vibration => {
                     for (slow, &x) in self.slow.iter_mut().zip(&self.last) {
                         *slow = self.keep * *slow + (1.0 - self.keep) * x;
-                        self.sum += (x - *slow).powi(2);
+                        sum += (x - *slow).powi(2);
                     }
                 }
             }
-            self.frames += 1;
-            if self.frames as f64 >= (self.hops + 1) as f64 * self.hop {
-                on(self.finish_hop(held));
-            }
+            real += 1;
         }
+        if frames == 0 {
+            self.missing = self.held_frames + 1;
+        }
+        if real == 0 || 2 * real < frames {
+            self.silent += 1;
+            if self.silent as f64 * self.hop_s > MEMORY_S {
+                self.relearn();
+            }
+            return None;
+        }
+        self.silent = 0;
+        Some(self.level(sum / real as f64, held))
     }
 
-    pub fn relearn(&mut self) {
+    pub(super) fn relearn(&mut self) {
+        (self.hops, self.smooth, self.lowest) = (0, 0.0, f64::INFINITY);
         self.blocks.clear();
-        self.lowest = f64::INFINITY;
     }
 
-    fn finish_hop(&mut self, held: bool) -> f64 {
-        let mean = std::mem::take(&mut self.sum) / self.hop;
-        self.hops += 1;
-        // Begins with a plain mean, so that the first hop weighs no more than any other.
-        self.smooth += (mean - self.smooth) / SMOOTH.min(self.hops as f64);
-        if self.hops as f64 >= SMOOTH {
-            self.lowest = self.lowest.min(self.smooth);
-        }
-        if self.hops.is_multiple_of(BLOCK) && !held && self.lowest.is_finite() {
-            self.blocks.push_back(self.lowest);
-            self.lowest = self.smooth;
-            if self.blocks.len() > BLOCKS {
-                self.blocks.pop_front();
+    fn level(&mut self, mean: f64, held: bool) -> f64 {
+        let hops = |seconds: f64| (seconds / self.hop_s).round();
+        let (learn, block) = (hops(LEARN_S).max(SMOOTH), hops(BLOCK_S).max(1.0) as u64);
+        if !held {
+            self.hops += 1;
+            // Begins with a plain mean, so that the first hop weighs no more than any other.
+            self.smooth += (mean - self.smooth) / SMOOTH.min(self.hops as f64);
+            if self.hops as f64 >= SMOOTH {
+                self.lowest = self.lowest.min(self.smooth);
+            }
+            if self.hops.is_multiple_of(block) && self.lowest.is_finite() {
+                self.blocks.push_back(self.lowest);
+                self.lowest = self.smooth;
+                if self.blocks.len() > BLOCKS {
+                    self.blocks.pop_front();
+                }
             }
         }
-        if self.hops < LEARN {
+        if (self.hops as f64) < learn {
             return 0.0;
         }
         let floor = self.blocks.iter().copied().fold(self.lowest, f64::min);

@@ -4,13 +4,13 @@
 use std::collections::VecDeque;
 
 use super::detect::{
-    Detector, DetectorConfig, DetectorEvent, HOP_S, SensorKind, StreamLevel, onset_in,
+    Detector, DetectorConfig, DetectorEvent, SensorKind, StreamLevel, hop_frames, onset_in,
 };
 use super::recent_frames::{Stream, StreamBuffer};
 use crate::scene::SourceId;
 
-/// Number of levels that are kept, which cover 10 s.
-const KEPT_HOPS: usize = 2_000;
+/// Seconds of levels that are kept.
+const KEPT_S: f64 = 10.0;
 /// The largest offset between two devices that a tap may give, in seconds.
 const LARGEST_OFFSET_S: f64 = 0.3;
 
@@ -22,8 +22,9 @@ pub(super) struct DeviceGroup {
     /// `base` is the index of the first frame of hop 0; `next` is the index of the next frame to take.
     base: u64,
     next: u64,
-    /// The highest level over all streams in each of the latest hops, from hop `first` on.
-    levels: VecDeque<f64>,
+    /// The highest level over all streams in each of the latest hops, from hop `first` on; `None` for a
+    /// hop in a gap.
+    levels: VecDeque<Option<f64>>,
     first: u64,
     /// Seconds by which this group's times are later than those of the leading group.
     pub offset_s: f64,
@@ -46,7 +47,7 @@ impl DeviceGroup {
         Some(Self {
             channels: found.iter().map(level).collect(),
             rate_hz,
-            detector: Detector::new(config),
+            detector: Detector::new(config, hop_frames(rate_hz) / rate_hz),
             base: 0,
             next: 0,
             levels: VecDeque::new(),
@@ -61,25 +62,30 @@ impl DeviceGroup {
 
     /// Whether `last` ended a drag only because the data stopped.
     pub(super) fn cut_off(&self, last: DetectorEvent) -> bool {
-        last == DetectorEvent::End { end: self.first + self.levels.len() as u64 }
+        let so_far = self.first + self.levels.len() as u64;
+        matches!(last, DetectorEvent::End { end, .. } if end == so_far)
     }
 
     pub(super) fn frame(&self, hop: u64) -> u64 {
-        self.base + (hop as f64 * self.rate_hz * HOP_S).round() as u64
+        self.base + (hop as f64 * hop_frames(self.rate_hz)).round() as u64
     }
 
     fn hop(&self, frame: u64) -> u64 {
-        (frame.saturating_sub(self.base) as f64 / (self.rate_hz * HOP_S)).round() as u64
+        (frame.saturating_sub(self.base) as f64 / hop_frames(self.rate_hz)).round() as u64
+    }
+
+    fn hop_s(&self) -> f64 {
+        hop_frames(self.rate_hz) / self.rate_hz
     }
 
     /// Measures the group's offset by a tap that another device sensed at index `frame`, by the clock
     /// of this group's first stream. `onset` is the level at which a tap begins.
     pub(super) fn align(&mut self, frame: u64, onset: f64) {
-        let hop = self.hop(frame);
-        let reach = (LARGEST_OFFSET_S / HOP_S) as u64;
+        let (hop, hop_s) = (self.hop(frame), self.hop_s());
+        let reach = (LARGEST_OFFSET_S / hop_s) as u64;
         let window = hop.saturating_sub(reach)..hop + reach;
         if let Some(seen) = onset_in(self.levels.make_contiguous(), self.first, window, onset) {
-            self.offset_s = (seen as f64 - hop as f64) * HOP_S;
+            self.offset_s = (seen as f64 - hop as f64) * hop_s;
         }
     }
 
@@ -90,6 +96,7 @@ impl DeviceGroup {
             // The device has measured its rate, before its first frame.
             self.rate_hz = rate_hz;
             self.channels.iter_mut().for_each(|(_, level)| *level = level.at_rate(rate_hz));
+            self.detector = Detector::new(self.detector.config, self.hop_s());
         }
         let kept = |stream: &Stream| match &stream.buffer {
             StreamBuffer::Series { history, .. } => history.base,
@@ -109,39 +116,37 @@ impl DeviceGroup {
             }
             return found.into_iter().collect();
         }
-        let held = self.detector.in_contact();
-        let mut fresh: Vec<f64> = Vec::new();
-        for (at, level) in &mut self.channels {
-            let Some(StreamBuffer::Series { history, .. }) = alive(*at).map(|s| &s.buffer) else {
-                continue;
-            };
-            let (_, samples) = history.frames(self.next..end);
-            let mut hop = 0;
-            level.feed(samples, held, |x| {
-                match fresh.get_mut(hop) {
-                    Some(highest) => *highest = highest.max(x),
-                    None => fresh.push(x),
-                }
-                hop += 1;
-            });
-        }
-        self.next = end;
-        // A stream that was silent for a while may complete more or fewer hops than the others. So
-        // the sample counter determines the number of hops.
-        let count = ((end - self.base) as f64 / (self.rate_hz * HOP_S)) as u64;
-        let so_far = self.first + self.levels.len() as u64;
-        fresh.resize(count.saturating_sub(so_far) as usize, 0.0);
         let mut events = Vec::new();
-        for level in fresh {
-            self.levels.push_back(level);
-            if self.levels.len() > KEPT_HOPS {
+        loop {
+            let hop = self.first + self.levels.len() as u64;
+            let span = self.frame(hop)..self.frame(hop + 1);
+            if span.end > end {
+                break;
+            }
+            let held = self.detector.in_contact();
+            let mut highest: Option<f64> = None;
+            for (at, level) in &mut self.channels {
+                let new = match alive(*at).map(|stream| &stream.buffer) {
+                    Some(StreamBuffer::Series { history, .. }) => {
+                        let (start, samples) = history.frames(span.clone());
+                        let gaps = history.missing_in(span.clone());
+                        level.hop(samples, gaps.map(|gap| gap.start - start..gap.end - start), held)
+                    }
+                    _ => level.hop(&[], [], held),
+                };
+                highest = new.map_or(highest, |x| Some(highest.map_or(x, |highest| highest.max(x))));
+            }
+            self.next = span.end;
+            self.levels.push_back(highest);
+            if self.levels.len() as f64 * self.hop_s() > KEPT_S {
                 self.levels.pop_front();
                 self.first += 1;
             }
-            events.extend(self.detector.hop(level));
-        }
-        if events.contains(&DetectorEvent::NoiseTimeout) {
-            self.channels.iter_mut().for_each(|(_, level)| level.relearn());
+            let event = self.detector.hop(highest);
+            if event == Some(DetectorEvent::NoiseTimeout) {
+                self.channels.iter_mut().for_each(|(_, level)| level.relearn());
+            }
+            events.extend(event);
         }
         events
     }
@@ -150,7 +155,7 @@ impl DeviceGroup {
     fn restart(&mut self, base: u64) {
         (self.base, self.next, self.first) = (base, base, 0);
         self.levels.clear();
-        self.detector = Detector::new(self.detector.config);
+        self.detector = Detector::new(self.detector.config, self.hop_s());
         self.channels.iter_mut().for_each(|(_, level)| level.relearn());
     }
 }

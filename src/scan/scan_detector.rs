@@ -74,7 +74,11 @@ impl ScanDetector {
 
     /// Detects taps and drags in the frames that have come out of the rings, and sets marks.
     pub(super) fn update(&mut self, streams: &mut [Stream]) {
-        let now_s = self.now_s();
+        self.update_at(self.now_s(), streams);
+    }
+
+    /// Like [`Self::update`], at a time of the time base of all streams.
+    fn update_at(&mut self, now_s: f64, streams: &mut [Stream]) {
         streams.iter_mut().for_each(|stream| stream.observe(now_s));
         for at in 0..self.groups.len() {
             let group = &mut self.groups[at];
@@ -152,7 +156,11 @@ impl ScanDetector {
                 }
                 self.begin(Some(Contact { lead: at, tap, start }), streams, now_s);
             }
-            DetectorEvent::End { end } if self.leads(at) => {
+            DetectorEvent::End { end, cut } if self.leads(at) => {
+                if cut {
+                    let why = "a gap in its data hides a part of it";
+                    self.marks.push(Mark::Spoil { why: why.into() });
+                }
                 let ended_s = self.time_s(at, end, streams).unwrap_or(now_s).clamp(0.0, now_s);
                 self.end(streams, ended_s, |this, stream| this.index(at, end, stream, streams));
             }
@@ -279,3 +287,6 @@ impl PlacedCut {
         Mark::Open(Open { cut: self.cut.clone(), start, rate_hz })
     }
 }
+
+#[cfg(test)]
+mod tests;

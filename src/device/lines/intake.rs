@@ -1,20 +1,39 @@
 //! Turns rows of numbers into frames of the streams, without I/O and without a clock.
 //!
 //! A row is one frame of every stream. A column that counts rows or microseconds shows exactly how
-//! many frames are missing. Without such a column, only a silence of at least [`SILENCE_S`] counts
-//! as missing frames, by its duration. An unusable row also counts as missing, so that indexes keep
-//! time.
+//! many frames are missing. Without such a column, a silence of at least [`SILENCE_S`] counts as
+//! missing frames, as far as the rows that come after it do not make up for it: such rows were only
+//! late, so they are held back until this shows. An unusable row also counts as missing, so that
+//! indexes keep time.
 
+use super::lateness::{Lateness, RowClock};
 use super::parser::{Line, LineParser};
-use crate::device::serial::{ErrorCounts, gap};
+use crate::device::serial::{ErrorCounts, LEAST_RESTART_S, gap};
 use crate::scene::SourceId;
 
-/// Seconds of silence from which frames count as missing, if no column counts rows or time.
-const SILENCE_S: f64 = 0.5;
+/// Seconds of silence, and its least number of rows, from which frames may be missing, if no column
+/// tells their number.
+const SILENCE_S: f64 = 0.1;
+const SILENCE_ROWS: f64 = 4.0;
+/// Rows are held back until they come no less late for this many seconds, but at most for
+/// [`MOST_HELD_S`].
+const SETTLED_S: f64 = 0.25;
+const MOST_HELD_S: f64 = 10.0;
+/// Rows this much later than before a silence, in seconds and as a share of the silence, lack nothing.
+const LATE_S: f64 = 0.05;
+const LATE: f64 = 0.02;
+/// Seconds over which the lateness of rows is compared.
+const LOOKBACK_S: f64 = 1.0;
+/// Seconds without rows before a header that shows a restart.
+const RESTART_S: f64 = 0.5;
 /// Number of consecutive rows of another width after which the columns count as changed.
 const CHANGED: u32 = 20;
-/// Values at which counters of the usual widths (8, 16, 32 bits) start again from 0.
-const WRAPS: [u64; 3] = [1 << 8, 1 << 16, 1 << 32];
+/// Values at which clocks of 16 and 32 bits start again from 0.
+const CLOCK_WRAPS: [f64; 2] = [65_536.0, 4_294_967_296.0];
+/// Numbers of values, other than powers of two, after which counters begin again.
+const DECIMAL_WRAPS: [f64; 5] = [100.0, 1000.0, 10_000.0, 99_999.0, 100_000.0];
+/// Highest power of two at which a counter may begin again; an f64 holds all numbers up to it.
+const MOST_BITS: i32 = 53;
 
 /// A column, given by its place (counted from 1) or by its name in the header.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
@@ -50,7 +69,7 @@ const LONGEST_GAP: &str = "lines are missing in the longest gap";
 const RESTARTS: &str = "restarts of the device";
 
 #[derive(Debug, PartialEq)]
-pub(super) enum LinesEvent<'a> {
+pub(crate) enum LinesEvent<'a> {
     Frames {
         stream: usize,
         samples: &'a [f32],
@@ -67,8 +86,24 @@ struct Layout {
     count: Option<usize>,
 }
 
+/// Rows that are held back, since it is not clear yet how many were lost before them.
+#[derive(Debug)]
+struct Held {
+    /// Times of the last row before the silence, and of the first after it.
+    silent_s: f64,
+    since_s: f64,
+    /// The least lateness before the silence; the least since then, and when that was.
+    before_s: f64,
+    least_s: f64,
+    least_at_s: f64,
+    /// Number of missing frames, if that is known up to a multiple of `unit`.
+    counted: u64,
+    unit: f64,
+    reopened: bool,
+}
+
 #[derive(Debug, Default)]
-pub(super) struct LinesIntake {
+pub(crate) struct LinesIntake {
     streams: Vec<LinesStream>,
     count: Option<Count>,
     pub rate_hz: f64,
@@ -86,35 +121,40 @@ pub(super) struct LinesIntake {
     last: f64,
     last_s: f64,
     reopened: bool,
-    /// Number of lines in the bytes of the latest `feed`.
-    at_once: u64,
+    /// Number of frames so far, missing ones included.
+    pub frames: u64,
+    /// The number of values of the column of row numbers, once it has begun again.
+    wrap: Option<f64>,
+    clock: Option<RowClock>,
+    lateness: Option<Lateness>,
+    held: Option<Held>,
     /// Samples of each stream that are not passed on yet.
     blocks: Vec<Vec<f32>>,
 }
 
 impl LinesIntake {
     /// Makes `streams` of rows that come at `rate_hz`. A scale that is `None` counts as 1.
-    pub(super) fn new(streams: Vec<LinesStream>, count: Option<Count>, rate_hz: f64) -> Self {
+    pub(crate) fn new(streams: Vec<LinesStream>, count: Option<Count>, rate_hz: f64) -> Self {
         let blocks = vec![Vec::new(); streams.len()];
         Self { streams, count, rate_hz, blocks, ..Self::default() }
     }
 
     /// To be called when the line was reopened. `half`: the first bytes may begin within a line.
-    pub(super) fn reopened(&mut self, half: bool) {
+    pub(crate) fn reopened(&mut self, half: bool) {
         self.parser.reopened(half);
         self.reopened = true;
     }
 
     /// Parses bytes that arrived at `now_s` (seconds of any clock that never goes back); passes
     /// frames and gaps to `on`, in order. Returns the number of rows that became frames.
-    pub(super) fn feed(
+    pub(crate) fn feed(
         &mut self,
         bytes: &[u8],
         now_s: f64,
         mut on: impl FnMut(LinesEvent<'_>),
     ) -> u64 {
         let rows = self.rows;
-        self.at_once = bytes.iter().filter(|byte| **byte == b'\n').count() as u64;
+        self.settle(now_s, &mut on);
         // Rows borrow from the parser, so it is taken out while `self` is used.
         let mut parser = std::mem::take(&mut self.parser);
         parser.feed(bytes, |line| match line {
@@ -124,13 +164,16 @@ impl LinesIntake {
             Line::TooLong => self.unusable(TOO_LONG, &mut on),
         });
         self.parser = parser;
-        self.flush(&mut on);
+        self.settle(now_s, &mut on);
+        if self.held.is_none() {
+            self.flush(&mut on);
+        }
         self.rows - rows
     }
 
     fn header(&mut self, names: &[String], now_s: f64) {
         // Only a header after a silence is a restart, since some programs repeat their header.
-        let restarted = self.rows > 0 && now_s - self.last_s >= SILENCE_S;
+        let restarted = self.rows > 0 && now_s - self.last_s >= RESTART_S;
         self.errors.add(RESTARTS, u64::from(restarted));
         if self.names != names {
             self.names = names.to_vec();
@@ -142,14 +185,99 @@ impl LinesIntake {
     /// Counts an unusable line. Unless a column counts the rows, the line is a missing frame.
     fn unusable(&mut self, why: &'static str, on: &mut impl FnMut(LinesEvent<'_>)) {
         self.errors.add(why, 1);
-        if self.count.is_none() && self.rows > 0 {
+        // While rows are held back, it shows in their lateness.
+        if self.count.is_none() && self.rows > 0 && self.held.is_none() {
             self.miss(1, on);
         }
     }
 
     fn miss(&mut self, frames: u64, on: &mut impl FnMut(LinesEvent<'_>)) {
         self.flush(on);
+        self.frames += frames;
         on(LinesEvent::Missing(frames));
+    }
+
+    /// Counts missing frames as a gap.
+    fn gap(&mut self, missing: u64, on: &mut impl FnMut(LinesEvent<'_>)) {
+        if missing > 0 {
+            self.errors.add(GAPS, 1);
+            self.errors.highest(LONGEST_GAP, missing);
+            self.miss(missing, on);
+        }
+    }
+
+    /// Passes on the rows that are held back, once it is clear how many frames are missing before them.
+    fn settle(&mut self, now_s: f64, on: &mut impl FnMut(LinesEvent<'_>)) {
+        let Some(held) = &self.held else { return };
+        let late_s = held.least_s - held.before_s;
+        let in_time = late_s <= LATE_S + LATE * held.silent_s;
+        let settled = now_s - held.least_at_s >= SETTLED_S || now_s - held.since_s >= MOST_HELD_S;
+        if in_time || settled {
+            self.release(on);
+        }
+    }
+
+    fn release(&mut self, on: &mut impl FnMut(LinesEvent<'_>)) {
+        let Some(held) = self.held.take() else { return };
+        let late_s = held.least_s - held.before_s;
+        let in_time = late_s <= LATE_S + LATE * held.silent_s;
+        let by_time = if in_time && !held.reopened { 0.0 } else { late_s * self.rate_hz };
+        let more = ((by_time - held.counted as f64) / held.unit).round().max(0.0) * held.unit;
+        let mut missing = held.counted + more as u64;
+        if held.reopened {
+            missing = missing.max((LEAST_RESTART_S * self.rate_hz).ceil() as u64);
+        }
+        // The gap comes before the rows that were held back.
+        let mut blocks = self.blocks.clone();
+        self.blocks.iter_mut().for_each(Vec::clear);
+        self.gap(missing, on);
+        std::mem::swap(&mut self.blocks, &mut blocks);
+        self.flush(on);
+        self.lateness = None;
+    }
+
+    /// Notes a row that came at `now_s`. After a silence, holds back the rows from this one on, if
+    /// `counted` rows are missing plus an unknown multiple of `unit`.
+    fn arrived(
+        &mut self,
+        now_s: f64,
+        unknown: Option<(u64, f64)>,
+        on: &mut impl FnMut(LinesEvent<'_>),
+    ) {
+        let late_s = now_s - self.frames as f64 / self.rate_hz;
+        let silent_s = now_s - self.last_s;
+        let is_silent = silent_s >= SILENCE_S.max(SILENCE_ROWS / self.rate_hz) || self.reopened;
+        if let (Some((counted, unit)), true, true) = (unknown, is_silent, self.rows > 0) {
+            if self.held.is_some() && self.reopened {
+                self.release(on);
+            }
+            if self.held.is_none() {
+                self.flush(on);
+                let late_s = now_s - self.frames as f64 / self.rate_hz;
+                let before_s = self.lateness.as_ref().and_then(Lateness::least);
+                self.held = Some(Held {
+                    silent_s,
+                    since_s: now_s,
+                    before_s: before_s.unwrap_or(self.last_s - self.frames as f64 / self.rate_hz),
+                    least_s: late_s,
+                    least_at_s: now_s,
+                    counted,
+                    unit,
+                    reopened: self.reopened,
+                });
+            }
+        }
+        match &mut self.held {
+            // Less late by less than half of what counts as late is no progress.
+            Some(held) if late_s < held.least_s - 0.5 * LATE_S => {
+                (held.least_s, held.least_at_s) = (late_s, now_s);
+            }
+            Some(held) => held.least_s = held.least_s.min(late_s),
+            None => {
+                let lateness = self.lateness.get_or_insert_with(|| Lateness::new(LOOKBACK_S));
+                lateness.add(now_s, late_s);
+            }
+        }
     }
 
     fn flush(&mut self, on: &mut impl FnMut(LinesEvent<'_>)) {
@@ -184,16 +312,17 @@ impl LinesIntake {
             return self.unusable(NOT_NUMBERS, on);
         }
         let counted = layout.count.map(|column| row[column]);
-        let (missing, restarted) = self.missing_before(counted, now_s);
+        let (missing, restarted, unknown) = self.missing_before(counted, now_s);
         self.errors.add(RESTARTS, u64::from(restarted));
         if missing > 0 {
-            self.errors.add(GAPS, 1);
-            self.errors.highest(LONGEST_GAP, missing);
-            self.miss(missing, on);
+            self.release(on);
+            self.gap(missing, on);
         }
+        self.arrived(now_s, unknown, on);
         self.last_s = now_s;
         self.reopened = false;
         self.rows += 1;
+        self.frames += 1;
         let Some(layout) = &self.layout else { return };
         for (block, (columns, factor)) in self.blocks.iter_mut().zip(&layout.picks) {
             // The cast is safe: values fit into f32, and a measured factor makes them smaller.
@@ -201,36 +330,78 @@ impl LinesIntake {
         }
     }
 
-    /// Number of frames missing before a row, and whether the row's counter restarted.
-    fn missing_before(&mut self, counted: Option<f64>, now_s: f64) -> (u64, bool) {
-        let silent_s = now_s - self.last_s;
-        let first = self.rows == 0;
-        let Some(value) = counted else {
-            // Rows that come together after a silence were only late, so they are subtracted.
-            let silent = silent_s >= SILENCE_S || self.reopened;
-            let by_clock = (silent_s * self.rate_hz).round().max(0.0) as u64;
-            return match silent && !first {
-                true => (by_clock.saturating_sub(self.at_once), false),
-                false => (0, false),
-            };
-        };
+    /// Number of frames that are known to be missing before a row, and whether the row's counter
+    /// restarted. After a silence, the number may be unknown; it is then a number plus any multiple of
+    /// a unit.
+    fn missing_before(
+        &mut self,
+        counted: Option<f64>,
+        now_s: f64,
+    ) -> (u64, bool, Option<(u64, f64)>) {
+        let Some(value) = counted else { return (0, false, Some((0, 1.0))) };
         let before = std::mem::replace(&mut self.last, value);
-        if first {
-            return (0, false);
+        if self.rows == 0 {
+            return (0, false, None);
         }
+        let silent_s = now_s - self.last_s;
         let by_time = matches!(self.count, Some(Count::Micros(_)));
-        let rows = if by_time { 1e-6 * self.rate_hz } else { 1.0 };
-        // By time, the least is 1: a row that comes a little early still is the next row.
-        let steps = |to: f64| ((to - before) * rows).round().max(f64::from(u8::from(by_time)));
-        let most = (silent_s + 1.0) * self.rate_hz + 1.0;
-        let wrapped = WRAPS.iter().map(|wrap| *wrap as f64).filter(|wrap| before < *wrap);
-        let mut wrapped = wrapped.map(|wrap| steps(value + wrap));
         // The row before has index 0, so a row that follows it directly has index 1.
-        let index = match value > before {
-            true => steps(value) as u64,
-            false => wrapped.find(|steps| *steps <= most).unwrap_or(0.0) as u64,
+        let index = match by_time {
+            true => self.index_by_clock(value, before, silent_s),
+            false => self.index_by_counter(value, before, silent_s),
         };
-        gap(Some(1), index, 1, silent_s, self.rate_hz, self.reopened)
+        let is_silent = silent_s >= SILENCE_S || self.reopened;
+        let wrap = self.wrap.filter(|wrap| !by_time && *wrap < MOST_HELD_S * self.rate_hz);
+        if let (Some(wrap), true, 1..) = (wrap, is_silent, index) {
+            return (0, false, Some((index - 1, wrap)));
+        }
+        let (missing, restarted) =
+            gap(Some(1), index, 1, silent_s, self.rate_hz, self.reopened);
+        if restarted {
+            self.wrap = None;
+            self.clock.iter_mut().for_each(RowClock::restart);
+        }
+        (missing, restarted, None)
+    }
+
+    /// Index of a row after the one `before`, by a counter that may have begun again; 0 if it restarted.
+    fn index_by_counter(&mut self, value: f64, before: f64, silent_s: f64) -> u64 {
+        if value > before {
+            return (value - before).round() as u64;
+        }
+        let most = (silent_s + 1.0) * self.rate_hz + 1.0;
+        let binary = (1..=MOST_BITS).map(|bits| f64::from(bits).exp2());
+        let known = self.wrap.into_iter();
+        let mut wraps: Vec<f64> = DECIMAL_WRAPS.into_iter().chain(binary).collect();
+        wraps.sort_unstable_by(f64::total_cmp);
+        // A counter that begins with 1 ends with the number of its values.
+        let fits = |wrap: &f64| (1.0..=most).contains(&(value + wrap - before).round());
+        let Some(wrap) = known.chain(wraps).filter(|wrap| before <= *wrap).find(fits) else {
+            return 0;
+        };
+        let index = (value + wrap - before).round() as u64;
+        if index == 1 {
+            self.wrap = Some(wrap);
+        }
+        index
+    }
+
+    /// Index of a row after the one `before`, by a column of microseconds; 0 if its clock restarted.
+    fn index_by_clock(&mut self, value: f64, before: f64, silent_s: f64) -> u64 {
+        let most_us = 1e6 * (silent_s + 1.0);
+        // A clock may stand still for a row that comes at the same moment.
+        let wraps = CLOCK_WRAPS.into_iter().filter(|wrap| before < *wrap);
+        let step_us = match value >= before {
+            true => Some(value - before),
+            false => wraps.map(|wrap| value + wrap - before).find(|step| *step <= most_us),
+        };
+        let clock = self.clock.get_or_insert_with(|| RowClock::new(self.rate_hz));
+        step_us.map_or(0, |step_us| 1 + clock.missing(step_us))
+    }
+
+    /// The rate in Hz by the column of microseconds; `None` if there is none, or too few rows.
+    pub(super) fn clock_hz(&self) -> Option<f64> {
+        self.clock.as_ref()?.measured_hz
     }
 
     fn lay_out(&self, width: usize) -> Result<Layout, String> {

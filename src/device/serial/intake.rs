@@ -9,7 +9,7 @@ use surfaced_wire::{DecodeError, Decoder, Hello, Message, Samples, Status};
 use crate::scene::SourceId;
 
 /// Least length of the gap at a restart, in seconds: too long for a scan to go on across it.
-pub(super) const LEAST_RESTART_S: f64 = 2e-3;
+pub(in crate::device) const LEAST_RESTART_S: f64 = 2e-3;
 /// Seconds by which a jump of the index may be longer than the silence before it, since data that
 /// the system had buffered arrive late. A longer jump counts as a restart.
 const LATEST_S: f64 = 10.0;
