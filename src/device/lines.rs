@@ -21,7 +21,7 @@ use super::{
 use crate::ring::Sink;
 use crate::system;
 
-use address::put_back;
+use address::{Drops, OpenLine, put_back};
 
 pub use address::LinesAddress;
 pub use intake::{Column, Count, LinesStream};
@@ -31,13 +31,19 @@ use intake::GARBAGE;
 
 pub(crate) use intake::{LinesEvent, LinesIntake};
 
-/// Pause after each read, so that one read takes many lines, even if each line is sent by itself.
+/// Pause after a read that did not fill half of the buffer, so that one read takes many lines, even if
+/// each line is sent by itself.
 const GATHER: Duration = Duration::from_millis(4);
 /// Rate in Hz for which a device's ring is sized while the device's rate is not known.
 const UNKNOWN_HZ: f64 = 20_000.0;
 /// Seconds between two checks of the rate, and the least relative error that is reported.
 const PACE_S: f64 = 10.0;
-const PACE: f64 = 0.02;
+const PACE: f64 = 0.01;
+/// Fewest rows by which a rate that is counted within [`PACE_S`] must differ.
+const PACE_ROWS: f64 = 3.0;
+/// Time between two looks at what the system has dropped.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+const DROPPED: &str = "datagrams were dropped by the system, since they came too fast";
 
 /// A sensor that prints lines of numbers. A rate or scale of `None` is measured in the first
 /// seconds, whose lines are then dropped.
@@ -61,9 +67,10 @@ struct Work<'a> {
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
     begin: Instant,
-    /// Number of rows since the last check of the rate, and the time of that check.
+    /// Number of frames before the last check of the rate, and the time of that check.
     pace: (u64, Instant),
     off_pace: bool,
+    drops: Option<Drops>,
 }
 
 impl Lines {
@@ -99,9 +106,10 @@ impl Device for Lines {
         let intake = |rate_hz| LinesIntake::new(streams.clone(), count.clone(), rate_hz);
         let intake = rate_hz.filter(|_| scaled).map(intake);
         let (pace, off_pace) = ((0, begin), false);
-        let mut work = Work { config, intake, sinks, link, begin, pace, off_pace };
+        let mut work = Work { config, intake, sinks, link, begin, pace, off_pace, drops: None };
         keep_connected(link, RETRY, || {
-            let (mut line, path) = address.open()?;
+            let OpenLine { mut line, path, drops } = address.open()?;
+            work.drops = drops;
             link.state(DeviceState::Opening, path.clone());
             match work.follow(&mut line) {
                 // The device ends with its pipe, which cannot be reopened.
@@ -130,15 +138,21 @@ fn survey(
         };
         survey.feed(&buffer[..n], begin.elapsed().as_secs_f64());
         all.extend_from_slice(&buffer[..n]);
-        std::thread::sleep(GATHER);
+        gather(n);
     }
     Ok((survey, all))
+}
+
+fn gather(read: usize) {
+    if read < BUFFER / 2 {
+        std::thread::sleep(GATHER);
+    }
 }
 
 /// Opens `address` and surveys its lines; gives up if no row comes within `patience`. The bytes
 /// read from standard input can be read again afterwards. An error says what to do.
 pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, String> {
-    let (mut line, path) = address.open().map_err(|error| error.to_string())?;
+    let OpenLine { mut line, path, .. } = address.open().map_err(|error| error.to_string())?;
     let until = Instant::now() + patience;
     // Gives up only before the first row; later, this waits until the survey is complete.
     let stopped = |survey: &Survey| !survey.has_rows() && Instant::now() >= until;
@@ -198,15 +212,20 @@ impl Work<'_> {
         let mut buffer = vec![0; BUFFER + 1];
         let waits = self.config.address == LinesAddress::Stdin;
         let (mut rows_at, mut reported_at) = (Instant::now(), Instant::now());
-        self.pace = (0, rows_at);
+        let mut looked_at = rows_at;
+        self.measure_from(rows_at);
         while !self.link.stopped() {
             let n = read_some(line, &mut buffer)?;
             let now = Instant::now();
+            if now - looked_at >= LOOK_EVERY {
+                looked_at = now;
+                self.look_at_drops();
+            }
             if self.take(&buffer[..n], (now - self.begin).as_secs_f64(), waits) {
                 rows_at = now;
                 self.link.state(DeviceState::Streaming, "");
             } else if now - rows_at >= STALLED {
-                self.pace = (0, now);
+                self.measure_from(now);
                 self.link.state(DeviceState::Stalled, self.why_silent());
             }
             self.look_at_pace(now);
@@ -215,7 +234,7 @@ impl Work<'_> {
                 reported_at = now;
             }
             if !waits {
-                std::thread::sleep(GATHER);
+                gather(n);
             }
         }
         Ok(())
@@ -223,7 +242,7 @@ impl Work<'_> {
 
     /// Takes bytes. Returns whether they completed any frames.
     fn take(&mut self, bytes: &[u8], now_s: f64, waits: bool) -> bool {
-        let Self { intake: Some(intake), sinks, link, pace, .. } = self else { return false };
+        let Self { intake: Some(intake), sinks, link, .. } = self else { return false };
         let mut overflowed = 0;
         let rows = intake.feed(bytes, now_s, |event| match event {
             LinesEvent::Frames { stream, samples } => {
@@ -239,8 +258,22 @@ impl Work<'_> {
             }
         });
         intake.errors.add(OVERFLOWED, overflowed);
-        pace.0 += rows;
         rows > 0
+    }
+
+    /// Counts what the system dropped. Each datagram holds at least a line.
+    fn look_at_drops(&mut self) {
+        let Self { intake: Some(intake), sinks, drops: Some(drops), .. } = self else { return };
+        let dropped = drops.fresh();
+        intake.errors.add(DROPPED, dropped);
+        intake.dropped(dropped, |event| {
+            let LinesEvent::Missing(frames) = event else { return };
+            sinks.iter_mut().filter_map(Sink::series).for_each(|sink| sink.skip(frames));
+        });
+    }
+
+    fn measure_from(&mut self, now: Instant) {
+        self.pace = (self.intake.as_ref().map_or(0, |intake| intake.frames), now);
     }
 
     fn why_silent(&self) -> String {
@@ -255,19 +288,25 @@ impl Work<'_> {
     /// Warns if the rate of the lines differs from the configured or first measured one. Small
     /// differences are clock drift, which the scan's clock follows, and need no warning.
     fn look_at_pace(&mut self, now: Instant) {
-        let (rows, since) = self.pace;
+        let (Some(intake), (frames, since)) = (&self.intake, self.pace) else { return };
         let passed_s = (now - since).as_secs_f64();
         if passed_s < PACE_S {
             return;
         }
-        self.pace = (0, now);
-        let seen_hz = rows as f64 / passed_s;
-        let rate_hz = self.intake.as_ref().map_or(seen_hz, |intake| intake.rate_hz);
-        let off = (seen_hz / rate_hz - 1.0).abs() > PACE;
+        // Frames that are missing count, too: they were sampled, but not received.
+        let counted_hz = intake.frames.saturating_sub(frames) as f64 / passed_s;
+        let (seen_hz, least_hz) = match intake.clock_hz() {
+            Some(clock_hz) => (clock_hz, 0.0),
+            None => (counted_hz, PACE_ROWS / passed_s),
+        };
+        let rate_hz = intake.rate_hz;
+        let off = (seen_hz - rate_hz).abs() > (PACE * rate_hz).max(least_hz);
+        self.measure_from(now);
         if off && !self.off_pace {
+            let seen_hz = intake::rounded(seen_hz);
             self.link.warn(format!(
-                "{seen_hz:.0} lines come a second, but {rate_hz} are expected; correct rate_hz of \
-                 its [[lines]] in the configuration"
+                "its rate is {seen_hz} Hz, but {rate_hz} Hz are expected, so scans are recorded at a \
+                 wrong rate; say rate_hz = {seen_hz} in its [[lines]] of the configuration"
             ));
         }
         self.off_pace = off;

@@ -162,6 +162,10 @@ fn integer(sample: &[u8]) -> i32 {
     }
 }
 
+/// Name of a chunk that holds the rate in Hz as f64, if it is no whole number. The header then holds
+/// the nearest whole number, and programs that do not know the chunk skip it.
+pub(crate) const EXACT_RATE: [u8; 4] = *b"rate";
+
 /// Codes of sample formats, from the `fmt ` chunk of a WAV file.
 const PCM: u16 = 1;
 const FLOAT: u16 = 3;
@@ -172,7 +176,7 @@ struct WavData {
     /// [`PCM`] or [`FLOAT`].
     format: u16,
     channels: u16,
-    rate_hz: u32,
+    rate_hz: f64,
     /// Bytes per sample, 1 to 4. A sample with fewer bits fills the upper bits of its bytes, by the
     /// rules of WAVE_FORMAT_EXTENSIBLE, and is read as if it used all bits.
     container: u16,
@@ -183,7 +187,7 @@ impl WavData {
     fn outline(self) -> Outline {
         let channels = usize::from(self.channels);
         let frames = self.length as usize / (channels * usize::from(self.container));
-        Outline { rate_hz: f64::from(self.rate_hz), channels, frames }
+        Outline { rate_hz: self.rate_hz, channels, frames }
     }
 }
 
@@ -243,7 +247,7 @@ fn walk_wav(file: &mut BufReader<File>) -> io::Result<WavData> {
     if &riff[..4] != b"RIFF" || &riff[8..] != b"WAVE" {
         return Err(no("it does not begin with RIFF and WAVE"));
     }
-    let mut format = None;
+    let (mut format, mut exact_hz) = (None, None);
     loop {
         let [id @ .., a, b, c, d] = take::<8>(file)?;
         let length = u32::from_le_bytes([a, b, c, d]);
@@ -254,7 +258,10 @@ fn walk_wav(file: &mut BufReader<File>) -> io::Result<WavData> {
                 if u64::from(length) % u64::from(data.container * data.channels) != 0 {
                     return Err(no("its samples do not fill whole frames"));
                 }
-                return Ok(WavData { length: u64::from(length), ..data });
+                // A program that has resampled a file may have kept the rate before.
+                let exact_hz = exact_hz.filter(|hz: &f64| (hz - data.rate_hz).abs() <= 0.5);
+                let rate_hz = exact_hz.unwrap_or(data.rate_hz);
+                return Ok(WavData { length: u64::from(length), rate_hz, ..data });
             }
             b"fmt " if length >= 16 => {
                 let mut body = [0; 40];
@@ -262,6 +269,9 @@ fn walk_wav(file: &mut BufReader<File>) -> io::Result<WavData> {
                 file.read_exact(&mut body[..kept])?;
                 format = Some(parse_format(&body[..kept])?);
                 file.seek_relative(i64::from(length) - kept as i64 + i64::from(length % 2))?;
+            }
+            id if *id == EXACT_RATE && length == 8 => {
+                exact_hz = Some(f64::from_le_bytes(take(file)?)).filter(|hz| *hz > 0.0);
             }
             // An odd-sized chunk is followed by a byte of padding.
             _ => file.seek_relative(i64::from(length) + i64::from(length % 2))?,
@@ -304,7 +314,7 @@ fn parse_format(body: &[u8]) -> io::Result<WavData> {
              example with `sox IN.wav -b 24 OUT.wav`"
         )));
     }
-    let rate_hz = u32::from_le_bytes([body[4], body[5], body[6], body[7]]);
+    let rate_hz = f64::from(u32::from_le_bytes([body[4], body[5], body[6], body[7]]));
     Ok(WavData { format, channels, rate_hz, container, length: 0 })
 }
 

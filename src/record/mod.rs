@@ -20,6 +20,7 @@ use jiff::Timestamp;
 use crate::dataset;
 use crate::library::files::number_in;
 use crate::library::recording::{DESCRIPTION, UNFINISHED};
+use crate::library::series_file::EXACT_RATE;
 use crate::library::{About, LibraryError};
 use crate::scene::{Domain, MOST_CHANNELS, Scene, SourceSpec};
 use crate::system;
@@ -285,9 +286,9 @@ fn check(spec: &SourceSpec, signal: &Signal) -> Result<(), String> {
 /// An error says why WAV cannot hold the series.
 fn wav(series: &Series) -> Result<Vec<u8>, String> {
     let rate_hz = series.rate_hz();
-    let sample_rate = rate_hz as u32;
-    if f64::from(sample_rate) != rate_hz {
-        return Err(format!("WAV files hold whole rates, not {rate_hz} Hz; resample it"));
+    let sample_rate = rate_hz.round() as u32;
+    if sample_rate == 0 {
+        return Err(format!("WAV files hold no rate as low as {rate_hz} Hz"));
     }
     let (samples, channels) = (series.samples(), series.channels());
     if samples.len() > Series::MOST_SAMPLES || channels > MOST_CHANNELS {
@@ -315,7 +316,15 @@ fn wav(series: &Series) -> Result<Vec<u8>, String> {
         writer.finalize()
     };
     write().map_err(|error| error.to_string())?;
-    Ok(bytes.into_inner())
+    let mut bytes = bytes.into_inner();
+    if f64::from(sample_rate) != rate_hz {
+        let chunk = [&EXACT_RATE[..], &8_u32.to_le_bytes(), &rate_hz.to_le_bytes()].concat();
+        // The size of the file without its first 8 bytes, and the place of the first chunk.
+        let size = (bytes.len() - 8 + chunk.len()) as u32;
+        bytes[4..8].copy_from_slice(&size.to_le_bytes());
+        bytes.splice(12..12, chunk);
+    }
+    Ok(bytes)
 }
 
 /// The 16-bit integer that is exactly 2^15 times the sample; `None` if there is none.
@@ -380,6 +389,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
+    use crate::library::series_file;
 
     #[test]
     fn moments_become_calendar_dates() {
@@ -403,8 +413,18 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_rate_is_refused() {
-        let series = Series::new(0.5, 1, vec![0.0]).unwrap();
-        assert!(wav(&series).unwrap_err().contains("not 0.5 Hz"));
+    fn a_rate_that_is_no_whole_number_comes_back() {
+        let dir = tempfile::tempdir().unwrap();
+        for rate_hz in [12.5, 12.0, 119.05, 0.75] {
+            let series = Series::new(rate_hz, 2, vec![0.25, 0.1, -0.5, 0.3]).unwrap();
+            let path = dir.path().join("a.wav");
+            fs::write(&path, wav(&series).unwrap()).unwrap();
+            assert_eq!(series_file::read(&path).unwrap(), series);
+            // Other programs read the nearest whole rate.
+            let other = hound::WavReader::open(&path).unwrap();
+            assert_eq!(f64::from(other.spec().sample_rate), rate_hz.round());
+            assert_eq!(other.duration(), 2);
+        }
+        assert!(wav(&Series::new(0.25, 1, vec![0.0]).unwrap()).unwrap_err().contains("0.25 Hz"));
     }
 }

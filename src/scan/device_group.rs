@@ -134,7 +134,8 @@ impl DeviceGroup {
                     }
                     _ => level.hop(&[], [], held),
                 };
-                highest = new.map_or(highest, |x| Some(highest.map_or(x, |highest| highest.max(x))));
+                highest =
+                    new.map_or(highest, |x| Some(highest.map_or(x, |highest| highest.max(x))));
             }
             self.next = span.end;
             self.levels.push_back(highest);

@@ -8,6 +8,7 @@ mod windows;
 
 use std::fs::{self, File};
 use std::io;
+use std::net::UdpSocket;
 use std::path::Path;
 
 use tempfile::NamedTempFile;
@@ -78,6 +79,27 @@ impl Drop for Locked {
     fn drop(&mut self) {
         // If this fails, closing the file ends the lock, so the error is ignored.
         let _ = self.0.unlock();
+    }
+}
+
+/// The number of datagrams that the system has dropped at a socket so far, since its buffer was full;
+/// `None` except on Linux.
+pub(crate) fn datagrams_dropped(socket: &UdpSocket) -> Option<u64> {
+    #[cfg(target_os = "linux")]
+    {
+        // The tenth field of a line is the socket's inode, and the last is the number.
+        let inode = rustix::fs::fstat(socket).ok()?.st_ino.to_string();
+        let tables = ["/proc/thread-self/net/udp", "/proc/thread-self/net/udp6"];
+        let tables = tables.iter().filter_map(|table| fs::read_to_string(table).ok());
+        tables.into_iter().find_map(|table| {
+            let of = |line: &&str| line.split_ascii_whitespace().nth(9) == Some(&inode);
+            table.lines().find(of)?.split_ascii_whitespace().last()?.parse().ok()
+        })
+    }
+    #[cfg(not(target_os = "linux"))]
+    {
+        let _ = socket;
+        None
     }
 }
 

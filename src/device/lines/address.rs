@@ -10,6 +10,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use crate::device::OpenError;
 use crate::device::serial::{Selector, WAIT};
+use crate::system;
 
 /// Default rate of a microcontroller's serial port, in baud.
 const BAUD: u32 = 115_200;
@@ -86,24 +87,58 @@ impl LinesAddress {
         format!("no lines of numbers come; check {check}")
     }
 
-    /// Opens the address, and returns a reader with its name. A read times out after a moment.
-    pub fn open(&self) -> Result<(Box<dyn Read>, String), OpenError> {
+    /// Opens the address. A read times out after a moment.
+    pub(super) fn open(&self) -> Result<OpenLine, OpenError> {
+        let mut drops = None;
         let line: Box<dyn Read> = match self {
             Self::Serial(port, baud) => {
-                return port.open_at(*baud).map(|(port, path)| (port as Box<dyn Read>, path));
+                let (port, path) = port.open_at(*baud)?;
+                return Ok(OpenLine { line: port as Box<dyn Read>, path, drops });
             }
             Self::Tcp(host) => Box::new(connect(host).map_err(|error| {
                 let what = "start the program that sends there, or correct the address";
                 OpenError::Failed(format!("tcp://{host}: {error}; {what}"))
             })?),
-            Self::Udp(host) => Box::new(listen(host).map_err(|error| {
-                let what = "name an address of this machine whose port is free, such as \
-                            udp://0.0.0.0:5005";
-                OpenError::Failed(format!("udp://{host}: {error}; {what}"))
-            })?),
+            Self::Udp(host) => {
+                let datagrams = listen(host).map_err(|error| {
+                    let what = "name an address of this machine whose port is free, such as \
+                                udp://0.0.0.0:5005";
+                    OpenError::Failed(format!("udp://{host}: {error}; {what}"))
+                })?;
+                drops = Drops::of(&datagrams.socket);
+                Box::new(datagrams)
+            }
             Self::Stdin => Box::new(StandardInput),
         };
-        Ok((line, self.to_string()))
+        Ok(OpenLine { line, path: self.to_string(), drops })
+    }
+}
+
+/// An address that was opened.
+pub(super) struct OpenLine {
+    pub line: Box<dyn Read>,
+    /// What was opened, such as the path of a serial port.
+    pub path: String,
+    /// `None` where nobody counts what is dropped before it is read.
+    pub drops: Option<Drops>,
+}
+
+/// The number of datagrams that the system has dropped at a socket, since nobody read them in time.
+pub(super) struct Drops {
+    socket: UdpSocket,
+    seen: u64,
+}
+
+impl Drops {
+    fn of(socket: &UdpSocket) -> Option<Self> {
+        let seen = system::datagrams_dropped(socket)?;
+        Some(Self { socket: socket.try_clone().ok()?, seen })
+    }
+
+    /// The number of datagrams that were dropped since the last call.
+    pub(super) fn fresh(&mut self) -> u64 {
+        let now = system::datagrams_dropped(&self.socket).unwrap_or(self.seen);
+        now.saturating_sub(std::mem::replace(&mut self.seen, now))
     }
 }
 
@@ -124,22 +159,50 @@ fn connect(host: &str) -> io::Result<TcpStream> {
 /// Reads datagrams as one text. A datagram's last line ends with the datagram.
 struct Datagrams {
     socket: UdpSocket,
+    /// The latest datagram and its line end, of which `kept` bytes are not read yet.
     datagram: Vec<u8>,
+    kept: usize,
 }
 
 fn listen(host: &str) -> io::Result<Datagrams> {
     let socket = UdpSocket::bind(host)?;
     socket.set_read_timeout(Some(WAIT))?;
-    Ok(Datagrams { socket, datagram: vec![0; DATAGRAM + 1] })
+    Ok(Datagrams { socket, datagram: vec![0; DATAGRAM + 1], kept: 0 })
+}
+
+impl Datagrams {
+    fn receive(&mut self) -> io::Result<()> {
+        let n = self.socket.recv(&mut self.datagram[..DATAGRAM])?;
+        self.datagram[n] = b'\n';
+        self.kept = n + 1;
+        Ok(())
+    }
+
+    /// Moves datagrams that have arrived to `buffer`; returns the number of bytes.
+    fn take_all(&mut self, buffer: &mut [u8]) -> usize {
+        let mut n = 0;
+        while n + self.kept <= buffer.len() {
+            buffer[n..n + self.kept].copy_from_slice(&self.datagram[..self.kept]);
+            n += std::mem::take(&mut self.kept);
+            // If none has arrived, or receiving fails, the next read says so.
+            if self.receive().is_err() {
+                break;
+            }
+        }
+        n
+    }
 }
 
 impl Read for Datagrams {
-    /// The buffer must hold the longest datagram and one more byte, like the driver's buffer.
+    /// Waits for a datagram, and takes all that have arrived. The buffer must hold the longest
+    /// datagram and one more byte, like the driver's buffer.
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let n = self.socket.recv(&mut self.datagram[..DATAGRAM])?;
-        self.datagram[n] = b'\n';
-        let n = (n + 1).min(buffer.len());
-        buffer[..n].copy_from_slice(&self.datagram[..n]);
+        if self.kept == 0 {
+            self.receive()?;
+        }
+        self.socket.set_nonblocking(true)?;
+        let n = self.take_all(buffer);
+        self.socket.set_nonblocking(false)?;
         Ok(n)
     }
 }
@@ -212,12 +275,35 @@ mod tests {
         let to = port.socket.local_addr().unwrap();
         sender.send_to(b"1,2", to).unwrap();
         sender.send_to(b"3,4\n", to).unwrap();
+        // One read may take several datagrams.
         let (mut text, mut buffer) = (Vec::new(), vec![0; DATAGRAM + 1]);
         while text.len() < 9 {
             let n = port.read(&mut buffer).unwrap();
             text.extend_from_slice(&buffer[..n]);
         }
         assert_eq!(text, b"1,2\n3,4\n\n");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn what_the_system_drops_is_counted() {
+        let mut port = listen("127.0.0.1:0").unwrap();
+        let mut drops = Drops::of(&port.socket).unwrap();
+        let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let to = port.socket.local_addr().unwrap();
+        // More than fits into the buffer of a socket.
+        let sent = 20_000;
+        for _ in 0..sent {
+            sender.send_to(b"1,2", to).unwrap();
+        }
+        let (mut text, mut buffer) = (Vec::new(), vec![0; DATAGRAM + 1]);
+        while let Ok(n) = port.read(&mut buffer) {
+            text.extend_from_slice(&buffer[..n]);
+        }
+        let dropped = drops.fresh();
+        assert!(dropped > 0);
+        assert_eq!(text.len() as u64 / 4 + dropped, sent);
+        assert_eq!(drops.fresh(), 0);
     }
 
     #[test]

@@ -92,14 +92,26 @@ struct Held {
     /// Times of the last row before the silence, and of the first after it.
     silent_s: f64,
     since_s: f64,
-    /// The least lateness before the silence; the least since then, and when that was.
+    /// The least lateness before the silence, and since then.
     before_s: f64,
     least_s: f64,
-    least_at_s: f64,
+    /// The lateness to which the rows have last made up noticeably, and when that was.
+    progress: (f64, f64),
     /// Number of missing frames, if that is known up to a multiple of `unit`.
     counted: u64,
     unit: f64,
     reopened: bool,
+}
+
+impl Held {
+    /// Seconds by which the rows stay later than those before the silence.
+    fn late_s(&self) -> f64 {
+        self.least_s - self.before_s
+    }
+
+    fn in_time(&self) -> bool {
+        self.late_s() <= LATE_S + LATE * self.silent_s
+    }
 }
 
 #[derive(Debug, Default)]
@@ -208,71 +220,69 @@ impl LinesIntake {
 
     /// Passes on the rows that are held back, once it is clear how many frames are missing before them.
     fn settle(&mut self, now_s: f64, on: &mut impl FnMut(LinesEvent<'_>)) {
-        let Some(held) = &self.held else { return };
-        let late_s = held.least_s - held.before_s;
-        let in_time = late_s <= LATE_S + LATE * held.silent_s;
-        let settled = now_s - held.least_at_s >= SETTLED_S || now_s - held.since_s >= MOST_HELD_S;
-        if in_time || settled {
+        let is_settled = |held: &Held| {
+            let settled = now_s - held.progress.1 >= SETTLED_S;
+            held.in_time() || settled || now_s - held.since_s >= MOST_HELD_S
+        };
+        if self.held.as_ref().is_some_and(is_settled) {
             self.release(on);
         }
     }
 
     fn release(&mut self, on: &mut impl FnMut(LinesEvent<'_>)) {
         let Some(held) = self.held.take() else { return };
-        let late_s = held.least_s - held.before_s;
-        let in_time = late_s <= LATE_S + LATE * held.silent_s;
-        let by_time = if in_time && !held.reopened { 0.0 } else { late_s * self.rate_hz };
+        let late_s = if held.in_time() && !held.reopened { 0.0 } else { held.late_s() };
+        let by_time = late_s * self.rate_hz;
         let more = ((by_time - held.counted as f64) / held.unit).round().max(0.0) * held.unit;
-        let mut missing = held.counted + more as u64;
-        if held.reopened {
-            missing = missing.max((LEAST_RESTART_S * self.rate_hz).ceil() as u64);
-        }
+        let least = if held.reopened { LEAST_RESTART_S * self.rate_hz } else { 0.0 };
+        let missing = (held.counted + more as u64).max(least.ceil() as u64);
         // The gap comes before the rows that were held back.
-        let mut blocks = self.blocks.clone();
-        self.blocks.iter_mut().for_each(Vec::clear);
+        let rows = std::mem::replace(&mut self.blocks, vec![Vec::new(); self.streams.len()]);
         self.gap(missing, on);
-        std::mem::swap(&mut self.blocks, &mut blocks);
+        self.blocks = rows;
         self.flush(on);
-        self.lateness = None;
+        let mut lateness = Lateness::new(LOOKBACK_S);
+        lateness.add(held.progress.1, held.least_s - missing as f64 / self.rate_hz);
+        self.lateness = Some(lateness);
     }
 
-    /// Notes a row that came at `now_s`. After a silence, holds back the rows from this one on, if
-    /// `counted` rows are missing plus an unknown multiple of `unit`.
+    /// Notes a row that came at `now_s`. After a silence, holds back the rows from this one on if the
+    /// number of missing ones is `unknown`: a number, plus any multiple of a unit.
     fn arrived(
         &mut self,
         now_s: f64,
         unknown: Option<(u64, f64)>,
         on: &mut impl FnMut(LinesEvent<'_>),
     ) {
+        if self.reopened {
+            self.release(on);
+        }
         let late_s = now_s - self.frames as f64 / self.rate_hz;
         let silent_s = now_s - self.last_s;
         let is_silent = silent_s >= SILENCE_S.max(SILENCE_ROWS / self.rate_hz) || self.reopened;
-        if let (Some((counted, unit)), true, true) = (unknown, is_silent, self.rows > 0) {
-            if self.held.is_some() && self.reopened {
-                self.release(on);
-            }
-            if self.held.is_none() {
-                self.flush(on);
-                let late_s = now_s - self.frames as f64 / self.rate_hz;
-                let before_s = self.lateness.as_ref().and_then(Lateness::least);
-                self.held = Some(Held {
-                    silent_s,
-                    since_s: now_s,
-                    before_s: before_s.unwrap_or(self.last_s - self.frames as f64 / self.rate_hz),
-                    least_s: late_s,
-                    least_at_s: now_s,
-                    counted,
-                    unit,
-                    reopened: self.reopened,
-                });
-            }
+        if let Some((counted, unit)) = unknown.filter(|_| is_silent && self.rows > 0)
+            && self.held.is_none()
+        {
+            self.flush(on);
+            let before_s = self.lateness.as_ref().and_then(Lateness::least);
+            self.held = Some(Held {
+                silent_s,
+                since_s: now_s,
+                before_s: before_s.unwrap_or(late_s - silent_s),
+                least_s: late_s,
+                progress: (late_s, now_s),
+                counted,
+                unit,
+                reopened: self.reopened,
+            });
         }
         match &mut self.held {
-            // Less late by less than half of what counts as late is no progress.
-            Some(held) if late_s < held.least_s - 0.5 * LATE_S => {
-                (held.least_s, held.least_at_s) = (late_s, now_s);
+            Some(held) => {
+                held.least_s = held.least_s.min(late_s);
+                if held.least_s < held.progress.0 - 0.5 * LATE_S {
+                    held.progress = (held.least_s, now_s);
+                }
             }
-            Some(held) => held.least_s = held.least_s.min(late_s),
             None => {
                 let lateness = self.lateness.get_or_insert_with(|| Lateness::new(LOOKBACK_S));
                 lateness.add(now_s, late_s);
@@ -355,8 +365,7 @@ impl LinesIntake {
         if let (Some(wrap), true, 1..) = (wrap, is_silent, index) {
             return (0, false, Some((index - 1, wrap)));
         }
-        let (missing, restarted) =
-            gap(Some(1), index, 1, silent_s, self.rate_hz, self.reopened);
+        let (missing, restarted) = gap(Some(1), index, 1, silent_s, self.rate_hz, self.reopened);
         if restarted {
             self.wrap = None;
             self.clock.iter_mut().for_each(RowClock::restart);
@@ -399,6 +408,13 @@ impl LinesIntake {
         step_us.map_or(0, |step_us| 1 + clock.missing(step_us))
     }
 
+    /// Notes that the system has dropped this many rows just now.
+    pub(super) fn dropped(&mut self, rows: u64, mut on: impl FnMut(LinesEvent<'_>)) {
+        if rows > 0 && self.count.is_none() && self.rows > 0 && self.held.is_none() {
+            self.gap(rows, &mut on);
+        }
+    }
+
     /// The rate in Hz by the column of microseconds; `None` if there is none, or too few rows.
     pub(super) fn clock_hz(&self) -> Option<f64> {
         self.clock.as_ref()?.measured_hz
@@ -435,6 +451,12 @@ impl LinesIntake {
         };
         Ok(Layout { width, picks, count })
     }
+}
+
+/// A rate to three digits.
+pub(super) fn rounded(rate_hz: f64) -> f64 {
+    let unit = 10_f64.powi(2 - rate_hz.max(1e-3).log10().floor() as i32);
+    (rate_hz * unit).round() / unit
 }
 
 #[cfg(test)]

@@ -107,7 +107,10 @@ fn a_drag_is_found_in_force_above_what_rests_on_the_sensor() {
     let (_, found) = find(SensorKind::Force, 1, RATE_HZ, &samples);
     assert_eq!(
         found,
-        [DetectorEvent::Drag { tap: None, start: 160 }, DetectorEvent::End { end: 560, cut: false }]
+        [
+            DetectorEvent::Drag { tap: None, start: 160 },
+            DetectorEvent::End { end: 560, cut: false }
+        ]
     );
 }
 
@@ -192,5 +195,95 @@ fn infinite_samples_do_not_stop_detection_for_good() {
             panic!("{kind:?}: {found:?}");
         };
         assert!(start.abs_diff(400) <= 2, "{kind:?}: {start}");
+    }
+}
+
+#[test]
+fn drags_are_found_in_slow_streams() {
+    for rate_hz in [12.5, 20.0, 25.0, 50.0, 100.0, 119.0, 150.0, 199.0] {
+        for channels in [1, 3] {
+            let seed = &mut (rate_hz as u32 + channels as u32);
+            let part = |seconds: f64, amplitude: f32, seed: &mut u32| {
+                let still = noise((seconds * rate_hz) as usize * channels, amplitude, seed);
+                still.into_iter().map(|x| 0.5 + x)
+            };
+            let (mut samples, mut drags) =
+                (part(10.0, 0.004, seed).collect::<Vec<_>>(), Vec::new());
+            for _ in 0..6 {
+                let start = samples.len() / channels;
+                samples.extend(part(3.0, 0.3, seed));
+                drags.push((start, samples.len() / channels));
+                samples.extend(part(3.0, 0.004, seed));
+            }
+            let (_, found) = find(SensorKind::Vibration, channels, rate_hz, &samples);
+            let found: Vec<_> = found
+                .chunks(2)
+                .map(|pair| match pair {
+                    [DetectorEvent::Drag { start, .. }, DetectorEvent::End { end, cut: false }] => {
+                        (*start as usize, *end as usize)
+                    }
+                    other => panic!("{rate_hz} Hz, {channels} channels: {other:?}"),
+                })
+                .collect();
+            assert_eq!(found.len(), drags.len(), "{rate_hz} Hz, {channels} channels: {found:?}");
+            // A frame of a drag may be as still as rest.
+            let off =
+                found.iter().zip(&drags).map(|(a, b)| a.0.abs_diff(b.0).max(a.1.abs_diff(b.1)));
+            let most = off.max().unwrap();
+            assert!(most <= 3, "{rate_hz} Hz, {channels} channels: {most} frames off");
+        }
+    }
+}
+
+#[test]
+fn slow_streams_at_rest_have_no_drag() {
+    for (rate_hz, channels) in [(12.5, 1), (20.0, 1), (50.0, 1), (100.0, 3), (199.0, 1)] {
+        let frames = (1200.0 * rate_hz) as usize * channels;
+        // A sum of six, so that some samples lie far from 0.
+        let parts = [1, 2, 3, 4, 5, 6].map(|seed| noise(frames, 0.002, &mut { seed }));
+        let samples: Vec<f32> =
+            (0..frames).map(|i| parts.iter().map(|part| part[i]).sum()).collect();
+        assert_eq!(find(SensorKind::Vibration, channels, rate_hz, &samples).1, [], "{rate_hz} Hz");
+    }
+}
+
+/// Levels of a drag from hop 100 to 300, with a gap; the events.
+fn with_gap(gap: std::ops::Range<u64>) -> Vec<DetectorEvent> {
+    let mut detector = detector();
+    let level = |hop: u64| if (100..300).contains(&hop) { 9.0 } else { 1.0 };
+    (0..1500).filter_map(|hop| detector.hop((!gap.contains(&hop)).then(|| level(hop)))).collect()
+}
+
+#[test]
+fn a_gap_neither_begins_nor_holds_nor_ends_a_drag_and_a_drag_that_it_cut_says_so() {
+    let drag = |start, end, cut| {
+        vec![DetectorEvent::Drag { tap: None, start }, DetectorEvent::End { end, cut }]
+    };
+    assert_eq!(with_gap(0..50), drag(100, 300, false));
+    assert_eq!(with_gap(400..900), drag(100, 300, false));
+    assert_eq!(with_gap(180..220), drag(100, 300, true), "within the drag");
+    assert_eq!(with_gap(80..150), drag(150, 300, true), "where it begins");
+    assert_eq!(with_gap(250..400), drag(100, 250, true), "where it ends");
+    assert_eq!(with_gap(310..400), drag(100, 300, true), "where its quiet is");
+    assert_eq!(with_gap(200..1300), drag(100, 200, true), "a long gap ends it");
+    assert_eq!(with_gap(50..350), []);
+}
+
+#[test]
+fn a_floor_outlasts_a_gap_as_long_as_its_memory_and_filled_frames_do_not_lower_it() {
+    let rate_hz = 400.0;
+    for (gap_s, forgets) in [(0.3, false), (2.0, false), (9.0, false), (11.0, true)] {
+        let mut level = StreamLevel::new(SensorKind::Vibration, 1, rate_hz);
+        let seed = &mut 23;
+        let mut hops = |level: &mut StreamLevel, amplitude: f32, hops: usize| -> Vec<f64> {
+            (0..hops).filter_map(|_| level.hop(&noise(2, amplitude, seed), [], false)).collect()
+        };
+        hops(&mut level, 0.004, 400);
+        for _ in 0..(gap_s / HOP_S) as usize {
+            assert_eq!(level.hop(&[0.1; 2], [0..2], false), None);
+        }
+        let after = hops(&mut level, 0.004, 200);
+        assert!(after.iter().all(|x| *x < 6.0), "{gap_s} s: {after:?}");
+        assert_eq!(after[..50].iter().all(|x| *x == 0.0), forgets, "{gap_s} s");
     }
 }

@@ -86,6 +86,10 @@ fn microseconds_show_losses_whatever_their_jitter() {
     let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
     let (samples, counts) = alone(micros.clone(), &texts);
     assert_eq!((missing(&samples), counts.0[GAPS], counts.0[RESTARTS]), (2, 1, 0), "{samples:?}");
+    // A row that comes late is not a row that is lost.
+    let late = ["1,1000\n", "1,2000\n", "1,3900\n", "1,4050\n", "1,5000\n", "1,7000\n"];
+    let (samples, counts) = alone(micros.clone(), &late);
+    assert_eq!((missing(&samples), counts.0[GAPS]), (1, 1), "{samples:?}");
     let (_, counts) = alone(micros, &["1,5000000\n", "1,5001000\n", "1,900\n", "1,1900\n"]);
     assert_eq!(counts.0[RESTARTS], 1);
 }
@@ -95,14 +99,63 @@ fn without_a_counter_a_silence_is_counted_by_the_clock_and_a_delay_is_not() {
     let mut intake = LinesIntake::new(vec![stream("x", &[1])], None, 1000.0);
     let mut out = vec![Vec::new()];
     take(&mut intake, b"1\n", 0.0, &mut out);
-    take(&mut intake, b"2\n", 0.3, &mut out);
-    assert_eq!(missing(&out[0]), 0);
+    // All of them were only late.
+    take(&mut intake, "2\n".repeat(300).as_bytes(), 0.3, &mut out);
+    assert_eq!((missing(&out[0]), out[0].len()), (0, 301));
     // After two seconds of silence, half a second of rows arrives late, and the rest is lost.
-    take(&mut intake, "3\n".repeat(500).as_bytes(), 2.3, &mut out);
-    assert_eq!((missing(&out[0]), out[0].len()), (1500, 2002));
+    take(&mut intake, "3\n".repeat(100).as_bytes(), 2.3, &mut out);
+    take(&mut intake, "3\n".repeat(400).as_bytes(), 2.3, &mut out);
+    assert_eq!(out[0].len(), 301, "not clear yet");
+    take(&mut intake, b"", 2.6, &mut out);
+    assert_eq!((missing(&out[0]), out[0].len()), (1500, 2301));
+    assert!(out[0][301..1801].iter().all(|x| x.is_nan()), "the gap is where the silence was");
     intake.reopened(false);
-    take(&mut intake, b"4\n", 2.401, &mut out);
-    assert_eq!(missing(&out[0]), 1600);
+    take(&mut intake, b"4\n", 2.7, &mut out);
+    take(&mut intake, b"", 3.0, &mut out);
+    assert_eq!(missing(&out[0]), 1900);
+}
+
+#[test]
+fn rows_that_come_in_bursts_do_not_count_twice() {
+    // 12.5 Hz in blocks of some seconds, as by a pipe; 400 Hz by a network that stalls.
+    for (rate_hz, every_s, parts) in [(12.5, 4.0, 1), (400.0, 1.7, 20), (400.0, 0.3, 3)] {
+        let mut intake = LinesIntake::new(vec![stream("x", &[1])], None, rate_hz);
+        let (mut out, mut sent) = (vec![Vec::new()], 0);
+        for burst in 1..50 {
+            let now_s = f64::from(burst) * every_s;
+            let due = (now_s * rate_hz) as usize;
+            for part in 1..=parts {
+                let until = sent + (due - sent) * part / parts;
+                let late_s = part as f64 * 5e-3;
+                take(&mut intake, "1\n".repeat(until - sent).as_bytes(), now_s + late_s, &mut out);
+                sent = until;
+            }
+        }
+        take(&mut intake, b"", 300.0, &mut out);
+        assert_eq!((missing(&out[0]), out[0].len()), (0, sent), "{rate_hz} Hz");
+    }
+}
+
+#[test]
+fn counters_of_any_length_lose_nothing_and_show_what_is_lost() {
+    let powers = (2..=32).map(|bits| 1_u64 << bits);
+    for (values, first) in powers
+        .chain([100, 1000, 10_000, 99_999, 100_000])
+        .flat_map(|values| [(values, 0), (values, 1)])
+    {
+        let rows = Some(Count::Rows(Column::Place(1)));
+        let mut intake = LinesIntake::new(vec![stream("x", &[2])], rows, 1000.0);
+        let mut out = vec![Vec::new()];
+        let start = values - 50.min(values);
+        // A row is lost after the counter has begun again once, if it is short.
+        let lost = |row: u64| row == 61 && values > 50;
+        for row in (0..500).filter(|row| !lost(*row)) {
+            let text = format!("{},1\n", first + (start + row) % values);
+            take(&mut intake, text.as_bytes(), row as f64 * 1e-3, &mut out);
+        }
+        let expected = usize::from(values > 50);
+        assert_eq!((missing(&out[0]), out[0].len()), (expected, 500), "{values} from {first}");
+    }
 }
 
 #[test]
