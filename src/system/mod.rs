@@ -92,7 +92,7 @@ pub(crate) fn datagrams_dropped(socket: &UdpSocket) -> Option<u64> {
         let tables = ["/proc/thread-self/net/udp", "/proc/thread-self/net/udp6"];
         let tables = tables.iter().filter_map(|table| fs::read_to_string(table).ok());
         tables.into_iter().find_map(|table| {
-            let of = |line: &&str| line.split_ascii_whitespace().nth(9) == Some(&inode);
+            let of = |line: &&str| line.split_ascii_whitespace().nth(9) == Some(inode.as_str());
             table.lines().find(of)?.split_ascii_whitespace().last()?.parse().ok()
         })
     }

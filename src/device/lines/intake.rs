@@ -246,6 +246,11 @@ impl LinesIntake {
         self.lateness = Some(lateness);
     }
 
+    fn is_after_silence(&self, now_s: f64) -> bool {
+        let least_s = SILENCE_S.max(SILENCE_ROWS / self.rate_hz);
+        self.rows > 0 && (now_s - self.last_s >= least_s || self.reopened)
+    }
+
     /// Notes a row that came at `now_s`. After a silence, holds back the rows from this one on if the
     /// number of missing ones is `unknown`: a number, plus any multiple of a unit.
     fn arrived(
@@ -254,13 +259,12 @@ impl LinesIntake {
         unknown: Option<(u64, f64)>,
         on: &mut impl FnMut(LinesEvent<'_>),
     ) {
-        if self.reopened {
+        if self.reopened || unknown.is_some_and(|(counted, _)| counted > 0) {
             self.release(on);
         }
         let late_s = now_s - self.frames as f64 / self.rate_hz;
         let silent_s = now_s - self.last_s;
-        let is_silent = silent_s >= SILENCE_S.max(SILENCE_ROWS / self.rate_hz) || self.reopened;
-        if let Some((counted, unit)) = unknown.filter(|_| is_silent && self.rows > 0)
+        if let Some((counted, unit)) = unknown.filter(|_| self.is_after_silence(now_s))
             && self.held.is_none()
         {
             self.flush(on);
@@ -360,7 +364,7 @@ impl LinesIntake {
             true => self.index_by_clock(value, before, silent_s),
             false => self.index_by_counter(value, before, silent_s),
         };
-        let is_silent = silent_s >= SILENCE_S || self.reopened;
+        let is_silent = self.is_after_silence(now_s);
         let wrap = self.wrap.filter(|wrap| !by_time && *wrap < MOST_HELD_S * self.rate_hz);
         if let (Some(wrap), true, 1..) = (wrap, is_silent, index) {
             return (0, false, Some((index - 1, wrap)));
