@@ -9,6 +9,7 @@ use std::time::Duration;
 use super::{Done, Failure, show};
 use crate::device::lines::{ColumnSurvey, LinesAddress, SURVEY_S, survey_of};
 use crate::device::list::{self, ListedDevice};
+use crate::printable::Printable;
 use crate::station::config::fitting;
 
 /// List serial ports, microphones and cameras with stable ids, and the problems of each
@@ -42,6 +43,12 @@ struct Watched {
     /// Lines per second; `None` if that cannot be measured.
     rate_hz: Option<f64>,
     columns: Vec<ColumnSurvey>,
+    /// The first lines as they came.
+    first_lines: Vec<String>,
+    /// Share of the lines that are rows, from 0 to 1.
+    fitting_share: f64,
+    /// What was found out and should be known.
+    remarks: Vec<String>,
     /// The reason why no configuration fits the sensor, and what to do.
     problem: Option<String>,
     configuration: Option<String>,
@@ -128,10 +135,14 @@ fn watch(address: &LinesAddress, args: &Args) -> Done {
         port: address.to_string(),
         rate_hz: survey.rate_hz().ok(),
         columns: survey.columns(),
+        first_lines: survey.first_lines().to_vec(),
+        fitting_share: survey.fitting_share(),
+        remarks: survey.remarks(),
         problem: fitting.as_ref().err().cloned(),
         configuration: fitting.as_ref().ok().cloned(),
     };
     show::result(args.json, &watched, show_watched);
+    watched.remarks.iter().for_each(|remark| say!("{remark}"));
     let configuration = fitting.map_err(|why| Failure::Failed(format!("{address}: {why}")))?;
     let Some(file) = &args.write else {
         show::next(&format!("surfaced devices --watch {address} --write station.toml"));
@@ -158,13 +169,18 @@ fn write_new(path: &Path, text: &str) -> Done {
     file.write_all(text.as_bytes()).map_err(failed)
 }
 
-fn show_watched(Watched { port, rate_hz, columns, .. }: &Watched) {
+fn show_watched(Watched { port, rate_hz, columns, first_lines, .. }: &Watched) {
+    first_lines.iter().for_each(|line| result!("  > {}", Printable(line)));
+    if columns.is_empty() {
+        return;
+    }
     let rate = rate_hz.map_or("an unknown rate".to_string(), |rate_hz| format!("{rate_hz} Hz"));
     result!("{port}: lines of {} at {rate}", show::counted(columns.len(), "column"));
     for (at, column) in columns.iter().enumerate() {
         let name = column.name.as_deref().unwrap_or_default();
         let range = match (column.lowest, column.highest, column.counts) {
             (_, _, Some(counts)) => format!("counts {counts}"),
+            (Some(low), _, _) if column.constant => format!("always {low}"),
             (Some(low), Some(high), _) => format!("{low} to {high}"),
             _ => "no numbers".into(),
         };

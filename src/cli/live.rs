@@ -99,6 +99,7 @@ fn surveyed(address: &LinesAddress) -> Result<StationConfig, Failure> {
     say!("learning what comes from {address}, for {SURVEY_S} s; leave the sensor at rest");
     let survey = survey_of(address, SURVEY_PATIENCE).map_err(Failure::Failed)?;
     let text = fitting(address, &survey).map_err(Failure::Failed)?;
+    survey.remarks().iter().for_each(|remark| say!("{address}: {remark}"));
     let config = StationConfig::parse(&text, Path::new("what was learnt"))?;
     for lines in &config.lines {
         let columns = lines.streams.iter().map(|stream| stream.columns.len()).sum::<usize>();

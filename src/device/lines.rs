@@ -5,10 +5,15 @@
 //! come from. [`Lines`] is the device made of these parts.
 
 mod address;
+mod cells;
+mod clocks;
+mod commas;
+mod form;
 mod intake;
 mod lateness;
 mod parser;
 mod survey;
+mod swaps;
 
 use std::io::Read;
 use std::time::{Duration, Instant};
@@ -52,6 +57,8 @@ pub struct LinesConfig {
     pub address: LinesAddress,
     pub rate_hz: Option<f64>,
     pub count: Option<Count>,
+    /// Whether commas are decimal commas; `None` to find out.
+    pub decimal_comma: Option<bool>,
     pub streams: Vec<LinesStream>,
 }
 
@@ -101,9 +108,12 @@ impl Device for Lines {
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         let (config, begin) = (&self.config, Instant::now());
-        let LinesConfig { address, rate_hz, count, streams } = config;
+        let LinesConfig { address, rate_hz, count, decimal_comma, streams } = config;
         let scaled = streams.iter().all(|stream| stream.scale.is_some());
-        let intake = |rate_hz| LinesIntake::new(streams.clone(), count.clone(), rate_hz);
+        let intake = |rate_hz| {
+            let intake = LinesIntake::new(streams.clone(), count.clone(), rate_hz);
+            intake.decimal_comma(*decimal_comma)
+        };
         let intake = rate_hz.filter(|_| scaled).map(intake);
         let (pace, off_pace) = ((0, begin), false);
         let mut work = Work { config, intake, sinks, link, begin, pace, off_pace, drops: None };
@@ -125,10 +135,11 @@ impl Device for Lines {
 /// `half`: the bytes may begin within a row. An error says why the line is lost.
 fn survey(
     line: &mut dyn Read,
-    half: bool,
+    (half, decimal_comma): (bool, Option<bool>),
     mut stopped: impl FnMut(&Survey) -> bool,
 ) -> Result<(Survey, Vec<u8>), String> {
-    let (begin, mut survey, mut all) = (Instant::now(), Survey::new(half), Vec::new());
+    let (begin, mut all) = (Instant::now(), Vec::new());
+    let mut survey = Survey::new(half, decimal_comma);
     let mut buffer = vec![0; BUFFER + 1];
     while !survey.is_complete() && !stopped(&survey) {
         let n = match read_some(line, &mut buffer) {
@@ -137,6 +148,7 @@ fn survey(
             read => read?,
         };
         survey.feed(&buffer[..n], begin.elapsed().as_secs_f64());
+        // The survey ends after so many bytes that these fit into memory.
         all.extend_from_slice(&buffer[..n]);
         gather(n);
     }
@@ -156,16 +168,13 @@ pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, S
     let until = Instant::now() + patience;
     // Gives up only before the first row; later, this waits until the survey is complete.
     let stopped = |survey: &Survey| !survey.has_rows() && Instant::now() >= until;
-    let (survey, bytes) = survey(&mut line, address.begins_half(), stopped)
+    let (survey, bytes) = survey(&mut line, (address.begins_half(), None), stopped)
         .map_err(|why| format!("{path}: {why}"))?;
     if *address == LinesAddress::Stdin {
         put_back(bytes);
     }
-    if !survey.has_rows() {
-        return Err(match survey.is_garbage() {
-            true => format!("{path}: {}", address.no_numbers()),
-            false => format!("{path}: nothing comes; check that the device sends by itself"),
-        });
+    if survey.is_empty() {
+        return Err(format!("{path}: nothing comes; check that the device sends by itself"));
     }
     Ok(survey)
 }
@@ -177,6 +186,7 @@ impl Work<'_> {
             Some(intake) => intake.reopened(self.config.address.begins_half()),
             None => {
                 let (begin, address) = (Instant::now(), &self.config.address);
+                let half = (address.begins_half(), self.config.decimal_comma);
                 let stopped = |survey: &Survey| {
                     if survey.is_garbage() && begin.elapsed() >= STALLED * 4 {
                         self.link.state(DeviceState::Stalled, address.no_numbers());
@@ -184,7 +194,7 @@ impl Work<'_> {
                     self.link.stopped()
                 };
                 let (survey, _) =
-                    survey(line, address.begins_half(), stopped).map_err(Disconnected::Lost)?;
+                    survey(line, half, stopped).map_err(Disconnected::Lost)?;
                 if self.link.stopped() {
                     return Ok(());
                 }
@@ -202,7 +212,8 @@ impl Work<'_> {
     fn measured(&self, survey: &Survey) -> Result<LinesIntake, String> {
         let LinesConfig { rate_hz, count, streams, .. } = self.config;
         let rate_hz = rate_hz.map_or_else(|| survey.rate_hz(), Ok)?;
-        let mut intake = LinesIntake::new(survey.scaled(streams), count.clone(), rate_hz);
+        let intake = LinesIntake::new(survey.scaled(streams), count.clone(), rate_hz);
+        let mut intake = intake.decimal_comma(self.config.decimal_comma);
         intake.names = survey.names().to_vec();
         Ok(intake)
     }
@@ -278,8 +289,9 @@ impl Work<'_> {
 
     fn why_silent(&self) -> String {
         let address = &self.config.address;
+        let why = self.intake.as_ref().and_then(LinesIntake::why_silent);
         match &self.intake {
-            Some(LinesIntake { refused: Some(why), .. }) => why.clone(),
+            _ if why.is_some() => why.unwrap_or_default(),
             Some(intake) if intake.errors.0.contains_key(GARBAGE) => address.no_numbers(),
             _ => format!("no lines come from {address}; check that the device sends by itself"),
         }
@@ -315,6 +327,10 @@ impl Work<'_> {
     fn report(&mut self) {
         if let Some(intake) = &mut self.intake {
             intake.errors.report(self.link);
+            intake.examples.take().into_iter().for_each(|example| self.link.warn(example));
+            if let Some(swapped) = intake.swapped() {
+                self.link.warn(swapped);
+            }
         }
     }
 }

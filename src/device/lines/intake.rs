@@ -8,6 +8,7 @@
 
 use super::lateness::{Lateness, RowClock};
 use super::parser::{Line, LineParser};
+use super::swaps::Swaps;
 use crate::device::serial::{ErrorCounts, LEAST_RESTART_S, gap};
 use crate::scene::SourceId;
 
@@ -61,7 +62,10 @@ pub struct LinesStream {
 /// Errors in lines and frames, which are counted by these texts.
 pub(super) const GARBAGE: &str = "lines held no numbers";
 const TOO_LONG: &str = "lines were too long";
-const OTHER_WIDTH: &str = "lines had another number of columns";
+const OTHER_FORM: &str = "lines had another form";
+const CHECKSUMS: &str = "lines had a wrong checksum";
+const UNCLEAR: &str = "lines had two readings";
+const WORDS: &str = "lines of words stood between the rows";
 const NOT_NUMBERS: &str = "lines had a value that is no number";
 const CHANGES: &str = "changes of the columns";
 const GAPS: &str = "gaps in the lines";
@@ -76,6 +80,39 @@ pub(crate) enum LinesEvent<'a> {
     },
     /// Number of frames that are missing or unusable, in all streams.
     Missing(u64),
+}
+
+/// The first unusable line of each kind.
+#[derive(Debug, Default)]
+pub(super) struct Examples {
+    /// Kinds that have had their example.
+    had: Vec<&'static str>,
+    next: Vec<String>,
+}
+
+impl Examples {
+    fn add(&mut self, why: &'static str, text: &[u8]) {
+        if !text.is_empty() && !self.had.contains(&why) {
+            self.had.push(why);
+            self.next.push(format!("{why}, for example `{}`", shown(text)));
+        }
+    }
+
+    /// Takes the examples that came since the last call.
+    pub(super) fn take(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.next)
+    }
+}
+
+/// A line as text, cut to what a message can hold.
+pub(super) fn shown(line: &[u8]) -> String {
+    const LONGEST: usize = 120;
+    let text = String::from_utf8_lossy(line);
+    let mut short: String = text.chars().take(LONGEST).collect();
+    if short.len() < text.len() {
+        short.push('…');
+    }
+    short
 }
 
 #[derive(Debug)]
@@ -123,12 +160,15 @@ pub(crate) struct LinesIntake {
     /// Names of the columns, from the header; empty without a header.
     pub names: Vec<String>,
     layout: Option<Layout>,
-    /// Number of consecutive rows whose number of columns differs from that in `layout`.
-    misfits: u32,
     /// The reason why rows cannot be used; `None` if they can be used.
     pub refused: Option<String>,
+    /// The first lines of each kind that could not be used, with what they lack, to be shown.
+    pub(super) examples: Examples,
+    swaps: Swaps,
     pub(in crate::device) errors: ErrorCounts,
     rows: u64,
+    /// The column (counted from 0) that made the last row unusable, if it was.
+    dead: Option<usize>,
     /// The last value in the column of row numbers or microseconds.
     last: f64,
     last_s: f64,
@@ -151,6 +191,12 @@ impl LinesIntake {
         Self { streams, count, rate_hz, blocks, ..Self::default() }
     }
 
+    /// Says whether commas in the lines are decimal commas; `None` to find out.
+    pub(super) fn decimal_comma(mut self, decimal_comma: Option<bool>) -> Self {
+        self.parser = LineParser::new(decimal_comma);
+        self
+    }
+
     /// To be called when the line was reopened. `half`: the first bytes may begin within a line.
     pub(crate) fn reopened(&mut self, half: bool) {
         self.parser.reopened(half);
@@ -169,11 +215,21 @@ impl LinesIntake {
         self.settle(now_s, &mut on);
         // Rows borrow from the parser, so it is taken out while `self` is used.
         let mut parser = std::mem::take(&mut self.parser);
-        parser.feed(bytes, |line| match line {
-            Line::Row(row) => self.row(row, now_s, &mut on),
-            Line::Header(names) => self.header(names, now_s),
-            Line::Garbage => self.unusable(GARBAGE, &mut on),
-            Line::TooLong => self.unusable(TOO_LONG, &mut on),
+        parser.feed(bytes, |text, line| {
+            let why = match line {
+                Line::Row(row) => return self.row(row, (text, now_s), &mut on),
+                Line::Header(names) => return self.header(names, now_s),
+                Line::Words => return self.errors.add(WORDS, 1),
+                Line::Unclear(why) => {
+                    self.refused = Some(why.into());
+                    UNCLEAR
+                }
+                Line::Other => OTHER_FORM,
+                Line::Garbage => GARBAGE,
+                Line::Damaged => CHECKSUMS,
+                Line::TooLong => TOO_LONG,
+            };
+            self.unusable(why, text, &mut on);
         });
         self.parser = parser;
         self.settle(now_s, &mut on);
@@ -195,8 +251,9 @@ impl LinesIntake {
     }
 
     /// Counts an unusable line. Unless a column counts the rows, the line is a missing frame.
-    fn unusable(&mut self, why: &'static str, on: &mut impl FnMut(LinesEvent<'_>)) {
+    fn unusable(&mut self, why: &'static str, text: &[u8], on: &mut impl FnMut(LinesEvent<'_>)) {
         self.errors.add(why, 1);
+        self.examples.add(why, text);
         // While rows are held back, it shows in their lateness.
         if self.count.is_none() && self.rows > 0 && self.held.is_none() {
             self.miss(1, on);
@@ -301,30 +358,34 @@ impl LinesIntake {
         }
     }
 
-    fn row(&mut self, row: &[f64], now_s: f64, on: &mut impl FnMut(LinesEvent<'_>)) {
+    fn row(
+        &mut self,
+        row: &[f64],
+        (text, now_s): (&[u8], f64),
+        on: &mut impl FnMut(LinesEvent<'_>),
+    ) {
         if self.layout.as_ref().is_none_or(|layout| layout.width != row.len()) {
-            self.misfits += 1;
-            if self.layout.is_some() && self.misfits < CHANGED {
-                return self.unusable(OTHER_WIDTH, on);
-            }
             match self.lay_out(row.len()) {
                 Ok(layout) => {
                     self.errors.add(CHANGES, u64::from(self.layout.is_some()));
                     (self.layout, self.refused) = (Some(layout), None);
                 }
                 Err(why) => {
+                    self.layout = None;
                     self.refused = Some(why);
-                    return self.unusable(OTHER_WIDTH, on);
+                    return self.unusable(OTHER_FORM, text, on);
                 }
             }
         }
-        self.misfits = 0;
         let Some(layout) = &self.layout else { return };
         let wanted = layout.picks.iter().flat_map(|(columns, _)| columns).chain(&layout.count);
         let fits = |x: f64| x.is_finite() && x.abs() <= f64::from(f32::MAX);
-        if !wanted.map(|&column| row[column]).all(fits) {
-            return self.unusable(NOT_NUMBERS, on);
+        if let Some(&column) = wanted.clone().find(|column| !fits(row[**column])) {
+            self.dead = Some(column);
+            return self.unusable(NOT_NUMBERS, text, on);
         }
+        self.dead = None;
+        self.swaps.add(wanted.map(|&column| row[column]), now_s);
         let counted = layout.count.map(|column| row[column]);
         let (missing, restarted, unknown) = self.missing_before(counted, now_s);
         self.errors.add(RESTARTS, u64::from(restarted));
@@ -454,6 +515,32 @@ impl LinesIntake {
             None => None,
         };
         Ok(Layout { width, picks, count })
+    }
+
+    /// The name of a column (counted from 0), or its place.
+    fn called(&self, column: usize) -> String {
+        match self.names.get(column) {
+            Some(name) => format!("column {} ({name})", column + 1),
+            None => format!("column {}", column + 1),
+        }
+    }
+
+    /// The reason why lines come, but no rows; `None` if the lines are not to blame.
+    pub(super) fn why_silent(&self) -> Option<String> {
+        let dead = |column| format!("{} holds no numbers; check its sensor", self.called(column));
+        self.refused.clone().or_else(|| self.dead.map(dead))
+    }
+
+    /// A warning if two columns seem to have changed places since the last call.
+    pub(super) fn swapped(&mut self) -> Option<String> {
+        let (one, other) = self.swaps.found.take()?;
+        let layout = self.layout.as_ref()?;
+        let wanted: Vec<_> = layout.picks.iter().flat_map(|(columns, _)| columns).collect();
+        let (one, other) = (self.called(**wanted.get(one)?), self.called(**wanted.get(other)?));
+        Some(format!(
+            "{one} and {other} seem to have changed places: each holds the numbers that the other \
+             held; check what the device prints (or has the sensor been turned?)"
+        ))
     }
 }
 

@@ -1,20 +1,39 @@
 //! Parses bytes into rows of numbers, without I/O and without a clock.
 //!
-//! A line ends with `\n` or `\r`. Commas, semicolons, tabs or spaces separate its fields; blanks
-//! around a comma or semicolon are ignored. A field may have a label, as in `ax:0.5`.
+//! A line ends with `\n` or `\r`. The first lines show their form, which all others then must have:
+//! what separates the columns, what stands around the numbers, names, units, decimal commas. A line
+//! of another form is no row, and its numbers count for nothing; only when many such lines follow
+//! each other, they become the form.
+
+use super::cells::{Cells, Kind};
+use super::commas::Commas;
+use super::form::{Form, FormFinder};
 
 /// Longest line in bytes; longer lines are dropped.
 pub(super) const LONGEST_LINE: usize = 4096;
+/// Most bytes of lines that wait until their form is found.
+const MOST_HELD: usize = 4 * LONGEST_LINE;
+/// Most lines of words that are kept as possible names of columns.
+const MOST_HEADERS: usize = 4;
 
 #[derive(Debug, PartialEq)]
 pub(super) enum Line<'a> {
-    /// A line with a number or a missing value (NaN). Any field that is no finite number is NaN.
+    /// A row, which the line completes. A cell that holds no finite number is NaN.
     Row(&'a [f64]),
-    /// A line without numbers, whose fields can all be names of columns.
+    /// A line of words that can be names of columns, or the names that the lines themselves give.
+    /// Names that no longer hold come as an empty list.
     Header(&'a [String]),
-    /// A line that is neither a row nor a header.
+    /// A line of words between the rows, as of a log.
+    Words,
+    /// A line of numbers in another form than that of the rows.
+    Other,
+    /// A line that is none of these.
     Garbage,
+    /// A line whose checksum is wrong.
+    Damaged,
     TooLong,
+    /// A line that has two readings, with what to do.
+    Unclear(&'a str),
 }
 
 #[derive(Debug, Default)]
@@ -24,11 +43,37 @@ pub(super) struct LineParser {
     too_long: bool,
     /// Whether the incomplete line may lack its beginning.
     half: bool,
-    row: Vec<f64>,
-    names: Vec<String>,
+    reader: Reader,
+}
+
+/// Reads whole lines.
+#[derive(Debug, Default)]
+struct Reader {
+    /// The line without colour codes, if it had any.
+    plain: Vec<u8>,
+    cells: Cells,
+    commas: Commas,
+    form: Option<Form>,
+    finder: FormFinder,
+    /// Lines that wait until their form is found, each with a line end.
+    held: Vec<u8>,
+    /// Possible headers, the latest last, each with whether commas, semicolons or bars separate.
+    headers: Vec<(bool, Vec<String>)>,
+    /// The names that were passed on last.
+    told: Vec<String>,
+    /// Number of checksums that were right, and wrong.
+    sums: [u64; 2],
+    unclear: String,
 }
 
 impl LineParser {
+    /// A parser to which `decimal_comma` says whether commas are decimal; `None` to find out.
+    pub(super) fn new(decimal_comma: Option<bool>) -> Self {
+        let mut parser = Self::default();
+        parser.reader.commas.given = decimal_comma;
+        parser
+    }
+
     /// To be called when the line was reopened. `half` says that the next bytes may begin within a
     /// line; this first line then counts only if it is a header.
     pub(super) fn reopened(&mut self, half: bool) {
@@ -36,8 +81,18 @@ impl LineParser {
         (self.too_long, self.half) = (false, half);
     }
 
-    /// Takes bytes, and passes each completed line to `on`. Skips empty lines.
-    pub(super) fn feed(&mut self, bytes: &[u8], mut on: impl FnMut(Line<'_>)) {
+    /// Whether the lines themselves name the columns.
+    pub(super) fn names_itself(&self) -> bool {
+        self.reader.form.as_ref().is_some_and(|form| form.named)
+    }
+
+    /// Whether decimal commas were found.
+    pub(super) fn has_decimal_commas(&self) -> bool {
+        self.reader.commas.were_decimal()
+    }
+
+    /// Takes bytes, and passes each completed line to `on`, with its text. Skips empty lines.
+    pub(super) fn feed(&mut self, bytes: &[u8], mut on: impl FnMut(&[u8], Line<'_>)) {
         let is_end = |byte: &u8| matches!(byte, b'\n' | b'\r');
         let mut rest = bytes;
         while let Some(end) = rest.iter().position(is_end) {
@@ -53,7 +108,7 @@ impl LineParser {
             match std::mem::take(&mut self.too_long) {
                 true => {
                     self.half = false;
-                    on(Line::TooLong);
+                    on(&[], Line::TooLong);
                 }
                 false => self.finish(&line, &mut on),
             }
@@ -71,73 +126,212 @@ impl LineParser {
         }
     }
 
-    fn finish(&mut self, line: &[u8], on: &mut impl FnMut(Line<'_>)) {
+    fn finish(&mut self, line: &[u8], on: &mut impl FnMut(&[u8], Line<'_>)) {
         if line.len() > LONGEST_LINE {
             self.half = false;
-            return on(Line::TooLong);
+            return on(&[], Line::TooLong);
         }
-        let line = line.trim_ascii();
+        let line = line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line).trim_ascii();
         if line.is_empty() {
             return;
         }
         let half = std::mem::take(&mut self.half);
-        self.row.clear();
-        self.row.extend(Fields(Some(line)).map(|field| value_of(field).unwrap_or(f64::NAN)));
-        // Fields are parsed again only if none is a finite number, which is rare.
-        let has_number = self.row.iter().any(|x| !x.is_nan());
-        if has_number || Fields(Some(line)).any(|field| value_of(field).is_some()) {
+        if !line.contains(&0x1b) {
+            return self.reader.line(line, half, on);
+        }
+        let mut plain = std::mem::take(&mut self.reader.plain);
+        without_colours(line, &mut plain);
+        let text = plain.trim_ascii();
+        if !text.is_empty() {
+            self.reader.line(text, half, on);
+        }
+        self.reader.plain = plain;
+    }
+}
+
+/// Copies `line` to `plain` without the codes by which terminals set colours or move the cursor.
+fn without_colours(line: &[u8], plain: &mut Vec<u8>) {
+    plain.clear();
+    let mut rest = line;
+    while let Some(at) = rest.iter().position(|byte| *byte == 0x1b) {
+        plain.extend_from_slice(&rest[..at]);
+        let code = rest[at + 1..].strip_prefix(b"[").unwrap_or_default();
+        // A code ends with a byte from `@` to `~` (ECMA-48, 5.4).
+        let end = code.iter().position(|byte| matches!(byte, b'@'..=b'~'));
+        rest = end.map_or(&rest[at + 1..], |end| &code[end + 1..]);
+    }
+    plain.extend_from_slice(rest);
+}
+
+/// Takes the checksum of NMEA 0183 from `$…*HH`. Returns the line without it, and whether it is
+/// right: the XOR of all bytes between `$` and `*`.
+fn without_checksum(line: &[u8]) -> (&[u8], Option<bool>) {
+    let [b'$' | b'!', inner @ .., b'*', high, low] = line else { return (line, None) };
+    let digit = |byte: u8| char::from(byte).to_digit(16);
+    let (Some(high), Some(low)) = (digit(*high), digit(*low)) else { return (line, None) };
+    let sum = inner.iter().fold(0, |sum, byte| sum ^ u32::from(*byte));
+    (&line[..line.len() - 3], Some(sum == high * 16 + low))
+}
+
+impl Reader {
+    /// Reads a line that is not empty. `half`: it may lack its beginning.
+    fn line(&mut self, line: &[u8], half: bool, on: &mut impl FnMut(&[u8], Line<'_>)) {
+        if line.iter().any(|byte| byte.is_ascii_control() && *byte != b'\t') {
             if !half {
-                on(Line::Row(&self.row));
+                on(line, Line::Garbage);
             }
             return;
         }
-        self.names.clear();
-        self.names.extend(Fields(Some(line)).map_while(name_of).map(String::from));
-        match self.names.len() == self.row.len() {
-            true => on(Line::Header(&self.names)),
-            false if !half => on(Line::Garbage),
-            false => {}
+        let (text, right) = without_checksum(line);
+        if let Some(right) = right {
+            self.sums[usize::from(!right)] += 1;
+            // Where no checksum was ever right, it is of another kind.
+            if !right && self.sums[0] * 2 > self.sums[1] {
+                return on(line, Line::Damaged);
+            }
+        }
+        let decimal = self.commas.are_decimal(text);
+        self.cells.read(text, decimal.unwrap_or(false));
+        let is_row = self.cells.cells.iter().any(|cell| cell.kind == Kind::Number)
+            || self.cells.cells.iter().any(|cell| cell.kind == Kind::Missing) && !self.has_name();
+        if !is_row || self.cells.odd {
+            return self.words(text, half, on);
+        }
+        if half {
+            return;
+        }
+        if decimal.is_none() {
+            self.tell_readings(text);
+            return on(line, Line::Unclear(&self.unclear));
+        }
+        if let Some(form) = &mut self.form
+            && form.take(&self.cells, |row| on(line, Line::Row(row)))
+        {
+            return self.finder.clear();
+        }
+        let Some(form) = self.finder.take(&self.cells, text, self.form.as_ref()) else {
+            return self.no_row(line, on);
+        };
+        let names = self.names_of(&form);
+        self.form = Some(form);
+        if names != self.told {
+            self.told = names;
+            on(line, Line::Header(&self.told));
+        }
+        self.held.extend_from_slice(line);
+        self.held.push(b'\n');
+        self.read_held(on);
+    }
+
+    /// Reads the lines that were held, after their form was found.
+    fn read_held(&mut self, on: &mut impl FnMut(&[u8], Line<'_>)) {
+        let held = std::mem::take(&mut self.held);
+        for line in held.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
+            self.line(line, false, on);
         }
     }
-}
 
-/// Iterates over the fields of a line that is not empty. Removes blanks around fields.
-struct Fields<'a>(Option<&'a [u8]>);
+    /// Takes a line of numbers that does not fit.
+    fn no_row(&mut self, line: &[u8], on: &mut impl FnMut(&[u8], Line<'_>)) {
+        if let Some(form) = &self.form {
+            // Words in a line show a log, unless the rows hold words, too.
+            let log = self.cells.worded && (form.named || !form.worded);
+            return on(line, if log { Line::Words } else { Line::Other });
+        }
+        self.held.extend_from_slice(line);
+        self.held.push(b'\n');
+        if self.held.len() > MOST_HELD {
+            let held = std::mem::take(&mut self.held);
+            let lines = held.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+            lines.for_each(|line| on(line, Line::Other));
+        }
+    }
 
-impl<'a> Iterator for Fields<'a> {
-    type Item = &'a [u8];
-
-    fn next(&mut self) -> Option<&'a [u8]> {
-        let rest = self.0.take()?;
-        let is_mark = |byte: &u8| matches!(byte, b',' | b';');
-        let end = rest.iter().position(|byte| is_mark(byte) || byte.is_ascii_whitespace());
-        let Some(end) = end else { return Some(rest) };
-        let (field, tail) = rest.split_at(end);
-        let tail = tail.trim_ascii_start();
-        let tail = match tail.first().is_some_and(is_mark) {
-            true => tail[1..].trim_ascii_start(),
-            false => tail,
+    /// Takes a line without numbers.
+    fn words(&mut self, line: &[u8], half: bool, on: &mut impl FnMut(&[u8], Line<'_>)) {
+        let (hard, names) = header_of(line);
+        let fits = |form: &Form| form.width() == names.len() && (form.hard == hard || form.named);
+        let renames = match &self.form {
+            Some(form) if form.named => false,
+            // A log's words that happen to be as many as the columns are no names.
+            Some(form) => fits(form) && (hard || names.iter().any(|name| self.told.contains(name))
+                || self.told.is_empty()),
+            None => !names.is_empty(),
         };
-        // Ignores a separator at the end of the line, which many programs print.
-        self.0 = (!tail.is_empty()).then_some(tail);
-        Some(field)
+        if renames {
+            self.headers.retain(|(_, other)| *other != names);
+            self.headers.push((hard, names.clone()));
+            if self.headers.len() > MOST_HEADERS {
+                self.headers.remove(0);
+            }
+            self.told = names;
+            return on(line, Line::Header(&self.told));
+        }
+        let letters = line.iter().filter(|byte| byte.is_ascii_alphabetic() || **byte == b' ').count();
+        match half {
+            true => {}
+            false if 2 * letters >= line.len() => on(line, Line::Words),
+            false => on(line, Line::Garbage),
+        }
+    }
+
+    /// Whether a word of the line can be a name, so that words such as `none` make no row.
+    fn has_name(&self) -> bool {
+        self.cells.cells.iter().any(|cell| cell.kind == Kind::Word)
+    }
+
+    fn names_of(&self, form: &Form) -> Vec<String> {
+        let fits = |(hard, names): &&(bool, Vec<String>)| {
+            names.len() == form.width() && *hard == form.hard
+        };
+        match form.named {
+            true => form.names(),
+            false => {
+                let header = self.headers.iter().rev().find(fits);
+                header.map(|(_, names)| names.clone()).unwrap_or_default()
+            }
+        }
+    }
+
+    fn tell_readings(&mut self, line: &[u8]) {
+        let mut reading = |decimal| {
+            self.cells.read(line, decimal);
+            let numbers = self.cells.cells.iter().map(|cell| cell.value.to_string());
+            numbers.collect::<Vec<_>>().join(" | ")
+        };
+        let (decimal, separate) = (reading(true), reading(false));
+        self.unclear = format!(
+            "`{}` can be the numbers {separate}, or with decimal commas {decimal}; print decimals \
+             with a point, or give decimal = \",\" or decimal = \".\" in its [[lines]] of the \
+             configuration",
+            String::from_utf8_lossy(line)
+        );
     }
 }
 
-/// The number in a field, after its label. NaN for an empty field or a word such as `nan`.
-fn value_of(field: &[u8]) -> Option<f64> {
-    let text = std::str::from_utf8(field).ok()?;
-    let text = text.rsplit_once([':', '=']).map_or(text, |(_, value)| value);
-    if let Ok(value) = text.parse::<f64>() {
-        return Some(if value.is_finite() { value } else { f64::NAN });
-    }
-    let missing = ["", "-", "--", "none", "null", "na", "n/a", "ovf"];
-    missing.iter().any(|word| text.eq_ignore_ascii_case(word)).then_some(f64::NAN)
+/// The names in a line of words, and whether commas, semicolons or bars separate them; no names if
+/// a word cannot be one.
+fn header_of(line: &[u8]) -> (bool, Vec<String>) {
+    let text = line.strip_prefix(b"//").unwrap_or(line);
+    let text = text.strip_prefix(b"#").or(text.strip_prefix(b"%")).unwrap_or(text).trim_ascii();
+    let is_hard = |byte: &u8| matches!(byte, b',' | b';' | b'|');
+    let text = if text.last().is_some_and(is_hard) { &text[..text.len() - 1] } else { text };
+    let hard = text.iter().any(is_hard);
+    let tabs = !hard && text.contains(&b'\t');
+    let is_end = |byte: &u8| match (hard, tabs) {
+        (true, _) => is_hard(byte),
+        (false, true) => *byte == b'\t',
+        (false, false) => *byte == b' ',
+    };
+    let fields = text.split(is_end).map(<[u8]>::trim_ascii).filter(|field| hard || !field.is_empty());
+    let names: Option<Vec<String>> = fields.map(|field| name_of(field).map(String::from)).collect();
+    (hard, names.unwrap_or_default())
 }
 
 fn name_of(field: &[u8]) -> Option<&str> {
     const LONGEST: usize = 64;
-    let text = std::str::from_utf8(field).ok()?.trim_matches(|c| matches!(c, '"' | '#' | ':'));
+    let text = std::str::from_utf8(field).ok()?;
+    let text = text.trim_matches(|c| matches!(c, '"' | '\'' | ':')).trim();
     let fits = text.len() <= LONGEST && text.starts_with(|c: char| c.is_alphabetic() || c == '_');
     (fits && !text.contains(char::is_control)).then_some(text)
 }

@@ -1,23 +1,26 @@
 //! Finds out what an undescribed device sends: its columns, their ranges, the rate, and which
-//! column counts rows or time. Does no I/O and has no clock.
+//! columns count rows, tell the time or never change. Does no I/O and has no clock.
 
-use super::intake::{Column, Count, LinesStream};
+use super::clocks::{FEWEST, MICROS, ROWS, Steps};
+use super::intake::{Column, Count, LinesStream, shown};
 use super::parser::{Line, LineParser};
 use crate::scene::SourceId;
 
 pub const SURVEY_S: f64 = 3.0;
 /// Seconds at the start that do not count for the rate, since early rows may come from a buffer.
 const SETTLE_S: f64 = 0.3;
-/// Fewest rows that suffice to measure a rate.
-const FEWEST: u64 = 20;
-/// Most differences between successive numbers of a column that are kept.
-const MOST_STEPS: usize = 4096;
+/// Most bytes of a survey, so that memory is bounded.
+const MOST_BYTES: u64 = 64 << 20;
 /// Lowest and highest rate of a sensor, in Hz; faster lines come from a file.
 const RATES_HZ: (f64, f64) = (1.0, 200_000.0);
 /// Largest share of full scale that the last printed digit may stand for (a few 16-bit steps).
 const STEP: f64 = 1e-4;
 /// Least ratio of full scale to the highest number seen, since sensors are mostly at rest.
 const ROOM: f64 = 3.0;
+/// Number of first lines that are kept as they came.
+const FIRST_LINES: usize = 5;
+/// Least share of lines that fit, below which that is said.
+const FITTING: f64 = 0.9;
 
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct ColumnSurvey {
@@ -26,23 +29,13 @@ pub struct ColumnSurvey {
     pub lowest: Option<f64>,
     pub highest: Option<f64>,
     pub decimals: i32,
-    /// The unit in which the column counts: `rows`, `microseconds`, or `time` for any other clock.
+    /// The unit in which the column counts: `rows`, `seconds`, `milliseconds`, `microseconds`,
+    /// `nanoseconds`, or `time` for any other clock.
     pub counts: Option<&'static str>,
+    /// Whether all numbers in the column are the same.
+    pub constant: bool,
     #[serde(skip)]
     steps: Steps,
-}
-
-/// The steps (differences) from each number of a column to the next.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct Steps {
-    first: f64,
-    last: f64,
-    numbers: u64,
-    /// Number of steps of exactly 1; `down` is the number of steps that are 0 or negative.
-    ones: u64,
-    down: u64,
-    /// The first steps that go up. Steps near their median are usual, even if rows are lost.
-    up: Vec<f64>,
 }
 
 #[derive(Debug, Default)]
@@ -53,18 +46,27 @@ pub struct Survey {
     /// Time of the first row, in seconds; `None` before it.
     began_s: Option<f64>,
     rows: u64,
-    /// Number of lines that are not rows, or have another number of columns.
+    /// Number of lines that are not rows, or have another form.
     others: u64,
+    /// Number of lines that hold no text, as at a wrong speed of the port.
+    noise: u64,
     bytes: u64,
+    /// The first lines as they came.
+    first_lines: Vec<String>,
+    /// The first line that is a row, and the first that is neither row nor header.
+    fit: Option<String>,
+    misfit: Option<String>,
+    unclear: Option<String>,
     /// Sums of 1, t, rows, t² and t·rows over arrivals after [`SETTLE_S`], to fit a line to them.
     line: [f64; 5],
     last_s: f64,
 }
 
 impl Survey {
-    /// An empty survey. `half` says that the first bytes may begin within a line.
-    pub fn new(half: bool) -> Self {
-        let mut survey = Self::default();
+    /// An empty survey. `half` says that the first bytes may begin within a line, and
+    /// `decimal_comma` whether commas are decimal commas (`None` to find out).
+    pub fn new(half: bool, decimal_comma: Option<bool>) -> Self {
+        let mut survey = Self { parser: LineParser::new(decimal_comma), ..Self::default() };
         survey.parser.reopened(half);
         survey
     }
@@ -72,10 +74,21 @@ impl Survey {
     pub fn feed(&mut self, bytes: &[u8], now_s: f64) {
         self.bytes += bytes.len() as u64;
         let (mut parser, before) = (std::mem::take(&mut self.parser), self.rows);
-        parser.feed(bytes, |line| match line {
-            Line::Row(row) => self.row(row),
-            Line::Header(names) => self.names = names.to_vec(),
-            Line::Garbage | Line::TooLong => self.others += 1,
+        parser.feed(bytes, |text, line| {
+            if self.first_lines.len() < FIRST_LINES && !text.is_empty() {
+                self.first_lines.push(shown(text));
+            }
+            match line {
+                Line::Row(row) => return self.row(row, text),
+                Line::Header(names) => return self.names = names.to_vec(),
+                Line::Unclear(why) => drop(self.unclear.get_or_insert_with(|| why.into())),
+                Line::Garbage | Line::TooLong => self.noise += 1,
+                Line::Words | Line::Other | Line::Damaged => {}
+            }
+            self.others += 1;
+            if !text.is_empty() {
+                self.misfit.get_or_insert_with(|| shown(text));
+            }
         });
         self.parser = parser;
         if self.rows == before {
@@ -91,32 +104,117 @@ impl Survey {
         }
     }
 
-    fn row(&mut self, row: &[f64]) {
+    fn row(&mut self, row: &[f64], text: &[u8]) {
         if self.columns.len() != row.len() {
-            // The number of columns of most rows wins, so a cut row costs only a moment.
-            self.others += u64::from(!self.columns.is_empty());
-            if self.rows > 2 * self.others {
-                return;
-            }
+            // The lines have another form from here on.
+            self.others += self.rows;
+            self.misfit = self.fit.take().or_else(|| self.misfit.take());
+            (self.rows, self.line) = (0, [0.0; 5]);
             self.columns = row.iter().map(|_| ColumnSurvey::default()).collect();
         }
         self.rows += 1;
+        self.fit.get_or_insert_with(|| shown(text));
         for (column, &x) in self.columns.iter_mut().zip(row).filter(|(_, x)| x.is_finite()) {
             column.add(x);
         }
     }
 
-    /// Whether rows have come for [`SURVEY_S`] seconds, and at least `FEWEST` of them.
+    /// Whether rows have come for [`SURVEY_S`] seconds, and at least `FEWEST` of them, or more bytes
+    /// than a survey takes.
     pub fn is_complete(&self) -> bool {
-        self.last_s >= SURVEY_S && self.rows >= FEWEST
+        self.last_s >= SURVEY_S && self.rows >= FEWEST || self.bytes >= MOST_BYTES
     }
 
     pub fn has_rows(&self) -> bool {
         self.rows > 0
     }
 
+    /// Whether no bytes came.
+    pub fn is_empty(&self) -> bool {
+        self.bytes == 0
+    }
+
     pub fn is_garbage(&self) -> bool {
         self.bytes > 0 && !self.has_rows()
+    }
+
+    /// Whether what came is noise rather than text, as at a wrong speed of a port.
+    pub fn is_noise(&self) -> bool {
+        let lines = self.rows + self.others;
+        self.bytes > 0 && (lines == 0 || self.noise * 2 > lines)
+    }
+
+    /// Share of the lines that are rows, headers aside.
+    pub fn fitting_share(&self) -> f64 {
+        self.rows as f64 / (self.rows + self.others).max(1) as f64
+    }
+
+    /// The first lines as they came.
+    pub fn first_lines(&self) -> &[String] {
+        &self.first_lines
+    }
+
+    pub fn has_decimal_commas(&self) -> bool {
+        self.parser.has_decimal_commas()
+    }
+
+    /// The reason why no rows can be made of the lines, and what to do; `None` if they can.
+    pub fn problem(&self) -> Option<String> {
+        if let Some(why) = self.unclear.as_ref().filter(|_| self.rows <= self.others) {
+            return Some(why.clone());
+        }
+        let line = self.misfit.as_ref().or(self.first_lines.first());
+        let line = line.map(|line| format!(", but for example `{line}`")).unwrap_or_default();
+        (!self.has_rows()).then(|| {
+            format!(
+                "no lines of numbers in one form come{line}; print the same names or the same \
+                 number of values in each line"
+            )
+        })
+    }
+
+    /// What was found out and should be known: one line for each subject.
+    pub fn remarks(&self) -> Vec<String> {
+        let columns = self.columns();
+        let mut remarks = Vec::new();
+        if let (Some(fit), Some(misfit)) = (&self.fit, &self.misfit)
+            && self.fitting_share() < FITTING
+        {
+            remarks.push(format!(
+                "only {:.0} % of the lines are rows: `{fit}` is one, and `{misfit}` is not",
+                100.0 * self.fitting_share()
+            ));
+        }
+        if self.has_decimal_commas() {
+            remarks.push("commas are read as decimal commas".into());
+        }
+        let list = |wanted: &dyn Fn(&ColumnSurvey) -> bool| {
+            let all = columns.iter().enumerate().filter(|(_, column)| wanted(column));
+            let called = |(at, column): (usize, &ColumnSurvey)| match &column.name {
+                Some(name) => format!("{} ({name})", at + 1),
+                None => (at + 1).to_string(),
+            };
+            all.map(called).collect::<Vec<_>>().join(", ")
+        };
+        let clocks = list(&|column| column.counts.is_some());
+        if !clocks.is_empty() {
+            remarks.push(format!(
+                "only count or tell the time, so they are no channels: columns {clocks}; name them \
+                 in [lines.sources] to change that"
+            ));
+        }
+        let constant = list(&|column| column.constant);
+        if !constant.is_empty() {
+            let all = columns.iter().all(|column| column.constant || !column.measures());
+            remarks.push(match all {
+                true => format!("constant: columns {constant}; move the sensor to see it work"),
+                false => format!(
+                    "constant, so they are left out: columns {constant}; name them in \
+                     [lines.sources] to change that"
+                ),
+            });
+        }
+        remarks
     }
 
     pub fn names(&self) -> &[String] {
@@ -130,6 +228,7 @@ impl Survey {
         for (at, column) in columns.iter_mut().enumerate() {
             column.name = self.names().get(at).cloned();
             column.counts = column.steps.kind(arrivals_hz);
+            column.constant = column.steps.is_constant();
         }
         columns
     }
@@ -139,17 +238,28 @@ impl Survey {
         self.columns().iter().position(|column| column.counts == Some(kind))
     }
 
+    /// A column by its name, if each line names it, or else by its place.
+    fn column(&self, at: usize) -> Column {
+        let name = self.names().get(at).filter(|name| {
+            let same = self.names.iter().filter(|other| other == name).count();
+            self.parser.names_itself() && same == 1
+        });
+        name.map_or(Column::Place(at + 1), |name| Column::Name(name.clone()))
+    }
+
     /// The column that shows exactly how many rows are lost; `None` if no column does.
     pub fn count(&self) -> Option<Count> {
-        let place = |kind| self.counter(kind).map(|at| Column::Place(at + 1));
+        let place = |kind| self.counter(kind).map(|at| self.column(at));
         place(ROWS).map(Count::Rows).or_else(|| place(MICROS).map(Count::Micros))
     }
 
-    /// The columns that measure something, by their places (counted from 1).
+    /// The columns that measure something. Constant ones are left out, unless all are.
     pub fn measuring(&self) -> Vec<Column> {
-        let columns = self.columns().into_iter().enumerate();
-        let measures = columns.filter(|(_, c)| c.counts.is_none() && c.lowest.is_some());
-        measures.map(|(at, _)| Column::Place(at + 1)).collect()
+        let columns = self.columns();
+        let all_constant = columns.iter().all(|column| column.constant || !column.measures());
+        let wanted = |column: &ColumnSurvey| column.measures() && (all_constant || !column.constant);
+        let columns = columns.iter().enumerate().filter(|(_, column)| wanted(column));
+        columns.map(|(at, _)| self.column(at)).collect()
     }
 
     fn arrivals_hz(&self) -> f64 {
@@ -191,7 +301,12 @@ impl Survey {
             Column::Place(place) => place.checked_sub(1),
             Column::Name(name) => named(name),
         };
-        let seen = columns.iter().filter_map(|column| self.columns.get(place(column)?));
+        let all = self.columns();
+        let seen = columns.iter().filter_map(|column| all.get(place(column)?));
+        let seen: Vec<_> = seen.collect();
+        // A clock that was configured as a channel has no say beside others.
+        let clocks = seen.iter().all(|column| column.counts.is_some());
+        let seen = seen.into_iter().filter(|column| clocks || column.counts.is_none());
         let (mut decimals, mut highest) = (0, 0.0_f64);
         for column in seen {
             decimals = decimals.max(column.decimals);
@@ -233,10 +348,6 @@ fn round_rate(rate_hz: f64) -> f64 {
     (if near { coarse } else { digits(3) }).round().max(1.0)
 }
 
-const ROWS: &str = "rows";
-const MICROS: &str = "microseconds";
-const TIME: &str = "time";
-
 impl ColumnSurvey {
     fn add(&mut self, x: f64) {
         self.lowest = Some(self.lowest.map_or(x, |low| low.min(x)));
@@ -246,47 +357,10 @@ impl ColumnSurvey {
         self.decimals = self.decimals.max(decimals(x));
         self.steps.add(x);
     }
-}
 
-impl Steps {
-    fn add(&mut self, x: f64) {
-        if self.numbers == 0 {
-            self.first = x;
-        } else {
-            let step = x - self.last;
-            self.ones += u64::from(step == 1.0);
-            self.down += u64::from(step <= 0.0);
-            if step > 0.0 && self.up.len() < MOST_STEPS {
-                self.up.push(step);
-            }
-        }
-        self.last = x;
-        self.numbers += 1;
-    }
-
-    fn usual(&self) -> f64 {
-        let mut up = self.up.clone();
-        up.sort_unstable_by(f64::total_cmp);
-        let Some(median) = up.get(up.len() / 2).copied() else { return 0.0 };
-        let near: Vec<f64> =
-            up.into_iter().filter(|step| (step / median - 1.0).abs() < 0.25).collect();
-        near.iter().sum::<f64>() / near.len() as f64
-    }
-
-    /// The unit in which the column counts, for rows at this rate; `None` if it does not count.
-    fn kind(&self, rate_hz: f64) -> Option<&'static str> {
-        let steps = self.numbers.saturating_sub(1).max(1);
-        // Allows a few negative steps, since a counter of 8 bits starts again every 256 rows.
-        if self.numbers < FEWEST || self.down * 100 > steps {
-            return None;
-        }
-        let period_us = 1e6 / rate_hz;
-        match () {
-            () if self.ones * 10 >= steps * 9 => Some(ROWS),
-            () if (self.usual() / period_us - 1.0).abs() < 0.2 => Some(MICROS),
-            () if self.down == 0 => Some(TIME),
-            () => None,
-        }
+    /// Whether the column holds numbers, and does not only count.
+    fn measures(&self) -> bool {
+        self.counts.is_none() && self.lowest.is_some()
     }
 }
 
@@ -296,7 +370,7 @@ mod tests {
 
     /// A survey of four seconds of lines that arrive in bursts, 16 ms apart.
     fn survey(rate_hz: f64, line: impl Fn(u64) -> String) -> Survey {
-        let (mut survey, mut sent) = (Survey::new(true), 0);
+        let (mut survey, mut sent) = (Survey::new(true, None), 0);
         for burst in 1..250 {
             let due = (f64::from(burst) * 0.016 * rate_hz) as u64;
             let text: String = (sent..due).map(&line).collect();
@@ -357,7 +431,7 @@ mod tests {
 
     #[test]
     fn a_file_that_comes_at_once_has_no_rate() {
-        let mut survey = Survey::new(false);
+        let mut survey = Survey::new(false, None);
         for at in 0..2_000 {
             survey.feed("1,2\n".repeat(1000).as_bytes(), f64::from(at) * 2e-3);
         }

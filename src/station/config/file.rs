@@ -53,6 +53,7 @@ pub(super) struct LinesBlock {
     pub rate_hz: Option<Spanned<f64>>,
     pub counter: Option<Spanned<Column>>,
     pub time_us: Option<Spanned<Column>>,
+    pub decimal: Option<Spanned<String>>,
     #[serde(default)]
     pub sources: BTreeMap<String, Spanned<Vec<Column>>>,
     #[serde(default)]

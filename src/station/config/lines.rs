@@ -20,7 +20,7 @@ pub(super) fn describe(file: &mut StationFile) {
 }
 
 pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mistake> {
-    let LinesBlock { port, rate_hz, counter, time_us, sources, scale } = block;
+    let LinesBlock { port, rate_hz, counter, time_us, decimal, sources, scale } = block;
     let address = parsed("port", port)?;
     let rate_hz = rate_hz.as_ref().map(|rate_hz| positive("rate_hz", rate_hz)).transpose()?;
     let count = match (counter, time_us) {
@@ -29,6 +29,14 @@ pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mi
         }
         (Some(column), None) => Some(Count::Rows(checked(column)?.clone())),
         (None, time) => time.as_ref().map(checked).transpose()?.cloned().map(Count::Micros),
+    };
+    let decimal_comma = match decimal.as_ref().map(|sign| (sign, sign.get_ref().as_str())) {
+        None => None,
+        Some((_, ",")) => Some(true),
+        Some((_, ".")) => Some(false),
+        Some((sign, other)) => {
+            return mistake(sign, format!("decimal = \"{other}\"; expected \".\" or \",\""));
+        }
     };
     if sources.is_empty() {
         let problem = "it makes no source; expected for example [lines.sources] sensor = [1, 2, 3]";
@@ -44,7 +52,7 @@ pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mi
         let scale = scale.get(name).map(|scale| positive("scale", scale)).transpose()?;
         streams.push(LinesStream { id, columns: columns.get_ref().clone(), scale });
     }
-    Ok(LinesConfig { address, rate_hz, count, streams })
+    Ok(LinesConfig { address, rate_hz, count, decimal_comma, streams })
 }
 
 const NO_COLUMN: &str = "column 0; columns are counted from 1";
@@ -60,8 +68,11 @@ fn checked(column: &Spanned<Column>) -> Result<&Column, Mistake> {
 const SENSOR: &str = "sensor";
 
 /// The configuration text for a station with only this sensor, from a survey of its lines.
-/// Fails if the sensor's rate cannot be measured, or no column measures.
+/// Fails if the lines cannot be read, the sensor's rate cannot be measured, or no column measures.
 pub(crate) fn fitting(address: &LinesAddress, survey: &Survey) -> Result<String, String> {
+    if let Some(problem) = survey.problem() {
+        return Err(problem);
+    }
     // The name consists of letters only, so it is a valid id.
     let id = SourceId::new(SENSOR).expect("letters name a source");
     let Some(stream) = survey.stream(id) else {
@@ -80,17 +91,19 @@ pub(crate) fn fitting(address: &LinesAddress, survey: &Survey) -> Result<String,
         Some(Count::Micros(column)) => format!("time_us = {}\n", list(&[column])),
         None => String::new(),
     };
+    let decimal = if survey.has_decimal_commas() { "decimal = \",\"\n" } else { "" };
     let names: Vec<&str> = (stream.columns.iter())
         .filter_map(|column| match column {
             Column::Place(place) => survey.names().get(place - 1).map(String::as_str),
-            Column::Name(name) => Some(name),
+            // The name itself stands in the list.
+            Column::Name(_) => None,
         })
         .collect();
     let names = if names.is_empty() { String::new() } else { format!(" # {}", names.join(", ")) };
     Ok(format!(
         "# A station with one sensor that prints lines of numbers.\nformat = 1\n\n\
          [stylus]\npresent = false\n\n[microphone]\npresent = false\n\n[camera]\npresent = false\n\n\
-         [[lines]]\nport = {}\nrate_hz = {rate_hz:?}\n{count}\n\
+         [[lines]]\nport = {}\nrate_hz = {rate_hz:?}\n{count}{decimal}\n\
          # Each source, and the columns that are its channels; rename and divide it as you like.\n\
          [lines.sources]\n{SENSOR} = [{}]{names}\n\n\
          # The factor by which its numbers are about 1 at most.\n\
@@ -115,7 +128,7 @@ mod tests {
 
     #[test]
     fn what_a_survey_finds_is_a_configuration() {
-        let mut survey = Survey::new(false);
+        let mut survey = Survey::new(false, None);
         survey.feed(b"n,\"ax\",ay\n", 0.0);
         for at in 0..2000_u64 {
             let x = (at as f64 * 0.7).sin();
@@ -124,7 +137,7 @@ mod tests {
         let text = fitting(&"/dev/ttyUSB\"0@9600".parse().unwrap(), &survey).unwrap();
         assert!(text.contains("sensor = [2, 3] # ax, ay"), "{text}");
         let config = parse(&text).unwrap();
-        let LinesConfig { address, rate_hz, count, streams } = &config.lines[0];
+        let LinesConfig { address, rate_hz, count, streams, .. } = &config.lines[0];
         assert_eq!(address.to_string(), "/dev/ttyUSB\"0@9600");
         assert_eq!((*rate_hz, count), (Some(400.0), &Some(Count::Rows(Column::Place(1)))));
         assert_eq!(streams[0].scale, Some(0.01));

@@ -1,0 +1,531 @@
+//! Finds the numbers in a line of text, and what stands around them: separators, names, units,
+//! words. Does no I/O, and does not allocate once its buffers have grown.
+
+/// Most cells of a line; a line with more is refused.
+pub(super) const MOST_CELLS: usize = 512;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Kind {
+    Number,
+    /// An empty cell, a word such as `nan`, or a damaged number.
+    Missing,
+    /// Text between separators.
+    Word,
+}
+
+/// A piece of the line, as a range of its bytes.
+pub(super) type Piece = (usize, usize);
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cell {
+    /// NaN unless `kind` is `Number`.
+    pub value: f64,
+    pub kind: Kind,
+    /// Hash of the name, with the place after it; [`LEAD`] and the place before any name.
+    pub name: u64,
+    /// Hash of the unit that is stuck to the number; 0 without a unit.
+    pub unit: u64,
+    /// Words that hold for all names until the next such words, and the name itself.
+    pub label: [Piece; 2],
+    /// Place after the name, counted from 0.
+    pub place: u32,
+}
+
+/// Base of the names of cells before the first name.
+pub(super) const LEAD: u64 = 1 << 63;
+
+/// The cells of one line.
+#[derive(Debug, Default)]
+pub(super) struct Cells {
+    pub cells: Vec<Cell>,
+    /// Hash of all that stands between the numbers, except blanks and units.
+    pub shape: u64,
+    /// Whether names with a colon or an equals sign stand before numbers.
+    pub named: bool,
+    /// Whether the line has words, units or hexadecimal numbers, as only some lines of numbers do.
+    pub worded: bool,
+    /// Whether commas, semicolons or bars separate.
+    pub hard: bool,
+    /// Whether the line ends with a separator.
+    pub open: bool,
+    /// Whether the line has a form that is recognised and not supported.
+    pub odd: bool,
+}
+
+/// The state between two cells of a line.
+#[derive(Default)]
+struct Between {
+    /// Words since the last number or separator; begin of the last word.
+    words: Option<Piece>,
+    last_word: usize,
+    /// Whether the words end with a colon or an equals sign.
+    hard: bool,
+    /// Whether a number stands before the words, in the same separated cell.
+    after_number: bool,
+    /// Whether the separated cell has a number so far; or text.
+    filled: bool,
+    /// The separator before this place, unless something came after it.
+    separator: Option<u8>,
+    /// The name in force: its hash, pieces and number of cells; 0 without one.
+    name: u64,
+    label: [Piece; 2],
+    place: u32,
+    /// Words before the last name of several words.
+    prefix: Piece,
+    last_bracket: u8,
+    /// Whether a value has had a timestamp.
+    stamped: bool,
+}
+
+pub(super) fn mix(hash: u64, bytes: &[u8]) -> u64 {
+    bytes.iter().fold(hash, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3))
+}
+
+const SEED: u64 = 0xcbf2_9ce4_8422_2325;
+
+fn is_blank(byte: u8) -> bool {
+    matches!(byte, b' ' | b'\t' | 0x0b | 0x0c)
+}
+
+fn is_bracket(byte: u8) -> bool {
+    matches!(byte, b'(' | b')' | b'[' | b']' | b'{' | b'}' | b'<' | b'>' | b'"' | b'\'' | b'`')
+}
+
+fn is_separator(byte: u8) -> bool {
+    matches!(byte, b',' | b';' | b'|')
+}
+
+/// Whether a word can go no further than before `byte`.
+fn ends_word(byte: u8) -> bool {
+    is_blank(byte) || is_bracket(byte) || is_separator(byte) || matches!(byte, b':' | b'=')
+}
+
+/// Words in place of a number that is missing.
+fn is_missing(word: &[u8]) -> bool {
+    const WORDS: [&str; 14] = [
+        "nan", "inf", "infinity", "ovf", "ovl", "null", "none", "na", "n/a", "-", "--", "---",
+        "undefined", "overflow",
+    ];
+    WORDS.iter().any(|missing| word.eq_ignore_ascii_case(missing.as_bytes()))
+}
+
+/// Units that may stand after a number and a blank, where they would read as the next name.
+fn is_unit(word: &[u8]) -> bool {
+    const UNITS: [&str; 44] = [
+        "g", "mg", "m/s", "m/s2", "m/s^2", "m/s²", "m/s/s", "dps", "deg", "deg/s", "°", "°/s",
+        "rad", "rad/s", "uT", "µT", "μT", "nT", "T", "gauss", "V", "mV", "A", "mA", "C", "°C",
+        "degC", "K", "F", "°F", "Pa", "hPa", "kPa", "bar", "mbar", "%", "N", "mN", "kg", "cm",
+        "mm", "m", "Hz", "LSB",
+    ];
+    UNITS.iter().any(|unit| word == unit.as_bytes())
+}
+
+impl Cells {
+    /// Takes a line without its end, without blanks around it.
+    pub(super) fn read(&mut self, line: &[u8], decimal_comma: bool) {
+        self.cells.clear();
+        (self.shape, self.named, self.worded) = (SEED, false, false);
+        (self.hard, self.open, self.odd) = (false, false, false);
+        let (mut between, mut at) = (Between::default(), 0);
+        while let Some(&byte) = line.get(at) {
+            if self.cells.len() > MOST_CELLS {
+                self.odd = true;
+                break;
+            }
+            at = match byte {
+                _ if is_blank(byte) => at + 1,
+                _ if is_separator(byte) => {
+                    self.separate(line, byte, &mut between);
+                    at + 1
+                }
+                b'"' => self.quoted(line, at, &mut between),
+                _ if is_bracket(byte) => {
+                    if between.last_bracket != byte || at == 0 || line[at - 1] != byte {
+                        self.shape = mix(self.shape, &[byte]);
+                    }
+                    between.last_bracket = byte;
+                    at + 1
+                }
+                b':' | b'=' => {
+                    between.hard |= between.words.is_some();
+                    if between.words.is_none() {
+                        self.shape = mix(self.shape, &[byte]);
+                    }
+                    at + 1
+                }
+                b'-' if line.get(at + 1) == Some(&b'>') => {
+                    self.shape = mix(self.shape, b"->");
+                    at + 2
+                }
+                _ if begins_number(&line[at..]) => {
+                    self.number(line, at, decimal_comma, &mut between)
+                }
+                b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' | b'_' | 0x80.. => {
+                    self.word(line, at, &mut between)
+                }
+                b'+' | b'-' if line.get(at + 1).is_some_and(u8::is_ascii_alphabetic) => at + 1,
+                b'-' => self.word(line, at, &mut between),
+                _ => {
+                    self.token(&mut between);
+                    self.shape = mix(self.shape, &[byte]);
+                    at + 1
+                }
+            };
+        }
+        self.open = between.separator.is_some();
+        if !self.open {
+            self.end_cell(line, &mut between);
+        }
+        if self.named {
+            self.keep_named();
+        }
+    }
+
+    /// Notes that something follows the last separator.
+    fn token(&mut self, between: &mut Between) {
+        if let Some(separator) = between.separator.take() {
+            self.shape = mix(self.shape, &[separator]);
+            self.hard = true;
+        }
+    }
+
+    fn separate(&mut self, line: &[u8], separator: u8, between: &mut Between) {
+        let empty = between.words.is_none() && !between.filled;
+        if !empty {
+            self.end_cell(line, between);
+        } else if separator != b'|' {
+            self.token(between);
+            self.push(f64::NAN, Kind::Missing, 0, between);
+        }
+        self.token(between);
+        between.separator = Some(separator);
+        (between.words, between.hard) = (None, false);
+        (between.filled, between.after_number) = (false, false);
+    }
+
+    /// Ends a separated cell. Words of a cell without numbers are a cell of their own.
+    fn end_cell(&mut self, line: &[u8], between: &mut Between) {
+        let Some((begin, end)) = between.words.take() else { return };
+        if between.hard && !between.filled {
+            between.words = Some((begin, end));
+            self.name(line, between);
+            return self.push(f64::NAN, Kind::Missing, 0, between);
+        }
+        let first = self.cells.is_empty();
+        if between.filled || first {
+            self.shape = mix(self.shape, &line[begin..end]);
+        }
+        if !between.filled {
+            self.push(f64::NAN, Kind::Word, 0, between);
+        }
+    }
+
+    fn push(&mut self, value: f64, kind: Kind, unit: u64, between: &mut Between) {
+        let name = match between.name {
+            0 => LEAD + self.cells.len() as u64,
+            name => mix(name, &between.place.to_le_bytes()) & !LEAD,
+        };
+        let (label, place) = (between.label, between.place);
+        between.place += 1;
+        (between.filled, between.after_number) = (true, true);
+        let kind = if kind == Kind::Number && !value.is_finite() { Kind::Missing } else { kind };
+        let value = if kind == Kind::Number { value } else { f64::NAN };
+        self.cells.push(Cell { value, kind, name, unit, label, place });
+    }
+
+    /// Makes the words before a value its name.
+    fn name(&mut self, line: &[u8], between: &mut Between) {
+        let Some((mut begin, end)) = between.words.take() else { return };
+        let hard = std::mem::take(&mut between.hard);
+        let last = between.last_word;
+        if !hard {
+            self.shape = mix(self.shape, &line[begin..end]);
+            if between.name == 0 && !between.after_number {
+                (between.label, between.place) = ([(0, 0), (begin, end)], 0);
+            }
+            return;
+        }
+        if between.after_number && last > begin {
+            let words = line[begin..last].split(|byte| is_blank(*byte));
+            // The words are contiguous, so their lengths lead to the first that is no unit.
+            let units = words.take_while(|word| word.is_empty() || is_unit(word));
+            begin = (begin + units.map(|word| word.len() + 1).sum::<usize>()).min(last);
+        }
+        if begin < last {
+            between.prefix = (begin, last);
+        }
+        let prefix = &line[between.prefix.0..between.prefix.1];
+        let prefix = prefix.split(|byte| ends_word(*byte)).filter(|word| !word.is_empty());
+        let hash = prefix.fold(SEED, |hash, word| mix(mix(hash, word), b" "));
+        between.name = mix(hash, &line[last..end]) | 1;
+        (between.label, between.place) = ([between.prefix, (last, end)], 0);
+        self.named = true;
+        self.shape = mix(self.shape, &line[begin..end]);
+    }
+
+    /// Reads a word at `at`, which may be a name or stand for a missing number. Returns its end.
+    fn word(&mut self, line: &[u8], at: usize, between: &mut Between) -> usize {
+        let length = line[at..].iter().position(|byte| ends_word(*byte));
+        let mut end = length.map_or(line.len(), |length| at + length);
+        // A comment's end is no part of the word in it.
+        if let Some(star) = line[at..end].windows(2).position(|two| two == b"*/")
+            && star > 0
+        {
+            end = at + star;
+        }
+        self.take_word(line, (at, end), end, between);
+        end
+    }
+
+    /// Takes the word in a piece of the line; `next` is where the line goes on.
+    fn take_word(&mut self, line: &[u8], word: Piece, next: usize, between: &mut Between) {
+        self.token(between);
+        let rest = line[next..].trim_ascii_start();
+        let names = matches!(rest.first(), Some(b':' | b'='));
+        let (begin, end) = word;
+        if !names && is_missing(&line[begin..end]) {
+            self.name(line, between);
+            return self.push(f64::NAN, Kind::Missing, 0, between);
+        }
+        self.worded = true;
+        if !names && between.hard {
+            // A value that is a word, as in `state: idle`.
+            (between.words, between.hard) = (None, false);
+            let hard = matches!(rest.first(), Some(b',' | b';' | b'}'));
+            if hard && !between.filled {
+                between.words = Some(word);
+            }
+            return;
+        }
+        between.words = Some((between.words.map_or(begin, |(first, _)| first), end));
+        between.last_word = begin;
+        between.hard = false;
+    }
+
+    /// Reads a quoted text, unless it holds a number, whose quotes do not matter.
+    fn quoted(&mut self, line: &[u8], at: usize, between: &mut Between) -> usize {
+        let inner = &line[at + 1..];
+        let Some(length) = inner.iter().position(|byte| *byte == b'"') else { return at + 1 };
+        let text = inner[..length].trim_ascii();
+        let is_text = text.first().is_some_and(|first| first.is_ascii_alphabetic() || *first == b'_');
+        if !is_text || is_missing(text) || text.iter().any(|byte| matches!(byte, b':' | b'=')) {
+            return at + 1;
+        }
+        let begin = at + 1 + inner.iter().position(|byte| !is_blank(*byte)).unwrap_or(0);
+        self.take_word(line, (begin, begin + text.len()), at + length + 2, between);
+        at + length + 2
+    }
+
+    /// Reads the number at `at`; returns where the line goes on.
+    fn number(&mut self, line: &[u8], at: usize, comma: bool, between: &mut Between) -> usize {
+        self.token(between);
+        let rest = &line[at..];
+        if let Some((value, length)) = time_of(rest) {
+            self.name(line, between);
+            self.push(value, Kind::Number, 0, between);
+            return at + length;
+        }
+        let (value, mut length, integer) = number_of(rest, comma);
+        self.worded |= integer && rest[..length].iter().any(|byte| matches!(byte, b'x' | b'X'));
+        let tail = &rest[length..];
+        let stuck = tail.iter().position(|byte| ends_word(*byte) || *byte == b'\\');
+        let mut stuck = &tail[..stuck.unwrap_or(tail.len())];
+        if let Some(star) = stuck.windows(2).position(|two| two == b"*/") {
+            stuck = &stuck[..star];
+        }
+        length += stuck.len();
+        let next = rest.get(length).copied();
+        if matches!(next, Some(b':' | b'=')) && begins_value(&rest[length + 1..]) {
+            if between.words.is_some() && between.hard && stuck.is_empty() {
+                // `name:timestamp:value`: the timestamp has a column of its own.
+                return self.stamp(line, at + length + 1, value, between);
+            }
+            // A name that begins with a digit, as in `0:512`; or another value of `name:t:x;t:x`.
+            self.odd |= between.stamped;
+            self.worded = true;
+            between.words = Some((between.words.map_or(at, |(first, _)| first), at + length));
+            between.last_word = at;
+            return at + length;
+        }
+        self.name(line, between);
+        self.worded |= !stuck.is_empty();
+        if stuck.is_empty() {
+            self.push(value, Kind::Number, 0, between);
+        } else if is_stuck_unit(stuck) {
+            self.push(value, Kind::Number, mix(SEED, stuck), between);
+        } else {
+            self.push(f64::NAN, Kind::Missing, 0, between);
+        }
+        at + length
+    }
+
+    fn stamp(&mut self, line: &[u8], next: usize, value: f64, between: &mut Between) -> usize {
+        between.stamped = true;
+        let (name, kind, label) = (LEAD, Kind::Number, [(0, 0); 2]);
+        self.cells.push(Cell { value, kind, name, unit: 0, label, place: 0 });
+        // Flags after a bar say how to draw the value; of these, `xy` gives it another meaning.
+        if let Some(bar) = line.iter().position(|byte| *byte == b'|') {
+            self.odd |= line[bar..].windows(2).any(|two| two == b"xy");
+        }
+        next
+    }
+
+    /// In a line with names, only cells with names count, and cells before the first name.
+    fn keep_named(&mut self) {
+        let lead = |cell: &Cell| cell.name & LEAD != 0;
+        let first = self.cells.iter().position(|cell| !lead(cell)).unwrap_or(self.cells.len());
+        let mut at = 0;
+        self.cells.retain(|cell| {
+            at += 1;
+            cell.kind == Kind::Number && (at <= first || !lead(cell))
+                || cell.kind == Kind::Missing && !lead(cell)
+        });
+    }
+}
+
+fn begins_number(text: &[u8]) -> bool {
+    let text = match text.first() {
+        Some(b'+' | b'-') => &text[1..],
+        _ => text,
+    };
+    match text {
+        [b'.', digit, ..] => digit.is_ascii_digit(),
+        [digit, ..] => digit.is_ascii_digit(),
+        [] => false,
+    }
+}
+
+fn begins_value(text: &[u8]) -> bool {
+    let text = text.trim_ascii_start();
+    begins_number(text) || is_missing(&text[..text.len().min(3)])
+}
+
+/// Whether text stuck to a number can be its unit: letters, with digits only after `/` or `^`.
+fn is_stuck_unit(text: &[u8]) -> bool {
+    const LONGEST: usize = 12;
+    let letter = |byte: &u8| byte.is_ascii_alphabetic() || *byte >= 0x80 || *byte == b'%';
+    let mark = |byte: &u8| matches!(byte, b'/' | b'^' | b'*' | b'.');
+    let begins = text.first().is_some_and(letter) && text.last().is_some_and(|last| !mark(last));
+    let power = text.iter().position(mark).unwrap_or(text.len());
+    let (name, rest) = text.split_at(power);
+    let fits = |byte: &u8| letter(byte) || mark(byte) || byte.is_ascii_digit();
+    begins && text.len() <= LONGEST && name.iter().all(letter) && rest.iter().all(fits)
+}
+
+/// The number that `text` begins with, its length, and whether it is an integer. The number is NaN
+/// if it does not fit into an f64.
+fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize, bool) {
+    let signed = usize::from(matches!(text[0], b'+' | b'-'));
+    let negative = text[0] == b'-';
+    if let [b'0', b'x' | b'X', digits @ ..] = &text[signed..] {
+        let length = digits.iter().take_while(|byte| byte.is_ascii_hexdigit()).count();
+        if length > 0 {
+            let digits = digits[..length].iter().filter_map(|byte| char::from(*byte).to_digit(16));
+            let value = digits.fold(0.0, |value, digit| value * 16.0 + f64::from(digit));
+            return (if negative { -value } else { value }, signed + 2 + length, true);
+        }
+    }
+    let (mut at, mut mantissa, mut digits, mut decimals, mut point) = (signed, 0_u64, 0, 0, None);
+    while let Some(&byte) = text.get(at) {
+        match byte {
+            b'0'..=b'9' => {
+                digits += i32::from(mantissa > 0 || byte > b'0');
+                mantissa = mantissa.wrapping_mul(10).wrapping_add(u64::from(byte - b'0'));
+                decimals += i32::from(point.is_some());
+            }
+            b'.' if point.is_none() => point = Some(at),
+            b',' if decimal_comma
+                && point.is_none()
+                && text.get(at + 1).is_some_and(u8::is_ascii_digit) =>
+            {
+                point = Some(at);
+            }
+            _ => break,
+        }
+        at += 1;
+    }
+    let mut exponent = 0_i32;
+    if let [b'e' | b'E', rest @ ..] = &text[at..] {
+        let sign = usize::from(matches!(rest.first(), Some(b'+' | b'-')));
+        let length = rest[sign..].iter().take_while(|byte| byte.is_ascii_digit()).count();
+        if length > 0 {
+            let fold = |sum: i32, byte: &u8| sum.saturating_mul(10).saturating_add(i32::from(byte - b'0'));
+            let size = rest[sign..sign + length].iter().fold(0, fold);
+            exponent = if rest[0] == b'-' { -size } else { size };
+            at += 1 + sign + length;
+        }
+    }
+    let integer = point.is_none() && exponent == 0;
+    let power = exponent.saturating_sub(decimals);
+    // Both numbers are exact, so that one operation rounds correctly (Clinger 1990).
+    if digits <= 15 && power.abs() <= 22 {
+        let scale = POWERS[power.unsigned_abs() as usize];
+        let size = if power < 0 { mantissa as f64 / scale } else { mantissa as f64 * scale };
+        return (if negative { -size } else { size }, at, integer);
+    }
+    // The longest line bounds the copy; few numbers need it.
+    let mut copy = text[..at].to_vec();
+    if let Some(point) = point {
+        copy[point] = b'.';
+    }
+    let value = std::str::from_utf8(&copy).ok().and_then(|text| text.parse().ok());
+    (value.unwrap_or(f64::NAN), at, integer)
+}
+
+const POWERS: [f64; 23] = [
+    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
+    1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
+];
+
+/// The time that `text` begins with, in seconds, and its length: a date and time in the form of ISO
+/// 8601, since 1970 (UTC unless it has an offset), or a time of day, `12:34:56.789`, since midnight.
+fn time_of(text: &[u8]) -> Option<(f64, usize)> {
+    let digits = |from: usize, to: usize| -> Option<f64> {
+        let part = text.get(from..to)?;
+        let all = part.iter().all(u8::is_ascii_digit);
+        all.then(|| part.iter().fold(0.0, |sum, byte| sum * 10.0 + f64::from(byte - b'0')))
+    };
+    let is = |at: usize, mark: u8| text.get(at) == Some(&mark);
+    let (mut at, mut days) = (0, None);
+    if is(4, b'-') && is(7, b'-') {
+        let (year, month, day) = (digits(0, 4)?, digits(5, 7)?, digits(8, 10)?);
+        let date = jiff::civil::Date::new(year as i16, month as i8, day as i8).ok()?;
+        days = Some((date.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp().as_second()) as f64);
+        at = 10;
+        if !matches!(text.get(at), Some(b'T' | b' ' | b'_' | b't')) || digits(at + 1, at + 3).is_none()
+        {
+            return days.map(|s| (s, at));
+        }
+        at += 1;
+    } else if !is(2, b':') || !is(5, b':') {
+        return None;
+    }
+    let clock = (digits(at, at + 2), is(at + 2, b':'), digits(at + 3, at + 5));
+    let (Some(hours), true, Some(minutes)) = clock else { return days.map(|s| (s, at - 1)) };
+    let mut seconds = days.unwrap_or(0.0) + hours * 3600.0 + minutes * 60.0;
+    at += 5;
+    if let Some(whole) = digits(at + 1, at + 3).filter(|_| is(at, b':')) {
+        seconds += whole;
+        at += 3;
+        let length = text.get(at + 1..).unwrap_or_default();
+        let length = length.iter().take_while(|byte| byte.is_ascii_digit()).count();
+        // `12:34:56,789 ` has milliseconds, and `12:34:56,789,5` another column.
+        let comma = is(at, b',') && length == 3 && (is(at + 4, b' ') || is(at + 4, b'Z'));
+        if is(at, b'.') || comma {
+            let fraction = digits(at + 1, at + 1 + length.min(12))?;
+            seconds += fraction / POWERS[length.min(12)];
+            at += usize::from(length > 0) + length;
+        }
+    }
+    if is(at, b'Z') {
+        at += 1;
+    } else if days.is_some() && (is(at, b'+') || is(at, b'-')) {
+        let minutes_at = at + 3 + usize::from(is(at + 3, b':'));
+        if let (Some(hours), minutes) = (digits(at + 1, at + 3), digits(minutes_at, minutes_at + 2)) {
+            let offset = hours * 3600.0 + minutes.unwrap_or(0.0) * 60.0;
+            seconds -= if is(at, b'-') { -offset } else { offset };
+            at = minutes.map_or(at + 3, |_| minutes_at + 2);
+        }
+    }
+    Some((seconds, at))
+}

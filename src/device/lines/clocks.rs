@@ -1,0 +1,94 @@
+//! Finds out which columns only count or tell the time, from the steps between their numbers.
+
+/// Fewest numbers that show what a column counts.
+pub(super) const FEWEST: u64 = 20;
+/// Most differences between successive numbers of a column that are kept.
+const MOST_STEPS: usize = 4096;
+
+pub(super) const ROWS: &str = "rows";
+pub(super) const MICROS: &str = "microseconds";
+const TIME: &str = "time";
+/// Units of clocks, and their number in a second.
+const UNITS: [(&str, f64); 4] =
+    [("seconds", 1.0), ("milliseconds", 1e3), (MICROS, 1e6), ("nanoseconds", 1e9)];
+/// Seconds since 1970 in the years 2001 to 2096.
+const EPOCH_S: std::ops::Range<f64> = 1e9..4e9;
+
+/// The steps (differences) from each number of a column to the next.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Steps {
+    pub first: f64,
+    pub last: f64,
+    pub numbers: u64,
+    /// Number of steps of exactly 1, of 0, and below 0.
+    ones: u64,
+    zeros: u64,
+    pub down: u64,
+    /// Sum of the steps that go up.
+    sum: f64,
+    /// Whether all numbers are integers.
+    fractions: bool,
+    /// The first steps that go up. Steps near their median are usual, even if rows are lost.
+    up: Vec<f64>,
+}
+
+impl Steps {
+    pub(super) fn add(&mut self, x: f64) {
+        self.fractions |= x.fract() != 0.0;
+        if self.numbers == 0 {
+            self.first = x;
+        } else {
+            let step = x - self.last;
+            self.ones += u64::from(step == 1.0);
+            self.zeros += u64::from(step == 0.0);
+            self.down += u64::from(step < 0.0);
+            self.sum += step.max(0.0);
+            if step > 0.0 && self.up.len() < MOST_STEPS {
+                self.up.push(step);
+            }
+        }
+        self.last = x;
+        self.numbers += 1;
+    }
+
+    /// Whether enough numbers came, all of them alike.
+    pub(super) fn is_constant(&self) -> bool {
+        self.numbers >= FEWEST && self.zeros + 1 == self.numbers
+    }
+
+    pub(super) fn usual(&self) -> f64 {
+        let mut up = self.up.clone();
+        up.sort_unstable_by(f64::total_cmp);
+        let Some(median) = up.get(up.len() / 2).copied() else { return 0.0 };
+        let near: Vec<f64> =
+            up.into_iter().filter(|step| (step / median - 1.0).abs() < 0.25).collect();
+        near.iter().sum::<f64>() / near.len() as f64
+    }
+
+    /// The unit in which the column counts, for rows at this rate; `None` if it does not count.
+    pub(super) fn kind(&self, rate_hz: f64) -> Option<&'static str> {
+        let steps = self.numbers.saturating_sub(1).max(1);
+        // Allows a few negative steps, since a counter of 8 bits starts again every 256 rows.
+        if self.numbers < FEWEST || self.down * 100 > steps || self.up.is_empty() {
+            return None;
+        }
+        let rising = self.down == 0;
+        let since_1970 = |(_, unit): &&(&str, f64)| {
+            rising && [self.first, self.last].iter().all(|x| EPOCH_S.contains(&(x / unit)))
+        };
+        let seconds = steps as f64 / rate_hz;
+        let passes = |(_, unit): &&(&str, f64)| (self.sum / seconds / unit - 1.0).abs() < 0.1;
+        let whole_seconds = rising && !self.fractions && self.sum >= 2.0;
+        match () {
+            () if self.ones * 10 >= steps * 9 => Some(ROWS),
+            () if (self.usual() * rate_hz / 1e6 - 1.0).abs() < 0.2 => Some(MICROS),
+            () if UNITS.iter().any(|unit| since_1970(&unit) || passes(&unit)) => {
+                let unit = UNITS.iter().find(since_1970).or_else(|| UNITS.iter().find(passes));
+                unit.map(|(name, _)| *name)
+            }
+            () if whole_seconds && (self.sum - seconds).abs() < 1.5 => Some(UNITS[0].0),
+            () if rising && (self.zeros == 0 || !self.fractions && self.up.len() >= 3) => Some(TIME),
+            () => None,
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! Tells decimal commas from commas that separate columns, without I/O.
+//!
+//! Points in the numbers, brackets of a list, or two commas without another separator between them
+//! show that commas separate. Semicolons or tabs beside commas show decimal commas. Otherwise, a
+//! fraction that begins with 0 (as in `9,05`) shows decimal commas, since no program pads integers
+//! so by default. What stays ambiguous is refused, never guessed.
+
+/// How the commas of one line read, by this line alone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Look {
+    /// No comma stands between digits, or the commas can only separate.
+    Separate,
+    /// The commas separate integers, as far as this line shows.
+    Integers,
+    Decimal,
+    /// All numbers have as many decimals, which is a hint and no proof.
+    Likely,
+    Unsure,
+    /// Commas are decimal commas and separators at once.
+    Both,
+}
+
+/// Reads the commas of successive lines.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Commas {
+    /// The configured sign; `None` to find it out.
+    pub given: Option<bool>,
+    /// Whether a line has shown decimal commas beyond doubt.
+    proved: bool,
+    /// Whether commas were read as decimal commas by a hint alone.
+    guessed: bool,
+    /// Whether a line has contradicted the hint.
+    doubted: bool,
+    /// Whether a line has commas in both roles.
+    both: bool,
+}
+
+impl Commas {
+    /// Whether a line was read with decimal commas.
+    pub(super) fn were_decimal(&self) -> bool {
+        self.given.unwrap_or(self.proved || self.guessed)
+    }
+
+    /// Whether commas in this line are decimal commas; `None` if that is ambiguous.
+    pub(super) fn are_decimal(&mut self, line: &[u8]) -> Option<bool> {
+        if self.given.is_some() {
+            return self.given;
+        }
+        match look(line) {
+            Look::Separate => Some(false),
+            Look::Integers => (!self.both).then_some(false),
+            Look::Decimal => {
+                self.proved = true;
+                Some(true)
+            }
+            Look::Likely if self.proved || !self.doubted => {
+                self.guessed = true;
+                Some(true)
+            }
+            Look::Likely => None,
+            Look::Unsure if self.proved => Some(true),
+            Look::Unsure => {
+                self.doubted |= self.guessed;
+                None
+            }
+            Look::Both => {
+                self.both = true;
+                None
+            }
+        }
+    }
+}
+
+/// Counts over the runs of digits, points, signs and commas of a line.
+#[derive(Default)]
+struct Runs {
+    numbers: usize,
+    /// Runs with exactly one comma between digits, and runs with more.
+    one: usize,
+    many: usize,
+    points: bool,
+    /// A fraction of two or more digits begins with 0, or an integer part is `-0`.
+    padded: bool,
+    /// Lengths of the fractions: the first, and whether all are alike.
+    decimals: Option<usize>,
+    alike: bool,
+    /// Whether an integer part has fewer than three digits.
+    short: bool,
+    /// Runs like `1.234,5`, with a point that separates thousands.
+    thousands: usize,
+}
+
+fn look(line: &[u8]) -> Look {
+    if !line.contains(&b',') {
+        return Look::Separate;
+    }
+    // Quotes hold one value.
+    let mut quoted = line.split(|byte| *byte == b'"').skip(1).step_by(2);
+    if quoted.any(is_decimal) {
+        return Look::Decimal;
+    }
+    let mut runs = Runs { alike: true, ..Runs::default() };
+    let in_run = |byte: &u8| matches!(byte, b'0'..=b'9' | b'.' | b',' | b'-' | b'+' | b':');
+    for run in line.split(|byte| !in_run(byte)) {
+        // A comma at an end stands beside a blank or a letter, so it separates.
+        let run = run.strip_suffix(b",").unwrap_or(run);
+        let run = run.strip_prefix(b",").unwrap_or(run);
+        // A label's colon begins a new number; two colons are a time of day.
+        let run = match run.iter().filter(|byte| **byte == b':').count() {
+            0 => run,
+            1 => run.rsplit(|byte| *byte == b':').next().unwrap_or(run),
+            _ => continue,
+        };
+        if run.iter().any(u8::is_ascii_digit) {
+            runs.add(run);
+        }
+    }
+    let tail = line.trim_ascii_end().strip_suffix(b";").unwrap_or(line);
+    let other = tail.contains(&b';') || line.windows(3).any(is_tab_between);
+    runs.look(other, line.iter().any(|byte| matches!(byte, b'[' | b'{')))
+}
+
+/// Whether `text` is a number with a decimal comma.
+fn is_decimal(text: &[u8]) -> bool {
+    let text = text.strip_prefix(b"-").unwrap_or(text);
+    let mut parts = text.split(|byte| *byte == b',');
+    let digits = |part: Option<&[u8]>| {
+        part.is_some_and(|part| !part.is_empty() && part.iter().all(u8::is_ascii_digit))
+    };
+    digits(parts.next()) && digits(parts.next()) && parts.next().is_none()
+}
+
+/// Whether a tab separates two numbers by itself, rather than as padding beside a comma.
+fn is_tab_between(three: &[u8]) -> bool {
+    three[1] == b'\t' && three[0] != b',' && three[2] != b','
+}
+
+impl Runs {
+    fn add(&mut self, run: &[u8]) {
+        self.numbers += 1;
+        self.points |= run.contains(&b'.');
+        let mut parts = run.split(|byte| *byte == b',');
+        let (whole, fraction) = (parts.next().unwrap_or(run), parts.next());
+        let Some(fraction) = fraction else { return };
+        let digits = |part: &[u8]| !part.is_empty() && part.iter().all(u8::is_ascii_digit);
+        let is_padded = |whole: &[u8], fraction: &[u8]| {
+            whole == b"-0" || digits(fraction) && fraction.len() > 1 && fraction[0] == b'0'
+        };
+        let unsigned = whole.strip_prefix(b"-").or(whole.strip_prefix(b"+")).unwrap_or(whole);
+        if parts.next().is_some() {
+            self.many += 1;
+            let mut all = run.split(|byte| *byte == b',');
+            while let (Some(whole), Some(fraction)) = (all.next(), all.next()) {
+                self.padded |= is_padded(whole, fraction);
+            }
+        } else if digits(fraction) {
+            self.one += 1;
+            self.padded |= is_padded(whole, fraction);
+            self.alike &= *self.decimals.get_or_insert(fraction.len()) == fraction.len();
+            self.short |= unsigned.len() < 3;
+            let mut groups = unsigned.split(|byte| *byte == b'.');
+            let first = groups.next().is_some_and(|group| digits(group) && group.len() <= 3);
+            let mut rest = groups.map(|group| group.len() == 3 && digits(group)).peekable();
+            self.thousands += usize::from(first && rest.peek().is_some() && rest.all(|fits| fits));
+        } else {
+            // A sign after the comma, as in `1,-2`, begins another number.
+            self.many += 1;
+        }
+    }
+
+    /// `other` says that a semicolon or tab separates, and `list` that the line has a list's bracket.
+    fn look(&self, other: bool, list: bool) -> Look {
+        let likely = self.alike && self.decimals > Some(1) && self.short;
+        match () {
+            () if self.one + self.many == 0 || list && !other => Look::Separate,
+            () if self.points && self.thousands > 0 && self.many == 0 => Look::Both,
+            () if self.points => Look::Separate,
+            () if self.many > 0 => if self.padded { Look::Both } else { Look::Integers },
+            () if other => Look::Decimal,
+            () if self.numbers == 1 => if self.padded { Look::Both } else { Look::Integers },
+            () if self.padded => Look::Decimal,
+            () if likely && self.one == self.numbers => Look::Likely,
+            () => Look::Unsure,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_separator_makes_commas_decimal() {
+        let lines = ["9,81;0,50", "1;0,12;9,81;", "0,12\t9,81", "ax:0,12;ay:-9,81", "1,05 2", "-0,5 1", "\"0,1\",\"9,8\""];
+        for line in lines {
+            assert_eq!(look(line.as_bytes()), Look::Decimal, "{line}");
+        }
+        assert_eq!(look(b"0,12 9,81 3,10"), Look::Likely);
+        assert_eq!(look(b"9,81, 0,50"), Look::Likely);
+    }
+
+    #[test]
+    fn commas_that_can_only_separate_are_separators() {
+        let lines = ["0.5,1;2,3", "1, 2, 3", "[1,2] [3,4]", "a:1,b:2", "12:30:01,250 1", "1;2"];
+        for line in lines {
+            assert_eq!(look(line.as_bytes()), Look::Separate, "{line}");
+        }
+        for line in ["1,2,3", "1,2", "1,-2", "1,2,3;4,5,6", "$512,300,200;"] {
+            assert_eq!(look(line.as_bytes()), Look::Integers, "{line}");
+        }
+    }
+
+    #[test]
+    fn what_is_ambiguous_is_no_guess() {
+        for line in ["0,12,9,05", "1.234,56;2.000,10", "9,05"] {
+            assert_eq!(look(line.as_bytes()), Look::Both, "{line}");
+        }
+        for line in ["1,2 3,4", "512,498 601,330", "1, 2,3"] {
+            assert_eq!(look(line.as_bytes()), Look::Unsure, "{line}");
+        }
+        let mut commas = Commas::default();
+        assert_eq!(commas.are_decimal(b"12,34 56,78"), Some(true));
+        assert_eq!(commas.are_decimal(b"12,3 56,78"), None);
+        assert_eq!(commas.are_decimal(b"12,34 56,78"), None);
+        assert_eq!(commas.are_decimal(b"12,04 56,78"), Some(true));
+        assert_eq!(commas.are_decimal(b"12,3 56,78"), Some(true));
+    }
+}
