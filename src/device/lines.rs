@@ -18,7 +18,9 @@ mod swaps;
 use std::io::Read;
 use std::time::{Duration, Instant};
 
-use super::serial::{BUFFER, OVERFLOWED, REPORT_EVERY, STALLED, lost, read_some};
+use serialport::ClearBuffer;
+
+use super::serial::{BUFFER, OVERFLOWED, REPORT_EVERY, STALLED, Selector, lost, read_some};
 use super::{
     Device, DeviceError, DeviceLink, DeviceState, Disconnected, OpenError, RETRY, StreamSpec,
     keep_connected,
@@ -29,7 +31,7 @@ use crate::system;
 use address::{Drops, OpenLine, put_back};
 
 pub use address::LinesAddress;
-pub use intake::{Column, Count, LinesStream};
+pub use intake::{Column, Count, LinesEvent, LinesIntake, LinesStream};
 pub use survey::{ColumnSurvey, SURVEY_S, Survey};
 
 use intake::GARBAGE;
@@ -161,13 +163,44 @@ fn gather(read: usize) {
     }
 }
 
+/// Usual speeds of serial ports in baud, the commonest first.
+const SPEEDS: [u32; 10] =
+    [115_200, 9600, 57_600, 921_600, 38_400, 19_200, 230_400, 250_000, 460_800, 1_000_000];
+/// Time of noise alone after which other speeds are tried, and the time that each is tried.
+const NOISE: Duration = Duration::from_secs(4);
+const TRIAL: Duration = Duration::from_millis(700);
+/// Fewest rows that show a speed to be right.
+const TRIAL_ROWS: u64 = 3;
+
+/// The usual speed other than `baud` at which lines of numbers come; `None` if at none.
+fn speed_of(port: &Selector, baud: u32) -> Result<Option<u32>, OpenError> {
+    let (mut line, _) = port.open_at(baud)?;
+    for speed in SPEEDS.into_iter().filter(|speed| *speed != baud) {
+        // The port stays open, since many boards restart when it is opened.
+        if line.set_baud_rate(speed).is_err() || line.clear(ClearBuffer::Input).is_err() {
+            continue;
+        }
+        let until = Instant::now() + TRIAL;
+        let stopped = |_: &Survey| Instant::now() >= until;
+        let found = survey(&mut line, (true, None), stopped);
+        if found.is_ok_and(|(survey, _)| !survey.is_noise() && survey.rows() >= TRIAL_ROWS) {
+            return Ok(Some(speed));
+        }
+    }
+    Ok(None)
+}
+
 /// Opens `address` and surveys its lines; gives up if no row comes within `patience`. The bytes
 /// read from standard input can be read again afterwards. An error says what to do.
 pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, String> {
     let OpenLine { mut line, path, .. } = address.open().map_err(|error| error.to_string())?;
     let until = Instant::now() + patience;
+    let noisy = Instant::now() + NOISE;
     // Gives up only before the first row; later, this waits until the survey is complete.
-    let stopped = |survey: &Survey| !survey.has_rows() && Instant::now() >= until;
+    let stopped = |survey: &Survey| {
+        let (now, serial) = (Instant::now(), matches!(address, LinesAddress::Serial(..)));
+        !survey.has_rows() && now >= until || serial && survey.is_noise() && now >= noisy
+    };
     let (survey, bytes) = survey(&mut line, (address.begins_half(), None), stopped)
         .map_err(|why| format!("{path}: {why}"))?;
     if *address == LinesAddress::Stdin {
@@ -175,6 +208,25 @@ pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, S
     }
     if survey.is_empty() {
         return Err(format!("{path}: nothing comes; check that the device sends by itself"));
+    }
+    if let LinesAddress::Serial(port, baud) = address
+        && survey.is_noise()
+    {
+        drop(line);
+        let found = speed_of(port, *baud).map_err(|error| error.to_string())?;
+        let speeds = SPEEDS.map(|speed| speed.to_string()).join(", ");
+        let at = |speed| LinesAddress::Serial(port.clone(), speed);
+        return Err(match found {
+            Some(speed) => format!(
+                "{path}: at {baud} baud comes noise, and at {speed} baud come lines of numbers; \
+                 name the port {}",
+                at(speed)
+            ),
+            None => format!(
+                "{path}: only noise comes, at {baud} baud and at {speeds}; check what the device \
+                 prints, and its ground wire"
+            ),
+        });
     }
     Ok(survey)
 }

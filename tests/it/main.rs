@@ -23,6 +23,7 @@ mod hostile_numbers;
 mod hsic_golden;
 mod invariance;
 mod library;
+mod line_forms;
 mod lines;
 mod live_scan;
 mod lmt108;

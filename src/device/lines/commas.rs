@@ -117,7 +117,9 @@ fn look(line: &[u8]) -> Look {
     }
     let tail = line.trim_ascii_end().strip_suffix(b";").unwrap_or(line);
     let other = tail.contains(&b';') || line.windows(3).any(is_tab_between);
-    runs.look(other, line.iter().any(|byte| matches!(byte, b'[' | b'{')))
+    // In the brackets of a list, commas separate, unless blanks do.
+    let list = line.iter().any(|byte| matches!(byte, b'[' | b'{'));
+    runs.look(other, list && !has_blank_between(line))
 }
 
 /// Whether `text` is a number with a decimal comma.
@@ -128,6 +130,17 @@ fn is_decimal(text: &[u8]) -> bool {
         part.is_some_and(|part| !part.is_empty() && part.iter().all(u8::is_ascii_digit))
     };
     digits(parts.next()) && digits(parts.next()) && parts.next().is_none()
+}
+
+/// Whether only blanks stand between two numbers.
+fn has_blank_between(line: &[u8]) -> bool {
+    let mut ends = false;
+    line.split(u8::is_ascii_whitespace).filter(|piece| !piece.is_empty()).any(|piece| {
+        let begins = piece[0].is_ascii_digit() || matches!(piece[0], b'-' | b'+' | b'.');
+        let between = ends && begins;
+        ends = piece[piece.len() - 1].is_ascii_digit();
+        between
+    })
 }
 
 /// Whether a tab separates two numbers by itself, rather than as padding beside a comma.

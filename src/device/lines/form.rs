@@ -251,9 +251,8 @@ pub(super) struct FormFinder {
 impl FormFinder {
     /// Takes a line that does not fit `old`. Returns the new form, if enough lines show it.
     pub(super) fn take(&mut self, cells: &Cells, line: &[u8], old: Option<&Form>) -> Option<Form> {
-        match &mut self.candidate {
-            Some(form) if form.join(cells, line) => {}
-            other => *other = Some(Form::of(cells, line)),
+        if !self.candidate.as_mut().is_some_and(|form| form.join(cells, line)) {
+            self.candidate = Some(Form::of(cells, line));
         }
         let form = self.candidate.as_mut()?;
         let lasting = old.map_or(0, |old| (old.fits + 1).min(u64::from(CHANGED)));

@@ -73,7 +73,7 @@ const LONGEST_GAP: &str = "lines are missing in the longest gap";
 const RESTARTS: &str = "restarts of the device";
 
 #[derive(Debug, PartialEq)]
-pub(crate) enum LinesEvent<'a> {
+pub enum LinesEvent<'a> {
     Frames {
         stream: usize,
         samples: &'a [f32],
@@ -152,7 +152,7 @@ impl Held {
 }
 
 #[derive(Debug, Default)]
-pub(crate) struct LinesIntake {
+pub struct LinesIntake {
     streams: Vec<LinesStream>,
     count: Option<Count>,
     pub rate_hz: f64,
@@ -186,7 +186,7 @@ pub(crate) struct LinesIntake {
 
 impl LinesIntake {
     /// Makes `streams` of rows that come at `rate_hz`. A scale that is `None` counts as 1.
-    pub(crate) fn new(streams: Vec<LinesStream>, count: Option<Count>, rate_hz: f64) -> Self {
+    pub fn new(streams: Vec<LinesStream>, count: Option<Count>, rate_hz: f64) -> Self {
         let blocks = vec![Vec::new(); streams.len()];
         Self { streams, count, rate_hz, blocks, ..Self::default() }
     }
@@ -198,14 +198,14 @@ impl LinesIntake {
     }
 
     /// To be called when the line was reopened. `half`: the first bytes may begin within a line.
-    pub(crate) fn reopened(&mut self, half: bool) {
+    pub fn reopened(&mut self, half: bool) {
         self.parser.reopened(half);
         self.reopened = true;
     }
 
     /// Parses bytes that arrived at `now_s` (seconds of any clock that never goes back); passes
     /// frames and gaps to `on`, in order. Returns the number of rows that became frames.
-    pub(crate) fn feed(
+    pub fn feed(
         &mut self,
         bytes: &[u8],
         now_s: f64,

@@ -344,13 +344,13 @@ mod tests {
     /// Parses bytes, and returns the debug text of each completed line.
     fn lines(parser: &mut LineParser, bytes: &[u8]) -> Vec<String> {
         let mut out = Vec::new();
-        parser.feed(bytes, |line| out.push(format!("{line:?}")));
+        parser.feed(bytes, |_, line| out.push(format!("{line:?}")));
         out
     }
 
     fn rows(text: &str) -> Vec<Vec<f64>> {
         let mut out = Vec::new();
-        LineParser::default().feed(text.as_bytes(), |line| match line {
+        LineParser::default().feed(text.as_bytes(), |_, line| match line {
             Line::Row(row) => out.push(row.to_vec()),
             other => panic!("{text:?}: {other:?}"),
         });
@@ -424,7 +424,7 @@ mod tests {
             let text: String = table.iter().map(line).collect();
             let (mut parser, mut got) = (LineParser::default(), Vec::new());
             for part in text.as_bytes().chunks(cut) {
-                parser.feed(part, |line| match line {
+                parser.feed(part, |_, line| match line {
                     Line::Row(row) => got.push(row.to_vec()),
                     other => panic!("{other:?}"),
                 });

@@ -129,6 +129,11 @@ impl Survey {
         self.rows > 0
     }
 
+    /// Number of rows in the form that the lines have now.
+    pub fn rows(&self) -> u64 {
+        self.rows
+    }
+
     /// Whether no bytes came.
     pub fn is_empty(&self) -> bool {
         self.bytes == 0
@@ -400,7 +405,7 @@ mod tests {
             format!("{},{micros},{},{:.3},imu\n", i % 256, 1_700_000.0 + i as f64 / 400.0, wave(i))
         });
         let counts: Vec<_> = survey.columns().iter().map(|column| column.counts).collect();
-        assert_eq!(counts, [Some(ROWS), Some(MICROS), Some(TIME), None, None]);
+        assert_eq!(counts, [Some(ROWS), Some(MICROS), Some("seconds"), None, None]);
         assert_eq!(survey.measuring(), [Column::Place(4)]);
         assert_eq!(survey.count(), Some(Count::Rows(Column::Place(1))));
         assert_eq!(survey.rate_hz(), Ok(400.0));
