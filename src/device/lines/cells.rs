@@ -334,9 +334,10 @@ impl Cells {
             stuck = &stuck[..star];
         }
         length += stuck.len();
-        let next = rest.get(length).copied();
-        if matches!(next, Some(b':' | b'=')) && begins_value(&rest[length + 1..]) {
-            if between.words.is_some() && between.hard && stuck.is_empty() {
+        let blanks = rest[length..].iter().take_while(|byte| is_blank(**byte)).count();
+        let next = rest.get(length + blanks).copied();
+        if matches!(next, Some(b':' | b'=')) && begins_value(&rest[length + blanks + 1..]) {
+            if between.words.is_some() && between.hard && stuck.is_empty() && blanks == 0 {
                 // `name:timestamp:value`: the timestamp has a column of its own.
                 return self.stamp(line, at + length + 1, value, between);
             }
@@ -419,11 +420,12 @@ fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize, bool) {
     let negative = text[0] == b'-';
     if let [b'0', b'x' | b'X', digits @ ..] = &text[signed..] {
         let length = digits.iter().take_while(|byte| byte.is_ascii_hexdigit()).count();
-        if length > 0 {
-            let digits = digits[..length].iter().filter_map(|byte| char::from(*byte).to_digit(16));
-            let value = digits.fold(0.0, |value, digit| value * 16.0 + f64::from(digit));
-            return (if negative { -value } else { value }, signed + 2 + length, true);
+        if length == 0 {
+            return (f64::NAN, signed + 2, false);
         }
+        let digits = digits[..length].iter().filter_map(|byte| char::from(*byte).to_digit(16));
+        let value = digits.fold(0.0, |value, digit| value * 16.0 + f64::from(digit));
+        return (if negative { -value } else { value }, signed + 2 + length, true);
     }
     let (mut at, mut mantissa, mut digits, mut decimals, mut point) = (signed, 0_u64, 0, 0, None);
     while let Some(&byte) = text.get(at) {

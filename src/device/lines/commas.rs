@@ -16,6 +16,8 @@ enum Look {
     /// All numbers have as many decimals, which is a hint and no proof.
     Likely,
     Unsure,
+    /// The commas separate integers that are padded with zeros.
+    Padded,
     /// Commas are decimal commas and separators at once.
     Both,
 }
@@ -31,6 +33,10 @@ pub(super) struct Commas {
     guessed: bool,
     /// Whether a line has contradicted the hint.
     doubted: bool,
+    /// Whether a line had commas that separate integers.
+    separated: bool,
+    /// Whether integers are padded with zeros.
+    padded: bool,
     /// Whether a line has commas in both roles.
     both: bool,
 }
@@ -48,7 +54,15 @@ impl Commas {
         }
         match look(line) {
             Look::Separate => Some(false),
-            Look::Integers => (!self.both).then_some(false),
+            Look::Integers => {
+                self.separated = true;
+                (!self.both).then_some(false)
+            }
+            Look::Padded => {
+                (self.padded, self.both) = (true, false);
+                Some(false)
+            }
+            Look::Both | Look::Decimal | Look::Likely if self.padded => Some(false),
             Look::Decimal => {
                 self.proved = true;
                 Some(true)
@@ -59,6 +73,8 @@ impl Commas {
             }
             Look::Likely => None,
             Look::Unsure if self.proved => Some(true),
+            // A damaged line can look so where commas separate.
+            Look::Unsure if self.separated && !self.guessed && !self.both => Some(false),
             Look::Unsure => {
                 self.doubted |= self.guessed;
                 None
@@ -79,15 +95,18 @@ struct Runs {
     one: usize,
     many: usize,
     points: bool,
-    /// A fraction of two or more digits begins with 0, or an integer part is `-0`.
+    /// A fraction of two or more digits begins with 0.
     padded: bool,
+    /// An integer part begins with a needless 0, so that integers are padded.
+    integers: bool,
     /// Lengths of the fractions: the first, and whether all are alike.
     decimals: Option<usize>,
     alike: bool,
     /// Whether an integer part has fewer than three digits.
     short: bool,
-    /// Runs like `1.234,5`, with a point that separates thousands.
+    /// Runs like `1.234,5` or `1,050.5`, with a sign that separates thousands.
     thousands: usize,
+    grouped: bool,
 }
 
 fn look(line: &[u8]) -> Look {
@@ -111,7 +130,9 @@ fn look(line: &[u8]) -> Look {
             1 => run.rsplit(|byte| *byte == b':').next().unwrap_or(run),
             _ => continue,
         };
-        if run.iter().any(u8::is_ascii_digit) {
+        // A date such as `12.03.2024` is no number.
+        let date = run.iter().filter(|byte| **byte == b'.').count() > 1 && !run.contains(&b',');
+        if !date && run.iter().any(u8::is_ascii_digit) {
             runs.add(run);
         }
     }
@@ -119,7 +140,8 @@ fn look(line: &[u8]) -> Look {
     let other = tail.contains(&b';') || line.windows(3).any(is_tab_between);
     // In the brackets of a list, commas separate, unless blanks do.
     let list = line.iter().any(|byte| matches!(byte, b'[' | b'{'));
-    runs.look(other, list && !has_blank_between(line))
+    let named = line.iter().any(|byte| matches!(byte, b':' | b'='));
+    runs.look(other, list && !has_blank_between(line), named)
 }
 
 /// Whether `text` is a number with a decimal comma.
@@ -132,15 +154,16 @@ fn is_decimal(text: &[u8]) -> bool {
     digits(parts.next()) && digits(parts.next()) && parts.next().is_none()
 }
 
-/// Whether only blanks stand between two numbers.
+/// Whether only blanks stand between two cells.
 fn has_blank_between(line: &[u8]) -> bool {
-    let mut ends = false;
-    line.split(u8::is_ascii_whitespace).filter(|piece| !piece.is_empty()).any(|piece| {
-        let begins = piece[0].is_ascii_digit() || matches!(piece[0], b'-' | b'+' | b'.');
-        let between = ends && begins;
-        ends = piece[piece.len() - 1].is_ascii_digit();
-        between
+    // A comma, a name or a list's end needs no blank behind it.
+    let alone = |byte: &u8| !matches!(byte, b',' | b';' | b':' | b'=' | b']' | b'}' | b'[' | b'{');
+    let mut pieces = line.split(u8::is_ascii_whitespace).filter(|piece| !piece.is_empty()).peekable();
+    std::iter::from_fn(|| {
+        let piece = pieces.next()?;
+        Some((piece, pieces.peek()?.starts_with(b",")))
     })
+    .any(|(piece, comma)| piece.last().is_some_and(alone) && !comma)
 }
 
 /// Whether a tab separates two numbers by itself, rather than as padding beside a comma.
@@ -156,19 +179,15 @@ impl Runs {
         let (whole, fraction) = (parts.next().unwrap_or(run), parts.next());
         let Some(fraction) = fraction else { return };
         let digits = |part: &[u8]| !part.is_empty() && part.iter().all(u8::is_ascii_digit);
-        let is_padded = |whole: &[u8], fraction: &[u8]| {
-            whole == b"-0" || digits(fraction) && fraction.len() > 1 && fraction[0] == b'0'
-        };
+        let is_padded = |part: &[u8]| digits(part) && part.len() > 1 && part[0] == b'0';
+        self.integers |= is_padded(whole);
         let unsigned = whole.strip_prefix(b"-").or(whole.strip_prefix(b"+")).unwrap_or(whole);
         if parts.next().is_some() {
             self.many += 1;
-            let mut all = run.split(|byte| *byte == b',');
-            while let (Some(whole), Some(fraction)) = (all.next(), all.next()) {
-                self.padded |= is_padded(whole, fraction);
-            }
+            self.padded |= run.split(|byte| *byte == b',').skip(1).any(is_padded);
         } else if digits(fraction) {
             self.one += 1;
-            self.padded |= is_padded(whole, fraction);
+            self.padded |= is_padded(fraction);
             self.alike &= *self.decimals.get_or_insert(fraction.len()) == fraction.len();
             self.short |= unsigned.len() < 3;
             let mut groups = unsigned.split(|byte| *byte == b'.');
@@ -176,20 +195,32 @@ impl Runs {
             let mut rest = groups.map(|group| group.len() == 3 && digits(group)).peekable();
             self.thousands += usize::from(first && rest.peek().is_some() && rest.all(|fits| fits));
         } else {
-            // A sign after the comma, as in `1,-2`, begins another number.
+            // A sign after the comma, as in `1,-2`, begins another number; so does a point, unless
+            // zeros in between show that a comma separates thousands.
             self.many += 1;
+            let group = fraction.split(|byte| *byte == b'.').next().unwrap_or(fraction);
+            self.grouped |= digits(unsigned)
+                && unsigned.len() <= 3
+                && unsigned[0] != b'0'
+                && digits(group)
+                && group.len() == 3
+                && group[0] == b'0';
         }
     }
 
-    /// `other` says that a semicolon or tab separates, and `list` that the line has a list's bracket.
-    fn look(&self, other: bool, list: bool) -> Look {
+    /// `other` says that a semicolon or tab separates, `list` that the line has a list's bracket,
+    /// and `named` that it has a name's colon.
+    fn look(&self, other: bool, list: bool, named: bool) -> Look {
         let likely = self.alike && self.decimals > Some(1) && self.short;
         match () {
             () if self.one + self.many == 0 || list && !other => Look::Separate,
+            () if self.integers => Look::Padded,
+            () if self.grouped => Look::Both,
             () if self.points && self.thousands > 0 && self.many == 0 => Look::Both,
             () if self.points => Look::Separate,
             () if self.many > 0 => if self.padded { Look::Both } else { Look::Integers },
             () if other => Look::Decimal,
+            () if self.numbers == 1 && named => if self.padded { Look::Decimal } else { Look::Unsure },
             () if self.numbers == 1 => if self.padded { Look::Both } else { Look::Integers },
             () if self.padded => Look::Decimal,
             () if likely && self.one == self.numbers => Look::Likely,
@@ -204,7 +235,7 @@ mod tests {
 
     #[test]
     fn another_separator_makes_commas_decimal() {
-        let lines = ["9,81;0,50", "1;0,12;9,81;", "0,12\t9,81", "ax:0,12;ay:-9,81", "1,05 2", "-0,5 1", "\"0,1\",\"9,8\""];
+        let lines = ["9,81;0,50", "1;0,12;9,81;", "0,12\t9,81", "ax:0,12;ay:-9,81", "1,05 2", "12.03.2024;0,12", "\"0,1\",\"9,8\""];
         for line in lines {
             assert_eq!(look(line.as_bytes()), Look::Decimal, "{line}");
         }
@@ -225,12 +256,16 @@ mod tests {
 
     #[test]
     fn what_is_ambiguous_is_no_guess() {
-        for line in ["0,12,9,05", "1.234,56;2.000,10", "9,05"] {
+        for line in ["0,12,9,05", "1.234,56;2.000,10", "9,05", "1,050.5 2,000.5"] {
             assert_eq!(look(line.as_bytes()), Look::Both, "{line}");
         }
         for line in ["1,2 3,4", "512,498 601,330", "1, 2,3"] {
             assert_eq!(look(line.as_bytes()), Look::Unsure, "{line}");
         }
+        let mut commas = Commas::default();
+        assert_eq!(commas.are_decimal(b"512,0498"), None);
+        assert_eq!(commas.are_decimal(b"0512,0498"), Some(false));
+        assert_eq!(commas.are_decimal(b"512,0498"), Some(false));
         let mut commas = Commas::default();
         assert_eq!(commas.are_decimal(b"12,34 56,78"), Some(true));
         assert_eq!(commas.are_decimal(b"12,3 56,78"), None);

@@ -57,8 +57,12 @@ impl Form {
             return Vec::new();
         }
         let mut labels = self.keys.iter().filter(|key| key.name & LEAD == 0).map(|key| &key.label[0]);
+        // A prefix that all names share tells nothing.
         let first = labels.next();
-        let shared = labels.all(|prefix| Some(prefix) == first);
+        let mut shared = labels.all(|prefix| Some(prefix) == first);
+        let mut own = self.keys.iter().filter(|key| key.name & LEAD == 0).map(|key| &key.label[1]);
+        let first = own.next();
+        shared &= own.any(|label| Some(label) != first);
         let name = |(at, Key { name, label: [prefix, label], place, .. }): (usize, &Key)| {
             let mut text = match name & LEAD != 0 {
                 true => (at + 1).to_string(),
@@ -99,6 +103,11 @@ impl Form {
             cell.kind != Kind::Number || key.unit.is_none_or(|unit| unit == cell.unit)
         };
         fits && *shape == self.shape && cells.iter().zip(&self.keys).all(alike)
+    }
+
+    /// Whether a line has this form, but for the units of its numbers.
+    pub(super) fn resembles(&self, cells: &Cells) -> bool {
+        !self.named && cells.cells.len() == self.keys.len() && cells.shape == self.shape
     }
 
     fn find(&self, cell: &Cell, hint: usize) -> Option<usize> {
@@ -204,8 +213,9 @@ impl Form {
             let at = found.unwrap_or_else(|| {
                 let text = |(begin, end): (usize, usize)| {
                     let text = String::from_utf8_lossy(&line[begin..end]);
-                    let mark = |c: char| c.is_whitespace() || ":=\"'({[<>".contains(c);
-                    text.trim_matches(mark).chars().take(64).collect()
+                    let mark = |c: char| c.is_whitespace() || ":=\"'()[]{}<>,;".contains(c);
+                    let words: Vec<&str> = text.split(mark).filter(|word| !word.is_empty()).collect();
+                    words.join(" ").chars().take(64).collect()
                 };
                 let Cell { name, label, place, .. } = *cell;
                 let key = Key { name, unit: None, label: label.map(text), place, seen: 0 };
@@ -232,6 +242,21 @@ impl Form {
         }
     }
 
+    /// Lets the row begin with its first name by the alphabet (as in `x`, `y`, `z`), if the others
+    /// then follow in this order. Without that, the row begins with the name that came first.
+    fn begin_by_alphabet(&mut self) {
+        let lead = self.keys.iter().take_while(|key| key.name & LEAD != 0).count();
+        let names = &mut self.keys[lead..];
+        fn order(key: &Key) -> (&[String; 2], u32) {
+            (&key.label, key.place)
+        }
+        let first = (0..names.len()).min_by(|one, two| order(&names[*one]).cmp(&order(&names[*two])));
+        names.rotate_left(first.unwrap_or(0));
+        if !names.is_sorted_by(|one, two| order(one) <= order(two)) {
+            names.rotate_right(first.unwrap_or(0));
+        }
+    }
+
     /// Number of rows or lines of one form that make a form.
     fn needed(&self) -> u32 {
         match (self.named, self.worded) {
@@ -245,34 +270,51 @@ impl Form {
 /// Finds the form of lines that do not have the form so far.
 #[derive(Debug, Default)]
 pub(super) struct FormFinder {
-    candidate: Option<Form>,
+    candidates: Vec<Form>,
 }
+
+/// Most forms that are followed at once.
+const MOST_FORMS: usize = 4;
 
 impl FormFinder {
     /// Takes a line that does not fit `old`. Returns the new form, if enough lines show it.
     pub(super) fn take(&mut self, cells: &Cells, line: &[u8], old: Option<&Form>) -> Option<Form> {
-        if !self.candidate.as_mut().is_some_and(|form| form.join(cells, line)) {
-            self.candidate = Some(Form::of(cells, line));
-        }
-        let form = self.candidate.as_mut()?;
+        let at = self.candidates.iter_mut().position(|form| form.join(cells, line));
+        let at = at.unwrap_or_else(|| {
+            if self.candidates.len() == MOST_FORMS {
+                let rarest = (0..MOST_FORMS).min_by_key(|at| self.candidates[*at].fits);
+                self.candidates.remove(rarest.unwrap_or(0));
+            }
+            self.candidates.push(Form::of(cells, line));
+            self.candidates.len() - 1
+        });
+        let fits = self.candidates[at].fits;
         let lasting = old.map_or(0, |old| (old.fits + 1).min(u64::from(CHANGED)));
-        if form.fits < lasting.max(u64::from(form.needed())) {
+        let needed = lasting.max(u64::from(self.candidates[at].needed()));
+        // Lines of a log come less often than rows.
+        let rare = |(other, form): (usize, &Form)| other == at || 3 * form.fits <= 2 * fits;
+        if fits < needed || !self.candidates.iter().enumerate().all(rare) {
             return None;
         }
+        let mut form = self.candidates.swap_remove(at);
+        self.candidates.clear();
         if form.named {
             // Columns of lines that came only once are no part of the row.
             let lines = form.keys.iter().map(|key| key.seen).max().unwrap_or(0);
             form.keys.retain(|key| key.seen * 2 > lines.min(4));
             form.whole = 2 * form.full > form.lines;
+            if !form.whole {
+                form.begin_by_alphabet();
+            }
         }
         let width = form.keys.len();
         (form.row, form.filled) = (vec![f64::NAN; width], vec![false; width]);
         (form.next, form.fits) = (0, 0);
-        self.candidate.take()
+        Some(form)
     }
 
     /// To be called when a line fits: other lines before it were exceptions.
     pub(super) fn clear(&mut self) {
-        self.candidate = None;
+        self.candidates.clear();
     }
 }
