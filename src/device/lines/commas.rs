@@ -62,7 +62,7 @@ impl Commas {
                 (self.padded, self.both) = (true, false);
                 Some(false)
             }
-            Look::Both | Look::Decimal | Look::Likely if self.padded => Some(false),
+            Look::Both if self.padded => Some(false),
             Look::Decimal => {
                 self.proved = true;
                 Some(true)
@@ -120,7 +120,16 @@ fn look(line: &[u8]) -> Look {
     }
     let mut runs = Runs { alike: true, ..Runs::default() };
     let in_run = |byte: &u8| matches!(byte, b'0'..=b'9' | b'.' | b',' | b'-' | b'+' | b':');
+    let mut next = 0;
     for run in line.split(|byte| !in_run(byte)) {
+        let at = next;
+        next += run.len() + 1;
+        // Digits that end a word, a unit or an exponent are no number's begin.
+        let stuck = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'^' | b'_' | 0x80..);
+        let run = match !run.starts_with(b":") && at > 0 && stuck(line[at - 1]) {
+            true => run.iter().position(|byte| *byte == b',').map_or(&[][..], |comma| &run[comma + 1..]),
+            false => run,
+        };
         // A comma at an end stands beside a blank or a letter, so it separates.
         let run = run.strip_suffix(b",").unwrap_or(run);
         let run = run.strip_prefix(b",").unwrap_or(run);
@@ -180,7 +189,7 @@ impl Runs {
         let Some(fraction) = fraction else { return };
         let digits = |part: &[u8]| !part.is_empty() && part.iter().all(u8::is_ascii_digit);
         let is_padded = |part: &[u8]| digits(part) && part.len() > 1 && part[0] == b'0';
-        self.integers |= is_padded(whole);
+        self.integers |= is_padded(whole) && (whole.len() > 2 || parts.clone().next().is_some());
         let unsigned = whole.strip_prefix(b"-").or(whole.strip_prefix(b"+")).unwrap_or(whole);
         if parts.next().is_some() {
             self.many += 1;
@@ -214,7 +223,7 @@ impl Runs {
         let likely = self.alike && self.decimals > Some(1) && self.short;
         match () {
             () if self.one + self.many == 0 || list && !other => Look::Separate,
-            () if self.integers => Look::Padded,
+            () if self.integers && (self.many > 0 || self.numbers == 1) => Look::Padded,
             () if self.grouped => Look::Both,
             () if self.points && self.thousands > 0 && self.many == 0 => Look::Both,
             () if self.points => Look::Separate,
@@ -235,7 +244,7 @@ mod tests {
 
     #[test]
     fn another_separator_makes_commas_decimal() {
-        let lines = ["9,81;0,50", "1;0,12;9,81;", "0,12\t9,81", "ax:0,12;ay:-9,81", "1,05 2", "12.03.2024;0,12", "\"0,1\",\"9,8\""];
+        let lines = ["9,81;0,50", "1;0,12;9,81;", "0,12\t9,81", "ax:0,12;ay:-9,81", "1,05 2", "12.03.2024;0,12", "08,50;09,81", "\"0,1\",\"9,8\""];
         for line in lines {
             assert_eq!(look(line.as_bytes()), Look::Decimal, "{line}");
         }
