@@ -169,10 +169,8 @@ const SPEEDS: [u32; 10] =
 /// Time of noise alone after which other speeds are tried, and the time that each is tried.
 const NOISE: Duration = Duration::from_secs(4);
 const TRIAL: Duration = Duration::from_millis(700);
-/// Fewest rows that show a speed to be right.
-const TRIAL_ROWS: u64 = 3;
 
-/// The usual speed other than `baud` at which lines of numbers come; `None` if at none.
+/// The usual speed other than `baud` at which text comes; `None` if at none.
 fn speed_of(port: &Selector, baud: u32) -> Result<Option<u32>, OpenError> {
     let (mut line, _) = port.open_at(baud)?;
     for speed in SPEEDS.into_iter().filter(|speed| *speed != baud) {
@@ -183,7 +181,7 @@ fn speed_of(port: &Selector, baud: u32) -> Result<Option<u32>, OpenError> {
         let until = Instant::now() + TRIAL;
         let stopped = |_: &Survey| Instant::now() >= until;
         let found = survey(&mut line, (true, None), stopped);
-        if found.is_ok_and(|(survey, _)| !survey.is_noise() && survey.rows() >= TRIAL_ROWS) {
+        if found.is_ok_and(|(survey, _)| survey.is_text()) {
             return Ok(Some(speed));
         }
     }
@@ -218,8 +216,8 @@ pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, S
         let at = |speed| LinesAddress::Serial(port.clone(), speed);
         return Err(match found {
             Some(speed) => format!(
-                "{path}: at {baud} baud comes noise, and at {speed} baud come lines of numbers; \
-                 name the port {}",
+                "{path}: at {baud} baud comes noise, and at {speed} baud comes text; name \
+                 the port {}",
                 at(speed)
             ),
             None => format!(

@@ -417,3 +417,68 @@ fn arecord_is_a_sensor() {
         spawned(Command::new("sh").args(["-c", &pipe]).env("ALSA_CONFIG_PATH", card))
     });
 }
+
+/// A board on a pseudo-terminal that sends what `print` makes of the speed that its port is set to.
+fn board(print: fn(u32, u64) -> Vec<u8>) -> (Arc<AtomicBool>, JoinHandle<()>, String) {
+    let (mut line, slave) = TTYPort::pair().unwrap();
+    line.set_timeout(Duration::from_millis(1)).unwrap();
+    let (path, end) = (slave.name().unwrap(), Arc::<AtomicBool>::default());
+    let stop = end.clone();
+    let send = move || {
+        for i in 0.. {
+            if stop.load(Ordering::Acquire) {
+                return;
+            }
+            let baud = slave.baud_rate().unwrap();
+            let _ = line.write(&print(baud, i));
+            std::thread::sleep(Duration::from_millis(4));
+        }
+    };
+    (end, std::thread::spawn(send), path)
+}
+
+/// Runs `devices --watch` on a board; what it says, and whether it succeeded.
+fn watched(print: fn(u32, u64) -> Vec<u8>, args: &[&str]) -> (String, bool) {
+    let (end, thread, path) = board(print);
+    let args = [&["devices", "--watch", &path][..], args].concat();
+    let run = Command::new(env!("CARGO_BIN_EXE_surfaced")).args(args).output().unwrap();
+    end.store(true, Ordering::Release);
+    thread.join().unwrap();
+    let text = String::from_utf8_lossy(&run.stdout).into_owned();
+    (text + &String::from_utf8_lossy(&run.stderr), run.status.success())
+}
+
+fn wave(i: u64) -> f64 {
+    (i as f64 * 0.7).sin()
+}
+
+#[test]
+fn the_right_speed_of_a_port_is_found_where_another_gives_noise() {
+    let print = |baud, i: u64| match baud {
+        57_600 => format!("{:.2},{:.2}\n", wave(i), wave(2 * i)).into_bytes(),
+        _ => vec![0xf8, 0x00, 0xe6, 0x9c, 0x06, b'x', 0x80],
+    };
+    let (said, done) = watched(print, &[]);
+    assert!(!done && said.contains("at 57600 baud comes text") && said.contains("@57600"), "{said}");
+}
+
+#[test]
+fn what_comes_is_shown_with_what_each_column_is_taken_for() {
+    let print = |_, i: u64| match i % 4 {
+        3 => b"free heap 2311\n".to_vec(),
+        _ => format!("{i},{:.2},0\n", wave(i)).into_bytes(),
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("station.toml");
+    let (said, done) = watched(print, &["--write", file.to_str().unwrap()]);
+    assert!(done && said.contains("  > ") && said.contains("always 0"), "{said}");
+    assert!(said.contains("% of the lines are rows") && said.contains("free heap"), "{said}");
+    let text = std::fs::read_to_string(&file).unwrap();
+    assert!(text.contains("sensor = [2]"), "{text}");
+}
+
+#[test]
+fn a_stream_without_line_ends_ends_the_survey() {
+    let (said, done) = watched(|_, _| vec![b'7'; 64], &[]);
+    assert!(!done && said.contains("no lines of numbers in one form"), "{said}");
+}

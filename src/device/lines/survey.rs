@@ -48,9 +48,9 @@ pub struct Survey {
     rows: u64,
     /// Number of lines that are not rows, or have another form.
     others: u64,
-    /// Number of lines that hold no text, as at a wrong speed of the port.
-    noise: u64,
     bytes: u64,
+    /// Number of bytes that plain text does not hold.
+    strange: u64,
     /// The first lines as they came.
     first_lines: Vec<String>,
     /// The first line that is a row, and the first that is neither row nor header.
@@ -73,6 +73,8 @@ impl Survey {
 
     pub fn feed(&mut self, bytes: &[u8], now_s: f64) {
         self.bytes += bytes.len() as u64;
+        let is_text = |byte: &u8| matches!(byte, b' '..=b'~' | b'\t' | b'\r' | b'\n' | 0x1b);
+        self.strange += bytes.iter().filter(|byte| !is_text(byte)).count() as u64;
         let (mut parser, before) = (std::mem::take(&mut self.parser), self.rows);
         parser.feed(bytes, |text, line| {
             if self.first_lines.len() < FIRST_LINES && !text.is_empty() {
@@ -82,8 +84,7 @@ impl Survey {
                 Line::Row(row) => return self.row(row, text),
                 Line::Header(names) => return self.names = names.to_vec(),
                 Line::Unclear(why) => drop(self.unclear.get_or_insert_with(|| why.into())),
-                Line::Garbage | Line::TooLong => self.noise += 1,
-                Line::Words | Line::Other | Line::Damaged => {}
+                _ => {}
             }
             self.others += 1;
             if !text.is_empty() {
@@ -129,9 +130,10 @@ impl Survey {
         self.rows > 0
     }
 
-    /// Number of rows in the form that the lines have now.
-    pub fn rows(&self) -> u64 {
-        self.rows
+    /// Whether text came.
+    pub fn is_text(&self) -> bool {
+        const LEAST: u64 = 20;
+        self.bytes >= LEAST && !self.is_noise()
     }
 
     /// Whether no bytes came.
@@ -145,8 +147,7 @@ impl Survey {
 
     /// Whether what came is noise rather than text, as at a wrong speed of a port.
     pub fn is_noise(&self) -> bool {
-        let lines = self.rows + self.others;
-        self.bytes > 0 && (lines == 0 || self.noise * 2 > lines)
+        5 * self.strange > self.bytes
     }
 
     /// Share of the lines that are rows, headers aside.
