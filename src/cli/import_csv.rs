@@ -1,32 +1,27 @@
-//! `surfaced import csv`: turns CSV tables into a library.
+//! `surfaced import csv`: turns tables into a library.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use super::show::{self, counted, quoted};
 use super::{Done, Failure, bad_files, parsed};
-use crate::dataset::csv::{Clock, CsvForm, CsvTable, NamePattern};
+use crate::dataset::tables::{self, Clock, Form, Gaps, Head, NamePattern, Read, Said, columns};
 use crate::library::{LibraryError, files};
 use crate::record::{TrialOptions, check_writable, write_library_toml, write_trial};
 use crate::scene::{LibraryToml, Scene, SourceId};
-use crate::trial::{Signal, Trial, TrialKey};
+use crate::trial::{Series, Signal, TrialKey};
 
-/// Names by which a column of times is recognised, each with the length of its unit in seconds.
-const TIMES: [(&str, f64); 8] = [
-    ("time", 1.0),
-    ("t", 1.0),
-    ("timestamp", 1.0),
-    ("time_s", 1.0),
-    ("time_ms", 1e-3),
-    ("t_ms", 1e-3),
-    ("time_us", 1e-6),
-    ("time_ns", 1e-9),
-];
+/// Extensions of the tables that are looked for in folders.
+const TABLES: [&str; 8] = ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz"];
+/// Extensions of tables that are refused, with the reason.
+const REFUSED: [&str; 9] = ["xlsx", "xls", "ods", "mat", "parquet", "feather", "h5", "tdms", "zip"];
 
 /// Make a library from CSV tables, one for each trial, or a long one with columns that name trials
 ///
-/// Columns may be separated by commas, semicolons, tabs or spaces. --dry-run shows what was understood,
-/// and writes nothing.
+/// Understands what separates the columns, names and units above them, decimal commas, packed files
+/// (.gz), and times in any unit, as dates or in Excel's days. --dry-run shows what was understood, and
+/// writes nothing.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced import csv recordings --out my-library --rate 1000 \
                         --dry-run\n  surfaced import csv recordings --out my-library --names \
@@ -48,10 +43,11 @@ pub(super) struct CsvArgs {
     /// Number of rows per second
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
-    /// Column of times, to which rows are resampled (default: `time`, `t`, `timestamp`, `time_ms`, …)
+    /// Column of times, to which rows are resampled (default: by names such as `time` or `timestamp`, or a
+    /// column of dates)
     #[arg(long, value_name = "COLUMN", conflicts_with = "rate")]
     time: Option<String>,
-    /// Length of the unit of time in seconds, such as 0.001 (default: by the column's name, else 1)
+    /// Length of the unit of time in seconds, such as 0.001 (default: by the column's header, or its values)
     #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
     time_unit: Option<f64>,
     /// Column with the surface, in a long table
@@ -66,6 +62,15 @@ pub(super) struct CsvArgs {
     /// Pattern of the file names without extension; * matches any text
     #[arg(long, value_name = "PATTERN", default_value = "{surface}/{trial}", value_parser = pattern)]
     names: NamePattern,
+    /// What to do where more than 5 samples in a row are missing; fewer are filled in, up to 5 % of a channel
+    #[arg(long, value_enum, default_value_t = Gaps::Cut)]
+    gaps: Gaps,
+    /// Count Excel's days from 1904, as old Macs do
+    #[arg(long)]
+    from_1904: bool,
+    /// Size to which a packed file may unpack, in gigabytes
+    #[arg(long, value_name = "GB", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..1000))]
+    max_gb: u64,
     /// Show what was understood, and write nothing
     #[arg(long)]
     dry_run: bool,
@@ -90,178 +95,356 @@ fn pattern(text: &str) -> Result<NamePattern, String> {
 }
 
 pub(super) fn run(args: &CsvArgs) -> Done {
-    let mut tables = Vec::new();
-    args.tables.iter().try_for_each(|path| find(path, &mut tables))?;
-    let Some(first) = tables.first() else {
+    let (mut tables, mut bad) = (Vec::new(), Vec::new());
+    args.tables.iter().try_for_each(|path| find(path, &mut tables, &mut bad))?;
+    if tables.is_empty() {
         let problem = "no table is there; expected files whose names end with .csv, .tsv or .txt";
-        return Err(Failure::at(&args.tables[0], problem));
-    };
+        return Err(LibraryError::of_all(bad)
+            .map_or_else(|| Failure::at(&args.tables[0], problem), Failure::from));
+    }
     if args.out.exists() && !files::list(&args.out)?.is_empty() {
         return Err(Failure::usage_at(&args.out, "the library is there already; name another"));
     }
-    let form = understood(args, &CsvTable::read(first)?)?;
-    let (mut trials, mut bad, mut uneven_hz) = (Vec::<Trial>::new(), Vec::new(), None);
-    let mut keys = BTreeSet::new();
-    for path in &tables {
-        let name = path.with_extension("").to_string_lossy().replace('\\', "/");
-        let problem = |problem| LibraryError::file(path, problem);
-        match CsvTable::read(path).and_then(|t| t.trials(&name, &form).map_err(problem)) {
-            Err(error) => bad.push(error),
-            Ok((found, rate_hz)) => {
-                uneven_hz = uneven_hz.or(rate_hz);
-                for trial in found {
-                    match keys.insert(trial.key.clone()) {
-                        true => trials.push(trial),
-                        false => bad.push(problem(format!(
-                            "another file holds {}, too; give --names a pattern with {{trial}}",
-                            trial.key
-                        ))),
-                    }
-                }
+    let form = understood(args, &tables, &mut bad)?;
+    let staging = if args.dry_run { None } else { Some(Staging::new(&args.out, &form)?) };
+    let mut import = Import {
+        form: &form,
+        keys: BTreeSet::new(),
+        taken: BTreeMap::new(),
+        summary: Summary::default(),
+    };
+    if form.labels[0].is_none() {
+        tables::named(&tables, &form.names).iter().for_each(|key| import.count(key));
+    }
+    for (at, path) in tables.iter().enumerate() {
+        super::say::progress("tables", at, tables.len());
+        if let Err(error) = import.table(path, staging.as_ref(), &mut bad) {
+            // A full disk is no fault of the table.
+            match error.path() == Some(path) {
+                true => bad.push(error),
+                false => return Err(error.into()),
             }
         }
     }
-    if trials.is_empty() {
+    super::say::end_progress();
+    if import.keys.is_empty() {
         return Err(LibraryError::of_all(bad)
             .map_or_else(|| Failure::Failed("no trial was found".into()), Failure::from));
     }
-    print(&form, &trials, uneven_hz);
+    import.summary.print(&form);
     bad_files::skip(&args.out, bad)?;
-    if args.dry_run {
+    let Some(staging) = staging else {
         say!("nothing is written; leave --dry-run out to write {}", args.out.display());
         return Ok(());
-    }
-    write(&args.out, &trials)?;
-    say!("wrote {} to {}", counted(trials.len(), "trial"), args.out.display());
+    };
+    staging.finish(&args.out)?;
+    say!("wrote {} to {}", counted(import.keys.len(), "trial"), args.out.display());
     show::next(&format!("surfaced check {}", quoted(&args.out)));
     Ok(())
 }
 
 /// Adds the tables at a path, which is a single file or a folder with tables and subfolders.
-fn find(path: &Path, tables: &mut Vec<PathBuf>) -> Done {
+fn find(path: &Path, tables: &mut Vec<PathBuf>, bad: &mut Vec<LibraryError>) -> Done {
     if !path.is_dir() {
         tables.push(path.to_path_buf());
         return Ok(());
     }
     for item in files::list(path)?.iter().filter(|item| !item.is_hidden()) {
         let extension = item.stem_and_extension().1;
-        if item.is_dir {
-            find(&item.path, tables)?;
-        } else if ["csv", "tsv", "txt"].contains(&&*extension) {
+        if let Some(why) = item.unusable {
+            bad.push(LibraryError::file(&item.path, why));
+        } else if item.is_dir {
+            find(&item.path, tables, bad)?;
+        } else if TABLES.contains(&&*extension) {
             tables.push(item.path.clone());
+        } else if REFUSED.contains(&&*extension) {
+            let why = format!("a .{extension} file is not read; save its table as CSV");
+            bad.push(LibraryError::file(&item.path, why));
         }
     }
     Ok(())
 }
 
-/// Determines the meaning of the columns from the arguments and the first table.
-fn understood(args: &CsvArgs, first: &CsvTable) -> Result<CsvForm, Failure> {
-    let guessed = || {
-        let column = |(name, _): &(&str, f64)| {
-            first.header.iter().find(|column| column.eq_ignore_ascii_case(name)).cloned()
-        };
-        TIMES.iter().find_map(column)
-    };
-    let clock = match (args.rate, args.time.clone().or_else(guessed)) {
-        (Some(rate_hz), _) => Clock::Rate(rate_hz),
-        (None, Some(column)) => {
-            let known = TIMES.iter().find(|(name, _)| column.eq_ignore_ascii_case(name));
-            let unit_s = args.time_unit.or(known.map(|(_, unit_s)| *unit_s)).unwrap_or(1.0);
-            Clock::Times { column, unit_s }
+/// Determines the meaning of the columns from the arguments and the first table that can be read.
+fn understood(
+    args: &CsvArgs,
+    tables: &[PathBuf],
+    bad: &mut Vec<LibraryError>,
+) -> Result<Form, Failure> {
+    let most_unpacked = args.max_gb << 30;
+    let heads = tables.iter().map(|path| (path, Head::read(path, most_unpacked)));
+    let mut unread = Vec::new();
+    let mut first = None;
+    for (path, head) in heads {
+        match head {
+            Ok(head) => {
+                first = Some((path, head));
+                break;
+            }
+            Err(error) => unread.push(error),
         }
-        (None, None) => {
-            return Err(Failure::Usage(
-                "the rate is not known: give --rate HZ, or --time COLUMN for a column of times"
-                    .into(),
-            ));
-        }
+    }
+    let Some((path, head)) = first else {
+        unread.append(bad);
+        let none = || Failure::Failed("no table can be read".into());
+        return Err(LibraryError::of_all(unread).map_or_else(none, Failure::from));
     };
+    let fail = |problem: String| Failure::from(LibraryError::file(path, problem));
     let labels = [&args.surface, &args.user, &args.trial].map(Clone::clone);
-    let sources =
-        if args.source.is_empty() { grouped(first, &clock, &labels)? } else { args.source.clone() };
-    Ok(CsvForm { sources, clock, labels, names: args.names.clone() })
-}
-
-/// Groups columns into sources by name. Columns whose names differ only after the last `_`, `.`,
-/// `-` or space, or in a last digit, are channels of one source.
-fn grouped(
-    first: &CsvTable,
-    clock: &Clock,
-    labels: &[Option<String>; 3],
-) -> Result<Vec<(SourceId, Vec<String>)>, Failure> {
-    let is_time = |name: &str| {
-        matches!(clock, Clock::Times { column, .. } if column == name)
-            || TIMES.iter().any(|(time, _)| name.eq_ignore_ascii_case(time))
-    };
-    let mut sources: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for name in first.numeric() {
-        if is_time(&name) || labels.iter().flatten().any(|label| *label == name) {
-            continue;
+    let clock = match (args.rate, &args.time) {
+        (Some(rate_hz), _) => Clock::Rate(rate_hz),
+        (None, Some(column)) => Clock::Times { column: column.clone(), unit_s: args.time_unit },
+        (None, None) => {
+            match columns::clock(&head, args.time_unit, args.from_1904).map_err(fail)? {
+                Some(column) => Clock::Times { column, unit_s: args.time_unit },
+                None => {
+                    return Err(Failure::Usage(
+                    "the rate is not known: give --rate HZ, or --time COLUMN for a column of times".into(),
+                ));
+                }
+            }
         }
-        let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
-        let stem = stem.rsplit_once(['_', '.', '-', ' ']).map_or(stem, |(stem, _)| stem);
-        let plain: String = stem.chars().filter(char::is_ascii_alphanumeric).collect();
-        let id = if plain.is_empty() { "sensor".to_string() } else { plain.to_ascii_lowercase() };
-        sources.entry(id).or_default().push(name);
-    }
+    };
+    head.layout.notes.iter().for_each(|note| say!("{}: {note}", path.display()));
+    let mut sources = args.source.clone();
     if sources.is_empty() {
-        return Err(Failure::Failed(format!(
-            "no column of samples is left; the columns: {}",
-            first.header.join(", ")
-        )));
+        let (found, notes) = columns::sources(&head, &clock, &labels).map_err(fail)?;
+        notes.iter().for_each(|note| say!("{note}"));
+        sources = found;
     }
-    let named = |(id, columns): (String, Vec<String>)| Ok((SourceId::new(&id)?, columns));
-    sources.into_iter().map(named).collect()
+    Ok(Form {
+        sources,
+        clock,
+        labels,
+        names: args.names.clone(),
+        gaps: args.gaps,
+        from_1904: args.from_1904,
+        most_unpacked,
+    })
 }
 
-fn print(form: &CsvForm, trials: &[Trial], uneven_hz: Option<f64>) {
-    let rows = form.sources.iter().map(|(id, columns)| {
-        let series = trials.iter().find_map(|trial| match trial.signals.get(id) {
-            Some(Signal::Series(series)) => Some(series),
-            _ => None,
-        });
-        let rate = series.map_or_else(String::new, |series| format!("{} Hz", series.rate_hz()));
-        vec![id.to_string(), columns.join(", "), rate]
-    });
-    show::table(&["source", "columns", ">rate"], rows);
-    result!();
-    let mut surfaces: BTreeMap<&str, (usize, BTreeSet<&str>, f64)> = BTreeMap::new();
-    for trial in trials {
-        let TrialKey { surface, user, .. } = &trial.key;
-        let of = surfaces.entry(surface).or_default();
-        of.0 += 1;
-        of.1.insert(user);
-        of.2 += trial.longest_s(|_| true).unwrap_or(0.0);
+/// An import that runs: what was read so far.
+struct Import<'a> {
+    form: &'a Form,
+    keys: BTreeSet<TrialKey>,
+    /// The highest number of the trials of each surface and user.
+    taken: BTreeMap<(String, String), u32>,
+    summary: Summary,
+}
+
+impl Import<'_> {
+    fn count(&mut self, key: &TrialKey) {
+        let taken = self.taken.entry((key.surface.clone(), key.user.clone())).or_default();
+        *taken = key.number.max(*taken);
     }
-    let rows = surfaces.iter().map(|(surface, (count, users, seconds))| {
-        let mean = format!("{:.1} s", seconds / *count as f64);
-        vec![(*surface).to_string(), count.to_string(), mean, show::listed(users)]
-    });
-    show::table(&["surface", ">trials", ">mean length", "by"], rows);
-    if let (Clock::Times { column, .. }, Some(hz)) = (&form.clock, uneven_hz) {
-        say!(
-            "rows come {hz:.1} times a second by `{column}`; they are resampled by straight lines"
-        );
+
+    /// Reads a table, and writes its trials.
+    fn table(
+        &mut self,
+        path: &Path,
+        staging: Option<&Staging>,
+        bad: &mut Vec<LibraryError>,
+    ) -> Result<(), LibraryError> {
+        let scratch = match staging {
+            Some(staging) => staging.folder.clone(),
+            None => std::env::temp_dir(),
+        };
+        let mut twice = Vec::new();
+        let said = tables::read(path, self.form, &scratch, &mut |keys, read| match read {
+            None => {
+                keys.iter().for_each(|key| self.count(key));
+                Ok(())
+            }
+            Some(Read { mut trial, about, is_further }) => {
+                if is_further {
+                    let of = (trial.key.surface.clone(), trial.key.user.clone());
+                    trial.key.number = self.taken.get(&of).map_or(1, |most| most.saturating_add(1));
+                    self.count(&trial.key);
+                }
+                if !self.keys.insert(trial.key.clone()) {
+                    twice.push(format!(
+                        "another file holds {}, too; give --names a pattern with {{trial}}",
+                        trial.key
+                    ));
+                    return Ok(());
+                }
+                self.summary.add(&trial.key, &trial.signals);
+                let Some(staging) = staging else { return Ok(()) };
+                let options = TrialOptions { durable: false, about };
+                write_trial(&staging.folder, &trial, &staging.scene, &options).map(drop)
+            }
+        })?;
+        let problems = said.bad.iter().chain(&twice);
+        bad.extend(problems.map(|problem| LibraryError::file(path, problem)));
+        self.summary.said(said);
+        Ok(())
     }
 }
 
-/// Writes the trials as a library, whose description lists the sources of the trials.
-fn write(out: &Path, trials: &[Trial]) -> Done {
-    let mut text = String::from("format = 1\n");
-    let mut written = BTreeSet::new();
-    for (id, signal) in trials.iter().flat_map(|trial| &trial.signals) {
-        if let (Signal::Series(series), true) = (signal, written.insert(id)) {
-            let channels = series.channels();
+/// Folder beside the library in which an import writes it, so that no half of it looks whole.
+struct Staging {
+    folder: PathBuf,
+    scene: Scene,
+    /// Locked while the import runs.
+    _lock: File,
+}
+
+impl Staging {
+    fn new(out: &Path, form: &Form) -> Result<Self, Failure> {
+        let mut text = String::from("format = 1\n");
+        for (id, columns) in &form.sources {
+            let channels = columns.len();
             text += &format!("[sources.{id}]\ndomain = \"time\"\nchannels = {channels}\n");
         }
+        let scene = LibraryToml::parse(&text, &Scene::lmt108())?.sources;
+        let Some(name) = out.file_name().map(|name| name.to_string_lossy().into_owned()) else {
+            return Err(Failure::usage_at(out, "not the name of a folder to make"));
+        };
+        let folder = out.with_file_name(format!(".{name}.importing"));
+        let fail = |error| Failure::from(LibraryError::io(&folder, error));
+        let lock_path = out.with_file_name(format!(".{name}.importing.lock"));
+        if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+            std::fs::create_dir_all(parent).map_err(fail)?;
+        }
+        let lock = File::create(&lock_path).map_err(fail)?;
+        if lock.try_lock().is_err() {
+            return Err(Failure::usage_at(
+                out,
+                "another import is writing this library; wait for it",
+            ));
+        }
+        if folder.exists() {
+            say!("an import into {} was interrupted before; it starts over", out.display());
+            std::fs::remove_dir_all(&folder).map_err(fail)?;
+        }
+        check_writable(&folder)?;
+        write_library_toml(&folder, &scene, &name, false)?;
+        Ok(Self { folder, scene, _lock: lock })
     }
-    let scene = LibraryToml::parse(&text, &Scene::lmt108())?.sources;
-    check_writable(out)?;
-    let name = out.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
-    write_library_toml(out, &scene, &name, false)?;
-    let options = TrialOptions { durable: false, ..TrialOptions::default() };
-    for trial in trials {
-        write_trial(out, trial, &scene, &options)?;
+
+    /// Gives the finished library its name.
+    fn finish(self, out: &Path) -> Done {
+        // An empty folder of the name may be there; the library takes its place.
+        if out.exists() {
+            std::fs::remove_dir(out).map_err(|error| LibraryError::io(out, error))?;
+        }
+        std::fs::rename(&self.folder, out).map_err(|error| LibraryError::io(out, error))?;
+        Ok(())
     }
-    Ok(())
+}
+
+impl Drop for Staging {
+    fn drop(&mut self) {
+        // After `finish`, the folder has another name. A crash leaves both, and the next import says so.
+        let _ = std::fs::remove_dir_all(&self.folder);
+        let mut lock = self.folder.clone().into_os_string();
+        lock.push(".lock");
+        let _ = std::fs::remove_file(lock);
+    }
+}
+
+/// What people see of an import.
+#[derive(Default)]
+struct Summary {
+    rates: BTreeMap<SourceId, f64>,
+    /// For each surface: trials, users, seconds.
+    surfaces: BTreeMap<String, (usize, BTreeSet<String>, f64)>,
+    /// For each source and channel: its value if it never changes within a trial, by trial.
+    constant: BTreeMap<(SourceId, usize), Option<BTreeSet<u32>>>,
+    said: Said,
+}
+
+impl Summary {
+    fn add(&mut self, key: &TrialKey, signals: &BTreeMap<SourceId, Signal>) {
+        let of = self.surfaces.entry(key.surface.clone()).or_default();
+        of.0 += 1;
+        of.1.insert(key.user.clone());
+        let series = signals.iter().filter_map(|(id, signal)| match signal {
+            Signal::Series(series) => Some((id, series)),
+            Signal::Image(_) => None,
+        });
+        let mut longest: f64 = 0.0;
+        for (id, series) in series {
+            self.rates.entry(id.clone()).or_insert(series.rate_hz());
+            longest = longest.max(series.duration_s());
+            self.constants(id, series);
+        }
+        of.2 += longest;
+    }
+
+    fn constants(&mut self, id: &SourceId, series: &Series) {
+        for channel in 0..series.channels() {
+            let first = series.samples()[channel];
+            let mut samples = series.samples().iter().skip(channel).step_by(series.channels());
+            let known = self.constant.entry((id.clone(), channel));
+            let known = known.or_insert_with(|| Some(BTreeSet::new()));
+            if let Some(values) = known {
+                match samples.all(|x| *x == first) {
+                    true => drop(values.insert(first.to_bits())),
+                    false => *known = None,
+                }
+            }
+        }
+    }
+
+    fn said(&mut self, said: Said) {
+        self.said.times = self.said.times.take().or(said.times);
+        self.said.resampled_hz = self.said.resampled_hz.or(said.resampled_hz);
+        self.said.repeated += said.repeated;
+        self.said.filled += said.filled;
+        self.said.cut += said.cut;
+        self.said.too_short += said.too_short;
+    }
+
+    fn print(&self, form: &Form) {
+        let rows = form.sources.iter().map(|(id, columns)| {
+            let rate = self.rates.get(id).map_or_else(String::new, |rate| format!("{rate} Hz"));
+            vec![id.to_string(), columns.join(", "), rate]
+        });
+        show::table(&["source", "columns", ">rate"], rows);
+        result!();
+        let rows = self.surfaces.iter().map(|(surface, (count, users, seconds))| {
+            let mean = format!("{:.1} s", seconds / *count as f64);
+            let users: BTreeSet<&str> = users.iter().map(String::as_str).collect();
+            vec![surface.clone(), count.to_string(), mean, show::listed(&users)]
+        });
+        show::table(&["surface", ">trials", ">mean length", "by"], rows);
+        let said = &self.said;
+        said.times.iter().for_each(|times| say!("{times}"));
+        if let (Clock::Times { column, .. }, Some(hz)) = (&form.clock, said.resampled_hz) {
+            say!(
+                "rows come {hz:.1} times a second by `{column}`; they are resampled by straight lines"
+            );
+        }
+        for (count, what) in [
+            (said.repeated, "had the time of the row before, of which the last is used"),
+            (said.filled, "was missing and is filled by straight lines; trial.toml says which"),
+            (said.too_short, "between gaps is too short, and is left out"),
+        ] {
+            let thing = ["row", "value", "part"][usize::from(what.starts_with("was"))
+                + 2 * usize::from(what.starts_with("between"))];
+            if count > 0 {
+                say!("{} {what}", counted(count, thing));
+            }
+        }
+        if said.cut > 0 {
+            say!("{} cut at a gap, and each part is a trial", counted(said.cut, "trial"));
+        }
+        for ((id, channel), values) in &self.constant {
+            let column = form.sources.iter().find(|(source, _)| source == id);
+            let Some(name) = column.and_then(|(_, columns)| columns.get(*channel)) else {
+                continue;
+            };
+            match values.as_ref().map(BTreeSet::len) {
+                Some(1) => {
+                    say!("column `{name}` never changes; leave it out by naming others by --source")
+                }
+                Some(_) => say!(
+                    "warning: column `{name}` never changes within a trial, like a label, which would give \
+                     the answer away; leave it out by naming others by --source"
+                ),
+                None => {}
+            }
+        }
+    }
 }

@@ -4,6 +4,7 @@ pub(crate) mod csv;
 pub(crate) mod feature_tables;
 mod lmt108;
 pub mod synth;
+pub(crate) mod tables;
 
 use std::path::{Path, PathBuf};
 

@@ -52,7 +52,8 @@ pub(crate) struct Listed {
     pub name: String,
     pub path: PathBuf,
     pub is_dir: bool,
-    /// The reason why the item cannot be used (such as a broken link); `None` if it can.
+    /// The reason why the item cannot be used (such as a broken link); `None` if it can. An item
+    /// whose name is not UTF-8 is one of them, with a name that is only for people.
     pub unusable: Option<&'static str>,
 }
 
@@ -75,6 +76,26 @@ impl Listed {
         SERIES.contains(&self.stem_and_extension().1.as_str())
     }
 
+    /// Why a recording in a form that is not read is not used; `None` for all other files.
+    pub(crate) fn unreadable(&self) -> Option<String> {
+        const SOUNDS: [&str; 18] = [
+            "mp3", "m4a", "mp4", "aac", "ogg", "oga", "opus", "webm", "wma", "amr", "3gp", "aif",
+            "aiff", "aifc", "caf", "au", "w64", "raw",
+        ];
+        const TABLES: [&str; 11] =
+            ["csv", "tsv", "lvm", "npy", "npz", "mat", "parquet", "xlsx", "xls", "h5", "tdms"];
+        const PICTURES: [&str; 6] = ["tif", "tiff", "bmp", "gif", "heic", "webp"];
+        let (_, extension) = self.stem_and_extension();
+        let advice = match &*extension {
+            _ if self.is_dir => return None,
+            sound if SOUNDS.contains(&sound) => "convert it to WAV or FLAC",
+            table if TABLES.contains(&table) => "make a library of tables by `surfaced import csv`",
+            picture if PICTURES.contains(&picture) => "save it as PNG or JPEG",
+            _ => return None,
+        };
+        Some(format!("not used, .{extension} is not read as a recording; {advice}"))
+    }
+
     pub(crate) fn stem_and_extension(&self) -> (&str, String) {
         match self.name.rsplit_once('.') {
             Some((stem, extension)) => (stem, extension.to_ascii_lowercase()),
@@ -95,7 +116,7 @@ pub(crate) fn number_in(name: &str) -> Option<u32> {
 }
 
 /// The items in a folder, sorted by name; links are followed. [`Listed::unusable`] is set for
-/// broken links, and for items that are neither files nor folders.
+/// broken links, for names that are not UTF-8, and for items that are neither files nor folders.
 pub(crate) fn list(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
     let fail = |error| LibraryError::io(dir, error);
     if !std::fs::metadata(dir).map_err(fail)?.is_dir() {
@@ -104,10 +125,13 @@ pub(crate) fn list(dir: &Path) -> Result<Vec<Listed>, LibraryError> {
     let mut listed = Vec::new();
     for item in std::fs::read_dir(dir).map_err(fail)? {
         let path = item.map_err(fail)?.path();
-        let Some(name) = path.file_name().and_then(|name| name.to_str()).map(String::from) else {
-            return Err(LibraryError::file(&path, "its name is not UTF-8; rename it"));
-        };
+        let called = path.file_name().unwrap_or_default();
+        let name = called.to_string_lossy().into_owned();
         let (is_dir, unusable) = match std::fs::metadata(&path) {
+            // Neither a label nor a source can be called so, whether it is a file or a folder.
+            Ok(_) if called.to_str().is_none() => {
+                (false, Some("not used, its name is not UTF-8; rename it"))
+            }
             Ok(about) if about.is_dir() => (true, None),
             Ok(about) if about.is_file() => (false, None),
             // A pipe, a socket or a device is never read, since its data may not end.

@@ -15,17 +15,73 @@ use crate::trial::{Image, Series, Signal, SignalError, Trial, TrialKey};
 
 #[derive(Debug)]
 pub(crate) enum SourceFiles {
-    /// One WAV or FLAC file, its header, and whether its two channels are mixed into one.
+    /// One file of a series, its header, and how its two channels become one, if they do.
     Series {
         path: PathBuf,
         header: Outline,
-        mixed: bool,
+        mixed: Option<Mix>,
     },
     Picture(PathBuf),
     Columns {
         paths: Vec<PathBuf>,
         rate_hz: f64,
     },
+}
+
+/// How two channels become one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Mix {
+    Mean,
+    /// The louder channel of two in opposite phase, whose mean would lose the sound.
+    Opposite(usize),
+    /// The channel that is not silent beside the other.
+    Alone(usize),
+}
+
+impl Mix {
+    /// The way that loses least of a series of two channels.
+    fn of(series: &Series) -> Self {
+        let frames = series.frames() as f64;
+        let mean = [0, 1].map(|channel| series.channel(channel).sum::<f64>() / frames);
+        let mut products = [0.0; 3];
+        for (a, b) in series.channel(0).zip(series.channel(1)) {
+            let (a, b) = (a - mean[0], b - mean[1]);
+            products = [products[0] + a * a, products[1] + b * b, products[2] + a * b];
+        }
+        let [left, right, both] = products;
+        let louder = usize::from(right > left);
+        // A hundredth of the power is 20 dB.
+        if left.min(right) < 0.01 * left.max(right) {
+            return Self::Alone(louder);
+        }
+        match both < -0.5 * (left * right).sqrt() {
+            true => Self::Opposite(louder),
+            false => Self::Mean,
+        }
+    }
+
+    fn apply(self, series: &Series) -> Result<Series, SignalError> {
+        let one = |frame: &[f32]| match self {
+            Self::Mean => frame.iter().sum::<f32>() / frame.len() as f32,
+            Self::Opposite(channel) | Self::Alone(channel) => frame[channel],
+        };
+        let samples = series.samples().chunks_exact(series.channels()).map(one).collect();
+        Series::new(series.rate_hz(), 1, samples)
+    }
+
+    fn remark(self, id: &SourceId) -> String {
+        match self {
+            Self::Mean => format!("stereo, mixed down to the one channel of source `{id}`"),
+            Self::Opposite(_) => format!(
+                "stereo with sides of opposite phase, of which only the louder side is used for source \
+                 `{id}`; check how the microphone is wired"
+            ),
+            Self::Alone(_) => format!(
+                "stereo with a dead side (20 dB below the other), so only the other side is used for \
+                 source `{id}`"
+            ),
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -81,7 +137,7 @@ impl SourceFiles {
 
     fn outline(&self) -> Result<Option<Outline>, LibraryError> {
         Ok(match self {
-            Self::Series { header, mixed: true, .. } => Some(Outline { channels: 1, ..*header }),
+            Self::Series { header, mixed: Some(_), .. } => Some(Outline { channels: 1, ..*header }),
             Self::Series { header, .. } => Some(*header),
             Self::Picture(_) => None,
             Self::Columns { paths, rate_hz } => {
@@ -100,12 +156,8 @@ impl SourceFiles {
                     let problem = "it changed since the library was opened; open it again";
                     return Err(LibraryError::file(path, problem));
                 }
-                if !mixed {
-                    return Ok(Signal::Series(series));
-                }
-                let mean = |frame: &[f32]| frame.iter().sum::<f32>() / frame.len() as f32;
-                let means = series.samples().chunks_exact(series.channels()).map(mean).collect();
-                let mixed = Series::new(series.rate_hz(), 1, means);
+                let Some(mix) = mixed else { return Ok(Signal::Series(series)) };
+                let mixed = mix.apply(&series);
                 mixed.map(Signal::Series).map_err(|error| LibraryError::file(path, error))
             }
             Self::Picture(path) => read_picture(path).map(Signal::Image),
@@ -299,9 +351,11 @@ impl Headers {
                 header.rate_hz
             ));
         }
-        if mixed {
-            let what = format!("stereo, mixed down to the one channel of source `{id}`");
-            self.note(path, what);
+        // Which side to take is told by the samples alone, so a stereo file is read here, too.
+        let mixed = mixed.then(|| series_file::read(path).map(|series| Mix::of(&series)));
+        let mixed = mixed.transpose()?;
+        if let Some(mix) = mixed {
+            self.note(path, mix.remark(id));
         }
         let (rate_hz, first) =
             self.first.entry(id.clone()).or_insert_with(|| (header.rate_hz, path.to_path_buf()));

@@ -5,6 +5,7 @@ pub(crate) mod files;
 pub(crate) mod loader;
 pub mod recording;
 pub(crate) mod series_file;
+mod wav;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -314,6 +315,9 @@ pub struct About {
     pub scan: Option<toml::Table>,
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub devices: BTreeMap<String, String>,
+    /// Frames that `import csv` filled in, by source: their count, and which they are.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub interpolated: BTreeMap<String, String>,
 }
 
 fn date_or_text<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<String>, D::Error> {
@@ -380,6 +384,7 @@ mod tests {
             incomplete: true,
             scan: Some(toml::toml! { drag_s = [0.5, 5.3] }),
             devices: BTreeMap::from([("mi2".into(), "hw:1".into())]),
+            interpolated: BTreeMap::from([("acc".into(), "2 of 100: 7-8".into())]),
         };
         assert_eq!(About::from_toml(&about.to_toml()), Ok(about));
         assert_eq!(About::from_toml(""), Ok(About::default()));

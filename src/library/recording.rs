@@ -57,6 +57,8 @@ pub(crate) fn open_part(
             opening.surface(surface);
         } else if let Some(why) = surface.unusable {
             opening.headers.note(&surface.path, why);
+        } else if let (false, Some(why)) = (surface.is_hidden(), surface.unreadable()) {
+            opening.headers.note(&surface.path, why);
         }
     }
     if opening.trials.is_empty() && opening.bad.is_empty() {
@@ -212,7 +214,10 @@ impl<'a> RecordingOpening<'a> {
                     &item.path,
                     "not used, it lies in no TRIAL folder; expected SURFACE/TRIAL/<source>.wav",
                 ),
-                _ => item.unusable.iter().for_each(|why| self.headers.note(&item.path, *why)),
+                _ => {
+                    let why = item.unusable.map(String::from).or_else(|| item.unreadable());
+                    why.into_iter().for_each(|why| self.headers.note(&item.path, why));
+                }
             }
         }
         self.loose(&normal(&surface.name), &loose);
@@ -330,11 +335,14 @@ impl<'a> RecordingOpening<'a> {
         let (stem, extension) = item.stem_and_extension();
         let is_series = item.has_series_name();
         let picture = matches!(extension.as_str(), "png" | "jpg" | "jpeg");
-        if item.is_hidden() || item.is_dir || !(picture || is_series) {
+        if item.is_hidden() || item.is_dir {
             return Ok(None);
         }
-        if let Some(why) = item.unusable {
+        if let Some(why) = item.unusable.map(String::from).or_else(|| item.unreadable()) {
             self.headers.note(&item.path, why);
+            return Ok(None);
+        }
+        if !(picture || is_series) {
             return Ok(None);
         }
         if !picture

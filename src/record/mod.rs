@@ -20,7 +20,7 @@ use jiff::Timestamp;
 use crate::dataset;
 use crate::library::files::number_in;
 use crate::library::recording::{DESCRIPTION, UNFINISHED};
-use crate::library::series_file::EXACT_RATE;
+use crate::library::wav::EXACT_RATE;
 use crate::library::{About, LibraryError};
 use crate::scene::{Domain, MOST_CHANNELS, Scene, SourceSpec};
 use crate::system;

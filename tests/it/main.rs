@@ -47,6 +47,7 @@ mod serve_day;
 mod serve_fuzz;
 mod serve_hostile;
 mod signals;
+mod sound_forms;
 mod station_config;
 mod stress;
 mod synth;

@@ -1,0 +1,438 @@
+//! Reads recordings from tables: text with a row for each sample, or arrays of NumPy. A table holds one
+//! trial, or many trials named by columns. Other columns become sources. The rows have a fixed rate, or a
+//! column of times.
+//!
+//! A table is read once, row by row, so that its size does not matter: [`layout`] finds out how it is
+//! written, [`columns`] what its columns are, [`gather`] collects rows by trial, and [`mend`] makes trials
+//! with a fixed rate of them.
+
+mod cell;
+pub(crate) mod columns;
+mod gather;
+mod layout;
+mod mend;
+mod names;
+mod stamp;
+mod text;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use cell::Numbers;
+use gather::Gathered;
+use layout::Layout;
+pub(crate) use mend::Gaps;
+use mend::{Mended, Piece, mend};
+pub(crate) use names::NamePattern;
+use stamp::Stamps;
+use text::{Lines, shown};
+
+use crate::library::files::number_in;
+use crate::library::{About, LibraryError};
+use crate::record::utc;
+use crate::scene::SourceId;
+use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, normal};
+
+/// Lines and bytes that decide how a table is understood.
+const HEAD_LINES: usize = 2000;
+const HEAD_BYTES: usize = 1 << 20;
+
+/// How to find the time of each row of a table.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Clock {
+    Rate(f64),
+    Times {
+        column: String,
+        /// time unit of the column, in seconds; `None`: told by its header or its values
+        unit_s: Option<f64>,
+    },
+}
+
+/// How to read the tables of one import.
+#[derive(Clone, Debug)]
+pub(crate) struct Form {
+    /// Each source, with the names of the columns that are its channels.
+    pub sources: Vec<(SourceId, Vec<String>)>,
+    pub clock: Clock,
+    /// The columns with the names of surface, user and trial; `None` if there is no such column.
+    pub labels: [Option<String>; 3],
+    /// Pattern of the file's path, which names the trial if no column names the surface.
+    pub names: NamePattern,
+    pub gaps: Gaps,
+    /// Whether Excel's days count from 1904.
+    pub from_1904: bool,
+    /// The largest number of bytes that a packed file may unpack to.
+    pub most_unpacked: u64,
+}
+
+/// The first rows of a table, and its layout.
+pub(crate) struct Head {
+    pub layout: Layout,
+    rows: Vec<Vec<Vec<u8>>>,
+    /// The line with the names of the columns, which programs repeat when they begin anew.
+    names: Vec<u8>,
+}
+
+impl Head {
+    /// Reads the first lines of a table, and finds out its layout.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or holds no table.
+    pub(crate) fn read(path: &Path, most_unpacked: u64) -> Result<Self, LibraryError> {
+        let mut lines = Lines::open(path, most_unpacked)?;
+        Self::of(&mut lines).map_err(|problem| LibraryError::file(path, problem))
+    }
+
+    fn of(lines: &mut Lines) -> Result<Self, String> {
+        let (mut head, mut size) = (Vec::new(), 0);
+        while let Some((number, line)) = lines.next()? {
+            size += line.len();
+            head.push((number, line.to_vec()));
+            if head.len() >= HEAD_LINES || size > HEAD_BYTES {
+                break;
+            }
+        }
+        let layout = Layout::of(&head)?;
+        let mut rows = Vec::new();
+        for (number, line) in head.iter().filter(|(number, _)| *number >= layout.first) {
+            let mut cells = Vec::new();
+            if layout
+                .cells(line, &mut cells)
+                .map_err(|problem| format!("line {number} {problem}"))?
+            {
+                rows.push(cells.into_iter().map(<[u8]>::to_vec).collect());
+            }
+        }
+        let names = head.into_iter().find(|(number, _)| *number == layout.names_at);
+        Ok(Self { layout, rows, names: names.map(|(_, line)| line).unwrap_or_default() })
+    }
+
+    /// The first cells of a column.
+    pub(crate) fn cells(&self, column: usize) -> Vec<Vec<u8>> {
+        self.rows.iter().filter_map(|row| row.get(column).cloned()).collect()
+    }
+}
+
+/// A trial of a table, and what `trial.toml` says of it.
+pub(crate) struct Read {
+    pub trial: Trial,
+    pub about: About,
+    /// Whether this is a part after a gap, which needs another number than the trial.
+    pub is_further: bool,
+}
+
+/// What people should know about a table that was read.
+#[derive(Debug, Default)]
+pub(crate) struct Said {
+    /// How the times were understood.
+    pub times: Option<String>,
+    /// Rows a second, if they were interpolated in time.
+    pub resampled_hz: Option<f64>,
+    pub repeated: usize,
+    /// Values that were filled in.
+    pub filled: usize,
+    /// Trials that were cut, and parts that were too short.
+    pub cut: usize,
+    pub too_short: usize,
+    /// Trials that cannot be used.
+    pub bad: Vec<String>,
+}
+
+/// Reads all trials of a table. Calls `on` with the names of all trials first, and then with each trial.
+/// `scratch` is a folder for rows that do not fit into memory.
+///
+/// # Errors
+/// If the table cannot be read; an error of `on`.
+pub(crate) fn read(
+    path: &Path,
+    form: &Form,
+    scratch: &Path,
+    on: &mut dyn FnMut(&[TrialKey], Option<Read>) -> Result<(), LibraryError>,
+) -> Result<Said, LibraryError> {
+    let fail = |problem: String| LibraryError::file(path, problem);
+    let head = Head::read(path, form.most_unpacked)?;
+    let mut lines = Lines::open(path, form.most_unpacked)?;
+    let table = Table::new(&head, form).map_err(fail)?;
+    let mut gathered = Gathered::new(table.values.len(), table.stamps.is_some());
+    table.gather(path, form, &mut lines, scratch, &mut gathered).map_err(fail)?;
+    let mut said = Said { times: table.said.clone(), ..Said::default() };
+    let keys: Vec<TrialKey> = gathered.groups.iter().map(|group| group.key.clone()).collect();
+    on(&keys, None)?;
+    for at in 0..gathered.groups.len() {
+        let key = gathered.groups[at].key.clone();
+        let rows = gathered.take(at).map_err(|error| LibraryError::io(path, error))?;
+        let rate_hz = match form.clock {
+            Clock::Rate(rate_hz) => Some(rate_hz),
+            Clock::Times { .. } => None,
+        };
+        match mend(rows, &table.names, rate_hz, form.gaps) {
+            Err(problem) => said.bad.push(format!("{key} {problem}")),
+            Ok(mended) => {
+                said.add(&mended);
+                for (part, piece) in mended.pieces.iter().enumerate() {
+                    let mut read = table.trial(key.clone(), piece, form).map_err(fail)?;
+                    read.is_further = part > 0;
+                    on(&keys, Some(read))?;
+                }
+            }
+        }
+    }
+    Ok(said)
+}
+
+impl Said {
+    fn add(&mut self, mended: &Mended) {
+        self.resampled_hz = self.resampled_hz.or(mended.resampled_hz);
+        self.repeated += mended.repeated;
+        self.cut += usize::from(mended.pieces.len() + mended.too_short > 1);
+        self.too_short += mended.too_short;
+        let filled = mended.pieces.iter().flat_map(|piece| &piece.filled);
+        self.filled += filled.filter(|filled| **filled).count();
+    }
+}
+
+/// The places of a table's columns, by a [`Form`].
+struct Table<'a> {
+    head: &'a Head,
+    labels: [Option<usize>; 3],
+    stamps: Option<(usize, Stamps)>,
+    said: Option<String>,
+    /// The columns of all sources, in their order, and their names.
+    values: Vec<usize>,
+    names: Vec<String>,
+}
+
+impl<'a> Table<'a> {
+    fn new(head: &'a Head, form: &Form) -> Result<Self, String> {
+        let layout = &head.layout;
+        let mut labels = [None; 3];
+        for (column, label) in labels.iter_mut().zip(&form.labels) {
+            *column = label.as_ref().map(|label| layout.column(label)).transpose()?;
+        }
+        let (mut stamps, mut said) = (None, None);
+        if let Clock::Times { column, unit_s } = &form.clock {
+            let at = layout.column(column)?;
+            let column = &layout.columns[at];
+            let unit_ns = unit_s.map(|unit| unit * 1e9).or_else(|| columns::told_unit_ns(column));
+            let (known, how) = Stamps::of(&head.cells(at), unit_ns, form.from_1904)
+                .map_err(|problem| format!("column `{}` {problem}", column.name))?;
+            said = Some(format!("times are column `{}`, {how}", column.name));
+            stamps = Some((at, known));
+        }
+        let names: Vec<String> = form.sources.iter().flat_map(|(_, names)| names.clone()).collect();
+        let values = names.iter().map(|name| layout.column(name)).collect::<Result<_, _>>()?;
+        Ok(Self { head, labels, stamps, said, values, names })
+    }
+
+    /// Reads all rows into their groups.
+    fn gather(
+        &self,
+        path: &Path,
+        form: &Form,
+        lines: &mut Lines,
+        scratch: &Path,
+        gathered: &mut Gathered,
+    ) -> Result<(), String> {
+        let name = path.with_extension("").to_string_lossy().replace('\\', "/");
+        let of_name = match self.labels[0] {
+            Some(_) => Default::default(),
+            None => form.names.parts(&name).ok_or_else(|| {
+                format!("its name does not fit the pattern `{}`; see --names", form.names.0)
+            })?,
+        };
+        let widest = form.sources.iter().map(|(_, columns)| columns.len()).max().unwrap_or(1);
+        let layout = &self.head.layout;
+        let mut numbers = Numbers::new(layout.delimiter);
+        let mut values = vec![0.0; self.values.len()];
+        let (mut label, mut known, mut at) = (Vec::new(), None::<Vec<u8>>, 0);
+        while let Some((line, text)) = lines.next()? {
+            let mut cells: Vec<&[u8]> = Vec::with_capacity(layout.columns.len() + 1);
+            let there = line >= layout.first
+                && layout
+                    .cells(text, &mut cells)
+                    .map_err(|problem| format!("line {line} {problem}{}", shortened(text)))?;
+            if !there || text == self.head.names.as_slice() {
+                continue;
+            }
+            label.clear();
+            for column in self.labels.iter().flatten() {
+                label.extend_from_slice(cells[*column]);
+                label.push(0);
+            }
+            if known.as_ref() != Some(&label) {
+                at = match gathered.places.get(&label) {
+                    Some(at) => *at,
+                    None => {
+                        let key = self.key(&cells, &of_name);
+                        let key = key.map_err(|problem| format!("line {line}: {problem}"))?;
+                        let at = gathered.group(key);
+                        gathered.places.insert(label.clone(), at);
+                        at
+                    }
+                };
+                known = Some(label.clone());
+            }
+            let group = &mut gathered.groups[at];
+            if (group.rows + 1).saturating_mul(widest) > Series::MOST_SAMPLES {
+                return Err(format!(
+                    "line {line}: {} has more than {} samples, too many for a trial; name a column of \
+                     trials by --trial, or cut the table",
+                    group.key,
+                    Series::MOST_SAMPLES
+                ));
+            }
+            let time = match &self.stamps {
+                None => None,
+                Some((column, stamps)) => {
+                    let time = time(stamps, cells[*column], group).map_err(|problem| {
+                        let name = &layout.columns[*column].name;
+                        format!("line {line}, column `{name}`: {problem}")
+                    })?;
+                    Some(time)
+                }
+            };
+            for (value, column) in values.iter_mut().zip(&self.values) {
+                let number = numbers.read(cells[*column]).and_then(|number| {
+                    let is_small = number.is_nan() || (number as f32).is_finite();
+                    is_small.then_some(number).ok_or_else(|| "is not a finite number".into())
+                });
+                *value = number.map_err(|problem| {
+                    let (name, cell) = (&layout.columns[*column].name, shown(cells[*column]));
+                    format!("line {line}, column `{name}`: `{cell}` {problem}")
+                })? as f32;
+            }
+            gathered.push(at, time, &values, scratch).map_err(|error| error.to_string())?;
+        }
+        match gathered.groups.is_empty() {
+            true => Err("it holds no rows of numbers; expected a line for each sample".into()),
+            false => Ok(()),
+        }
+    }
+
+    fn key(&self, cells: &[&[u8]], of_name: &[Option<String>; 3]) -> Result<TrialKey, String> {
+        let cell = |at: usize| match self.labels[at] {
+            Some(column) => Some(shown(cells[column]).into_owned()),
+            None => of_name[at].clone(),
+        };
+        let number = cell(2).map(|text| {
+            trial_number(&text)
+                .ok_or_else(|| format!("the trial is `{text}`; expected a whole number"))
+        });
+        let (surface, user) = (cell(0).unwrap_or_default(), cell(1).unwrap_or(EXPERT.into()));
+        if surface.is_empty() || user.is_empty() {
+            return Err("no surface or no user is named".into());
+        }
+        Ok(TrialKey::new(normal(&surface), normal(&user), number.transpose()?.unwrap_or(1)))
+    }
+
+    fn trial(&self, key: TrialKey, piece: &Piece, form: &Form) -> Result<Read, String> {
+        let width = self.names.len();
+        let mut about = About::default();
+        if let Some((_, stamps)) = &self.stamps
+            && stamps.say_when()
+            && let Ok(ns) = u64::try_from(piece.start)
+        {
+            let when = std::time::UNIX_EPOCH + std::time::Duration::from_nanos(ns);
+            // Dates without a zone are in local time.
+            let is_utc = matches!(stamps, Stamps::Numbers { .. });
+            let text = utc(when);
+            about.started_at =
+                Some(if is_utc { text } else { text.trim_end_matches('Z').to_string() });
+        }
+        let (mut signals, mut from) = (BTreeMap::new(), 0);
+        for (source, columns) in &form.sources {
+            let range = from..from + columns.len();
+            from = range.end;
+            let frames = piece.values.chunks_exact(width);
+            let samples: Vec<f32> =
+                frames.flat_map(|frame| frame[range.clone()].iter().copied()).collect();
+            let filled: Vec<usize> = (piece.filled.chunks_exact(width).enumerate())
+                .filter(|(_, frame)| frame[range.clone()].contains(&true))
+                .map(|(frame, _)| frame + 1)
+                .collect();
+            if !filled.is_empty() {
+                let marks = marks(&filled, samples.len() / columns.len());
+                about.interpolated.insert(source.to_string(), marks);
+            }
+            let series = Series::new(piece.rate_hz, columns.len(), samples);
+            let series = series.map_err(|error| format!("{key}, source `{source}`: {error}"))?;
+            signals.insert(source.clone(), Signal::Series(series));
+        }
+        Ok(Read { trial: Trial { key, signals }, about, is_further: false })
+    }
+}
+
+/// The start of a line, to be shown behind an error.
+fn shortened(line: &[u8]) -> String {
+    let start: String = shown(line).chars().take(60).collect();
+    format!(": `{}`", start.escape_debug())
+}
+
+/// The time of a row of a group, in ns.
+fn time(stamps: &Stamps, cell: &[u8], group: &mut gather::Group) -> Result<i64, String> {
+    let Some(read) = stamps.read(cell) else {
+        return Err(format!("`{}` is not a time like those before", shown(cell)));
+    };
+    let lasts = match stamps {
+        Stamps::Clock { lasts } => Some(*lasts as f64),
+        // Counters of 32 bits, such as Arduino's `micros`, begin anew.
+        Stamps::Numbers { unit_ns, since_1970: false } => Some(4_294_967_296.0 * unit_ns),
+        _ => None,
+    };
+    let beyond = || "the time is beyond all ranges".to_string();
+    let mut time = read.checked_add(group.offset).ok_or_else(beyond)?;
+    if let Some(last) = group.last_time
+        && time < last
+    {
+        let before = last - group.offset;
+        match lasts {
+            Some(lasts) if before as f64 > 0.9 * lasts && (read as f64) < 0.1 * lasts => {
+                group.offset = group.offset.checked_add(lasts as i64).ok_or_else(beyond)?;
+                time = read.checked_add(group.offset).ok_or_else(beyond)?;
+            }
+            _ => return Err("the time does not rise".into()),
+        }
+    }
+    group.last_time = Some(time);
+    Ok(time)
+}
+
+/// The number of a trial: `3`, `3.0`, or the digits at the end of a name; `None` for `1.5`.
+fn trial_number(text: &str) -> Option<u32> {
+    match text.replace(',', ".").parse::<f64>() {
+        Ok(number) => (number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number))
+            .then_some(number as u32),
+        Err(_) => number_in(text),
+    }
+}
+
+/// `3 of 100: 5-6, 9`: the count of filled frames, all frames, and the first filled ones, from 1 on.
+fn marks(filled: &[usize], frames: usize) -> String {
+    const MOST: usize = 50;
+    let mut ranges: Vec<(usize, usize)> = Vec::new();
+    for &frame in filled {
+        match ranges.last_mut() {
+            Some((_, end)) if *end + 1 == frame => *end = frame,
+            _ => ranges.push((frame, frame)),
+        }
+    }
+    let one = |(from, to): &(usize, usize)| match from == to {
+        true => from.to_string(),
+        false => format!("{from}-{to}"),
+    };
+    let shown: Vec<String> = ranges.iter().take(MOST).map(one).collect();
+    let more = if ranges.len() > MOST { ", …" } else { "" };
+    format!("{} of {frames}: {}{more}", filled.len(), shown.join(", "))
+}
+
+/// The surface, user and number that the names of files give, before any is read.
+pub(crate) fn named(paths: &[std::path::PathBuf], names: &NamePattern) -> BTreeSet<TrialKey> {
+    let key = |path: &std::path::PathBuf| {
+        let name = path.with_extension("").to_string_lossy().replace('\\', "/");
+        let [surface, user, number] = names.parts(&name)?;
+        let number = number.and_then(|text| trial_number(&text)).unwrap_or(1);
+        let user = user.unwrap_or_else(|| EXPERT.into());
+        Some(TrialKey::new(normal(&surface?), normal(&user), number))
+    };
+    paths.iter().filter_map(key).collect()
+}
