@@ -1,0 +1,400 @@
+//! Arrays of NumPy: `.npy` files and the arrays of an `.npz`, by NEP 1 of NumPy. An array holds trials ×
+//! channels × samples, or channels × samples of one trial, or the samples of one channel.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use flate2::read::DeflateDecoder;
+
+use super::text::Limited;
+use crate::library::LibraryError;
+use crate::library::files;
+use crate::scene::MOST_CHANNELS;
+use crate::trial::Series;
+
+const MAGIC: &[u8] = b"\x93NUMPY";
+/// Longest header that is read, in bytes.
+const MOST_HEADER: usize = 1 << 16;
+/// The largest array of labels, or of trials that lie crosswise (Fortran's order), in bytes.
+const MOST_WHOLE: u64 = 1 << 28;
+
+/// The header of an array, and a reader of its content.
+pub(crate) struct Array {
+    pub shape: Vec<usize>,
+    kind: Kind,
+    /// Bytes of an element.
+    size: usize,
+    is_big_endian: bool,
+    is_crosswise: bool,
+    content: Box<dyn Read>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Kind {
+    Float,
+    Signed,
+    Unsigned,
+    /// Text of UTF-32 units.
+    Wide,
+    /// Text of bytes.
+    Bytes,
+}
+
+/// Whether a file holds arrays, by its name.
+pub(crate) fn is_array(path: &Path) -> bool {
+    let extension = path.extension().map(|extension| extension.to_ascii_lowercase());
+    extension.is_some_and(|extension| extension == "npy" || extension == "npz")
+}
+
+impl Array {
+    /// Opens the array in a file; in an `.npz`, the one called `name`, or the only one of at least two
+    /// dimensions.
+    ///
+    /// # Errors
+    /// If the file is damaged, holds another type, or its array is not clear.
+    pub(crate) fn open(path: &Path, name: Option<&str>, most: u64) -> Result<Self, LibraryError> {
+        let (file, length) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
+        Self::of(file, length, name, most).map_err(|problem| LibraryError::file(path, problem))
+    }
+
+    fn of(mut file: File, length: u64, name: Option<&str>, most: u64) -> Result<Self, String> {
+        let said = |error: std::io::Error| format!("it cannot be read: {error}");
+        let mut start = [0; 4];
+        file.read_exact(&mut start).map_err(|_| "it is cut short".to_string())?;
+        file.rewind().map_err(said)?;
+        if !start.starts_with(b"PK") {
+            return Self::read(Box::new(BufReader::new(file)), Some(length));
+        }
+        let members = zip::members(&mut file, length)?;
+        let names = || members.iter().map(|member| &*member.name).collect::<Vec<_>>().join(", ");
+        let open = |member: &zip::Member| {
+            let file = file.try_clone().map_err(said)?;
+            Self::read(zip::content(file, member, most)?, None)
+        };
+        if let Some(name) = name {
+            let is = |member: &&zip::Member| member.name.strip_suffix(".npy") == Some(name);
+            let member = members.iter().find(is);
+            return open(member.ok_or_else(|| format!("it has no array `{name}`; it has {}", names()))?);
+        }
+        let mut found = None;
+        for member in members.iter().filter(|member| member.name.ends_with(".npy")) {
+            // All members share one file, so only one may be read from at a time.
+            if open(member).is_ok_and(|array| array.shape.len() > 1 && array.is_number())
+                && found.replace(member).is_some()
+            {
+                return Err(format!("it has several arrays ({}); say which by --variable", names()));
+            }
+        }
+        open(found.ok_or_else(|| format!("it has no array of trials; it has {}", names()))?)
+    }
+
+    /// Reads a header. `length` is that of the whole file, if it is known.
+    pub(crate) fn read(mut from: Box<dyn Read>, length: Option<u64>) -> Result<Self, String> {
+        let short = |_| "its header is cut short".to_string();
+        let mut start = [0; 8];
+        from.read_exact(&mut start).map_err(short)?;
+        if !start.starts_with(MAGIC) {
+            return Err("it is no array of NumPy (.npy)".into());
+        }
+        let mut size = [0; 4];
+        let digits = if start[6] == 1 { 2 } else { 4 };
+        from.read_exact(&mut size[..digits]).map_err(short)?;
+        let size = u32::from_le_bytes(size) as usize;
+        if size > MOST_HEADER || !(1..=3).contains(&start[6]) {
+            return Err("its header is damaged".into());
+        }
+        let mut header = vec![0; size];
+        from.read_exact(&mut header).map_err(short)?;
+        let header = String::from_utf8_lossy(&header);
+        let value = |key: &str| {
+            let at = header.find(&format!("'{key}':"))? + key.len() + 3;
+            Some(header[at..].trim_start())
+        };
+        let damaged = || format!("its header is damaged: {}", header.trim().escape_debug());
+        let quoted = value("descr").and_then(|text| text.strip_prefix('\''));
+        let Some((descr, _)) = quoted.and_then(|text| text.split_once('\'')) else {
+            return Err("its elements are records or objects; save plain numbers".into());
+        };
+        let (order, kind) = descr.split_at_checked(1).ok_or_else(damaged)?;
+        let (kind, size) = kind.split_at_checked(1).ok_or_else(damaged)?;
+        let size: usize = size.parse().map_err(|_| damaged())?;
+        let (kind, size) = match (kind, size) {
+            ("f", 2 | 4 | 8) => (Kind::Float, size),
+            ("i", 1 | 2 | 4 | 8) => (Kind::Signed, size),
+            ("u", 1 | 2 | 4 | 8) | ("b", 1) => (Kind::Unsigned, size),
+            ("U", 1..=1000) => (Kind::Wide, 4 * size),
+            ("S", 1..=4000) => (Kind::Bytes, size),
+            _ => return Err(format!("its elements are `{descr}`; save float32 or integers")),
+        };
+        let shape = value("shape").and_then(|text| text.strip_prefix('(')?.split_once(')'));
+        let (shape, _) = shape.ok_or_else(damaged)?;
+        let shape: Option<Vec<usize>> = shape
+            .split(',')
+            .map(str::trim)
+            .filter(|part| !part.is_empty())
+            .map(|part| part.parse().ok())
+            .collect();
+        let shape = shape.ok_or_else(damaged)?;
+        let bytes = shape.iter().try_fold(size as u64, |all, part| all.checked_mul(*part as u64));
+        let bytes = bytes.ok_or_else(damaged)?;
+        if length.is_some_and(|length| bytes > length) {
+            return Err(format!("truncated: {shape:?} elements of {size} bytes are not there"));
+        }
+        let is_crosswise = value("fortran_order").is_some_and(|text| text.starts_with("True"));
+        Ok(Self { shape, kind, size, is_big_endian: order == ">", is_crosswise, content: from })
+    }
+
+    fn is_number(&self) -> bool {
+        matches!(self.kind, Kind::Float | Kind::Signed | Kind::Unsigned)
+    }
+
+    /// Gives the trials one after the other to `on`: number from 0, number of channels, and samples,
+    /// frame by frame.
+    ///
+    /// # Errors
+    /// If the array has other dimensions or is damaged; an error of `on`.
+    pub(crate) fn trials(
+        mut self,
+        on: &mut dyn FnMut(usize, usize, Vec<f32>) -> Result<(), LibraryError>,
+        path: &Path,
+    ) -> Result<(), LibraryError> {
+        let fail = |problem: String| LibraryError::file(path, problem);
+        let [trials, channels, samples] = self.dimensions().map_err(fail)?;
+        let count = channels * samples;
+        let mut whole = match self.is_crosswise {
+            true => Some(self.crosswise(trials, channels, samples).map_err(fail)?),
+            false => None,
+        };
+        for trial in 0..trials {
+            let values = match &mut whole {
+                Some(whole) => whole[trial * count..(trial + 1) * count].to_vec(),
+                None => self.numbers(count).map_err(fail)?,
+            };
+            let mut frames = vec![0.0; count];
+            for (at, value) in values.into_iter().enumerate() {
+                frames[at % samples * channels + at / samples] = value;
+            }
+            on(trial, channels, frames)?;
+        }
+        Ok(())
+    }
+
+    fn dimensions(&self) -> Result<[usize; 3], String> {
+        let shape = match self.shape[..] {
+            _ if !self.is_number() => return Err("its elements are text, not samples".into()),
+            [samples] => [1, 1, samples],
+            [channels, samples] => [1, channels, samples],
+            [trials, channels, samples] => [trials, channels, samples],
+            _ => {
+                return Err(format!(
+                    "it has {} dimensions; expected trials × channels × samples",
+                    self.shape.len()
+                ));
+            }
+        };
+        let [_, channels, samples] = shape;
+        if shape.contains(&0) {
+            return Err("it holds no samples".into());
+        }
+        if channels > MOST_CHANNELS || channels > samples {
+            return Err(format!(
+                "it has {channels} channels of {samples} samples; expected trials × channels × samples: \
+                 turn the array by `numpy.transpose`"
+            ));
+        }
+        match channels.checked_mul(samples).is_some_and(|count| count <= Series::MOST_SAMPLES) {
+            true => Ok(shape),
+            false => Err(format!(
+                "a trial of it has more than {} samples; cut it into trials",
+                Series::MOST_SAMPLES
+            )),
+        }
+    }
+
+    fn numbers(&mut self, count: usize) -> Result<Vec<f32>, String> {
+        let mut bytes = vec![0; count * self.size];
+        self.content
+            .read_exact(&mut bytes)
+            .map_err(|error| format!("truncated, or damaged: {error}"))?;
+        Ok(bytes.chunks_exact(self.size).map(|element| self.number(element) as f32).collect())
+    }
+
+    /// Reads an array in Fortran's order, and puts it into the usual order.
+    fn crosswise(&mut self, a: usize, b: usize, c: usize) -> Result<Vec<f32>, String> {
+        let count = a.checked_mul(b * c).filter(|count| (*count * self.size) as u64 <= MOST_WHOLE);
+        let count = count.ok_or("it is in Fortran's order and too large; save it in C's order")?;
+        let values = self.numbers(count)?;
+        let mut turned = vec![0.0; count];
+        for (at, value) in values.into_iter().enumerate() {
+            let (first, second, third) = (at % a, at / a % b, at / (a * b));
+            turned[(first * b + second) * c + third] = value;
+        }
+        Ok(turned)
+    }
+
+    fn number(&self, element: &[u8]) -> f64 {
+        let mut bytes = [0; 8];
+        bytes[..element.len()].copy_from_slice(element);
+        if self.is_big_endian {
+            bytes[..element.len()].reverse();
+        }
+        let bits = u64::from_le_bytes(bytes);
+        match (self.kind, element.len()) {
+            (Kind::Float, 8) => f64::from_bits(bits),
+            (Kind::Float, 4) => f64::from(f32::from_bits(bits as u32)),
+            (Kind::Float, _) => half(bits as u16),
+            (Kind::Signed, size) => {
+                let unused = 64 - 8 * size as u32;
+                ((bits << unused) as i64 >> unused) as f64
+            }
+            _ => bits as f64,
+        }
+    }
+
+    /// All elements as text, one for each trial: names, or whole numbers.
+    ///
+    /// # Errors
+    /// If the array has several dimensions or is damaged.
+    pub(crate) fn labels(mut self) -> Result<Vec<String>, String> {
+        let count = match self.shape[..] {
+            [count] | [count, 1] | [1, count] => count,
+            _ => return Err(format!("labels have the shape {:?}; expected one a trial", self.shape)),
+        };
+        if count.saturating_mul(self.size) as u64 > MOST_WHOLE {
+            return Err("labels are too many".into());
+        }
+        let mut bytes = Vec::new();
+        let length = (count * self.size) as u64;
+        let read = self.content.by_ref().take(length).read_to_end(&mut bytes);
+        if read.map_err(|error| error.to_string())? as u64 != length {
+            return Err("labels are cut short".into());
+        }
+        let label = |element: &[u8]| match self.kind {
+            Kind::Bytes => String::from_utf8_lossy(element).trim_end_matches('\0').to_string(),
+            Kind::Wide => {
+                let units = element.as_chunks::<4>().0.iter();
+                let unit = |four: &[u8; 4]| match self.is_big_endian {
+                    true => u32::from_be_bytes(*four),
+                    false => u32::from_le_bytes(*four),
+                };
+                let chars = units.map(unit).take_while(|unit| *unit != 0);
+                chars.map(|unit| char::from_u32(unit).unwrap_or('\u{fffd}')).collect()
+            }
+            _ => self.number(element).to_string(),
+        };
+        Ok(bytes.chunks_exact(self.size).map(label).collect())
+    }
+}
+
+/// A 16-bit float (IEEE 754 binary16).
+fn half(bits: u16) -> f64 {
+    let sign = if bits & 0x8000 == 0 { 1.0 } else { -1.0 };
+    let (exponent, fraction) = (i32::from(bits >> 10 & 31), f64::from(bits & 0x3ff));
+    match exponent {
+        31 if fraction == 0.0 => sign * f64::INFINITY,
+        31 => f64::NAN,
+        0 => sign * fraction * 2f64.powi(-24),
+        _ => sign * (1.0 + fraction / 1024.0) * 2f64.powi(exponent - 15),
+    }
+}
+
+/// The members of a ZIP file, as NumPy writes it: stored or deflated, also beyond 4 GB (ZIP64).
+mod zip {
+    use super::*;
+
+    pub(super) struct Member {
+        pub name: String,
+        is_deflated: bool,
+        packed: u64,
+        at: u64,
+    }
+
+    fn damaged() -> String {
+        "the ZIP file is damaged or cut short".into()
+    }
+
+    fn number(bytes: &[u8], at: usize, size: usize) -> Option<u64> {
+        let mut number = [0; 8];
+        number[..size].copy_from_slice(bytes.get(at..at + size)?);
+        Some(u64::from_le_bytes(number))
+    }
+
+    /// Reads the directory at the end of a file of `length` bytes.
+    pub(super) fn members(file: &mut File, length: u64) -> Result<Vec<Member>, String> {
+        let tail = length.min(1 << 16) as usize;
+        let mut end = vec![0; tail];
+        let read = file
+            .seek(SeekFrom::End(-(tail as i64)))
+            .and_then(|_| file.read_exact(&mut end));
+        read.map_err(|error| error.to_string())?;
+        let find = |magic: &[u8]| end.windows(4).rposition(|four| four == magic);
+        let at = find(b"PK\x05\x06").ok_or_else(damaged)?;
+        let (size, start) = (number(&end, at + 12, 4), number(&end, at + 16, 4));
+        let (mut size, mut start) = (size.ok_or_else(damaged)?, start.ok_or_else(damaged)?);
+        if let (Some(long), 0xffff_ffff) = (find(b"PK\x06\x06"), start.max(size)) {
+            size = number(&end, long + 40, 8).ok_or_else(damaged)?;
+            start = number(&end, long + 48, 8).ok_or_else(damaged)?;
+        }
+        if size > 1 << 24 || start > length || size > length - start {
+            return Err(damaged());
+        }
+        let mut directory = vec![0; size as usize];
+        let read = file.seek(SeekFrom::Start(start)).and_then(|_| file.read_exact(&mut directory));
+        read.map_err(|error| error.to_string())?;
+        let (mut members, mut at) = (Vec::new(), 0);
+        while directory[at..].starts_with(b"PK\x01\x02") {
+            let field = |place, size| number(&directory, at + place, size).ok_or_else(damaged);
+            let (method, mut packed, size) = (field(10, 2)?, field(20, 4)?, field(24, 4)?);
+            let lengths = [field(28, 2)?, field(30, 2)?, field(32, 2)?].map(|x| x as usize);
+            let mut offset = field(42, 4)?;
+            let name = directory.get(at + 46..at + 46 + lengths[0]).ok_or_else(damaged)?;
+            let name = String::from_utf8_lossy(name).into_owned();
+            let extra = directory.get(at + 46 + lengths[0]..).and_then(|rest| rest.get(..lengths[1]));
+            let mut extra = extra.ok_or_else(damaged)?;
+            while let (Some(id), Some(length)) = (number(extra, 0, 2), number(extra, 2, 2)) {
+                let body = extra.get(4..4 + length as usize).ok_or_else(damaged)?;
+                if id == 1 {
+                    // The long fields stand in this order, and only where the short one is full.
+                    let mut place = if size == 0xffff_ffff { 8 } else { 0 };
+                    for short in [&mut packed, &mut offset] {
+                        if *short == 0xffff_ffff {
+                            *short = number(body, place, 8).ok_or_else(damaged)?;
+                            place += 8;
+                        }
+                    }
+                }
+                extra = &extra[4 + length as usize..];
+            }
+            if method != 0 && method != 8 {
+                return Err(format!("`{name}` is packed by method {method}; save it by NumPy again"));
+            }
+            members.push(Member { name, is_deflated: method == 8, packed, at: offset });
+            at += 46 + lengths.iter().sum::<usize>();
+            if at > directory.len() {
+                return Err(damaged());
+            }
+        }
+        Ok(members)
+    }
+
+    /// A reader of a member's content, which fails beyond `most` bytes.
+    pub(super) fn content(
+        mut file: File,
+        member: &Member,
+        most: u64,
+    ) -> Result<Box<dyn Read>, String> {
+        let mut head = [0; 30];
+        let read = file.seek(SeekFrom::Start(member.at)).and_then(|_| file.read_exact(&mut head));
+        read.map_err(|_| damaged())?;
+        let lengths = [26, 28].map(|at| u64::from(u16::from_le_bytes([head[at], head[at + 1]])));
+        let skipped = file.seek_relative((lengths[0] + lengths[1]) as i64);
+        skipped.map_err(|error| error.to_string())?;
+        let packed = BufReader::new(file).take(member.packed);
+        Ok(match member.is_deflated {
+            true => Box::new(Limited { from: DeflateDecoder::new(packed), left: most }),
+            false => Box::new(packed),
+        })
+    }
+}
+
