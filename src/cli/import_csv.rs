@@ -6,14 +6,16 @@ use std::path::{Path, PathBuf};
 
 use super::show::{self, counted, quoted};
 use super::{Done, Failure, bad_files, parsed};
-use crate::dataset::tables::{self, Clock, Form, Gaps, Head, NamePattern, Read, Said, columns};
+use crate::dataset::tables::{
+    self, Clock, Form, Gaps, Head, NamePattern, Read, Said, columns, npy,
+};
 use crate::library::{LibraryError, files};
 use crate::record::{TrialOptions, check_writable, write_library_toml, write_trial};
 use crate::scene::{LibraryToml, Scene, SourceId};
 use crate::trial::{Series, Signal, TrialKey};
 
 /// Extensions of the tables that are looked for in folders.
-const TABLES: [&str; 8] = ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz"];
+const TABLES: [&str; 10] = ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz", "npy", "npz"];
 /// Extensions of tables that are refused, with the reason.
 const REFUSED: [&str; 9] = ["xlsx", "xls", "ods", "mat", "parquet", "feather", "h5", "tdms", "zip"];
 
@@ -62,6 +64,12 @@ pub(super) struct CsvArgs {
     /// Pattern of the file names without extension; * matches any text
     #[arg(long, value_name = "PATTERN", default_value = "{surface}/{trial}", value_parser = pattern)]
     names: NamePattern,
+    /// Labels of the trials of a NumPy array: an array of the .npz, or a file (.npy, or a label a line)
+    #[arg(long, value_name = "ARRAY|FILE")]
+    labels: Option<String>,
+    /// Array of an .npz that holds the trials (default: the only one of two or three dimensions)
+    #[arg(long, value_name = "ARRAY")]
+    variable: Option<String>,
     /// What to do where more than 5 samples in a row are missing; fewer are filled in, up to 5 % of a channel
     #[arg(long, value_enum, default_value_t = Gaps::Cut)]
     gaps: Gaps,
@@ -172,6 +180,9 @@ fn understood(
     bad: &mut Vec<LibraryError>,
 ) -> Result<Form, Failure> {
     let most_unpacked = args.max_gb << 30;
+    if let Some(path) = tables.first().filter(|path| npy::is_array(path)) {
+        return array_form(args, path, most_unpacked);
+    }
     let heads = tables.iter().map(|path| (path, Head::read(path, most_unpacked)));
     let mut unread = Vec::new();
     let mut first = None;
@@ -212,15 +223,37 @@ fn understood(
         notes.iter().for_each(|note| say!("{note}"));
         sources = found;
     }
-    Ok(Form {
-        sources,
-        clock,
-        labels,
+    Ok(Form { sources, clock, labels, ..form(args, most_unpacked) })
+}
+
+/// How to read a NumPy array, whose channels are called 1, 2, …
+fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Result<Form, Failure> {
+    let Some(rate_hz) = args.rate else {
+        return Err(Failure::Usage("the rate is not known: give --rate HZ".into()));
+    };
+    let mut sources = args.source.clone();
+    if sources.is_empty() {
+        let array = npy::Array::open(path, args.variable.as_deref(), most_unpacked)?;
+        let channels = array.channels().map_err(|problem| LibraryError::file(path, problem))?;
+        let names = (1..=channels).map(|channel| channel.to_string()).collect();
+        sources = vec![(SourceId::new("sensor")?, names)];
+    }
+    Ok(Form { sources, clock: Clock::Rate(rate_hz), ..form(args, most_unpacked) })
+}
+
+/// The part of the form that the arguments alone tell.
+fn form(args: &CsvArgs, most_unpacked: u64) -> Form {
+    Form {
+        sources: Vec::new(),
+        clock: Clock::Rate(1.0),
+        labels: [None, None, None],
         names: args.names.clone(),
+        variable: args.variable.clone(),
+        array_labels: args.labels.clone(),
         gaps: args.gaps,
         from_1904: args.from_1904,
         most_unpacked,
-    })
+    }
 }
 
 /// An import that runs: what was read so far.
@@ -416,19 +449,15 @@ impl Summary {
                 "rows come {hz:.1} times a second by `{column}`; they are resampled by straight lines"
             );
         }
-        for (count, what) in [
-            (said.repeated, "had the time of the row before, of which the last is used"),
-            (said.filled, "was missing and is filled by straight lines; trial.toml says which"),
-            (said.too_short, "between gaps is too short, and is left out"),
+        for (what, count, thing, then) in [
+            ("repeated times", said.repeated, "row", "; of each time, the last row is used"),
+            ("filled in by straight lines", said.filled, "value", "; trial.toml says which"),
+            ("cut at gaps", said.cut, "trial", "; each part is a trial"),
+            ("too short between gaps", said.too_short, "part", "; left out"),
         ] {
-            let thing = ["row", "value", "part"][usize::from(what.starts_with("was"))
-                + 2 * usize::from(what.starts_with("between"))];
             if count > 0 {
-                say!("{} {what}", counted(count, thing));
+                say!("{what}: {}{then}", counted(count, thing));
             }
-        }
-        if said.cut > 0 {
-            say!("{} cut at a gap, and each part is a trial", counted(said.cut, "trial"));
         }
         for ((id, channel), values) in &self.constant {
             let column = form.sources.iter().find(|(source, _)| source == id);

@@ -83,6 +83,15 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
     }
 }
 
+/// Reads all trials of a table and drops them, for tests of damaged files. Returns their number.
+///
+/// # Errors
+/// If the table cannot be read.
+#[doc(hidden)]
+pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
+    tables::try_read(path)
+}
+
 /// Folders of the processed form in which the authors of LMT108 published it.
 const PROCESSED: [&str; 3] = ["DataLMT108", "Library", "TestingSet"];
 

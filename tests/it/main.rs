@@ -52,3 +52,4 @@ mod station_config;
 mod stress;
 mod synth;
 mod t_star;
+mod table_forms;

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::cell::is_missing;
-use super::layout::Column;
+use super::heading::Column;
 use super::stamp::{Stamps, unit_ns};
 use super::text::shown;
 use super::{Clock, Head};
@@ -152,14 +152,13 @@ pub(crate) fn clock(
             .then_some(Ok((long / 1e9, times.len())))
     };
     let named = (0..columns.len()).filter(|column| is_time(&columns[*column]));
-    let mut found: Option<(usize, f64, usize)> = None;
+    let (mut found, mut unclear) = (None::<(usize, f64, usize)>, None);
     for column in named {
         match rises(column) {
             None => {}
-            Some(Err(why)) if found.is_none() => {
-                return Err(format!("column `{}` {why}", columns[column].name));
+            Some(Err(why)) => {
+                unclear = unclear.or(Some(format!("column `{}` {why}", columns[column].name)));
             }
-            Some(Err(_)) => {}
             Some(Ok((long, rows))) => match found {
                 None => found = Some((column, long, rows)),
                 Some((first, other, _))
@@ -174,6 +173,9 @@ pub(crate) fn clock(
                 Some(_) => {}
             },
         }
+    }
+    if let (None, Some(unclear)) = (found, unclear) {
+        return Err(unclear);
     }
     let by_value = || {
         (0..columns.len()).find(|column| {

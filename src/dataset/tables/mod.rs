@@ -9,17 +9,20 @@
 mod cell;
 pub(crate) mod columns;
 mod gather;
+mod heading;
 mod layout;
 mod mend;
 mod names;
+pub(crate) mod npy;
 mod stamp;
 mod text;
+mod zip;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use cell::Numbers;
-use gather::Gathered;
+use gather::{Gathered, Rows};
 use layout::Layout;
 pub(crate) use mend::Gaps;
 use mend::{Mended, Piece, mend};
@@ -29,6 +32,7 @@ use text::{Lines, shown};
 
 use crate::library::files::number_in;
 use crate::library::{About, LibraryError};
+use crate::printable::counted;
 use crate::record::utc;
 use crate::scene::SourceId;
 use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, normal};
@@ -58,6 +62,10 @@ pub(crate) struct Form {
     pub labels: [Option<String>; 3],
     /// Pattern of the file's path, which names the trial if no column names the surface.
     pub names: NamePattern,
+    /// The array of an `.npz` that holds the trials, and the labels of the trials: an array of the `.npz`,
+    /// or a file.
+    pub variable: Option<String>,
+    pub array_labels: Option<String>,
     pub gaps: Gaps,
     /// Whether Excel's days count from 1904.
     pub from_1904: bool,
@@ -121,6 +129,9 @@ pub(crate) struct Read {
     pub is_further: bool,
 }
 
+/// Takes the names of trials that come, or one that was read.
+type OnRead<'a> = &'a mut dyn FnMut(&[TrialKey], Option<Read>) -> Result<(), LibraryError>;
+
 /// What people should know about a table that was read.
 #[derive(Debug, Default)]
 pub(crate) struct Said {
@@ -147,9 +158,12 @@ pub(crate) fn read(
     path: &Path,
     form: &Form,
     scratch: &Path,
-    on: &mut dyn FnMut(&[TrialKey], Option<Read>) -> Result<(), LibraryError>,
+    on: OnRead<'_>,
 ) -> Result<Said, LibraryError> {
     let fail = |problem: String| LibraryError::file(path, problem);
+    if npy::is_array(path) {
+        return npy::read(path, form, on);
+    }
     let head = Head::read(path, form.most_unpacked)?;
     let mut lines = Lines::open(path, form.most_unpacked)?;
     let table = Table::new(&head, form).map_err(fail)?;
@@ -161,23 +175,61 @@ pub(crate) fn read(
     for at in 0..gathered.groups.len() {
         let key = gathered.groups[at].key.clone();
         let rows = gathered.take(at).map_err(|error| LibraryError::io(path, error))?;
-        let rate_hz = match form.clock {
-            Clock::Rate(rate_hz) => Some(rate_hz),
-            Clock::Times { .. } => None,
-        };
-        match mend(rows, &table.names, rate_hz, form.gaps) {
-            Err(problem) => said.bad.push(format!("{key} {problem}")),
-            Ok(mended) => {
-                said.add(&mended);
-                for (part, piece) in mended.pieces.iter().enumerate() {
-                    let mut read = table.trial(key.clone(), piece, form).map_err(fail)?;
-                    read.is_further = part > 0;
-                    on(&keys, Some(read))?;
-                }
-            }
-        }
+        let stamps = table.stamps.as_ref().map(|(_, stamps)| stamps);
+        let read = give(key, rows, &table.names, form, stamps, &mut said, on);
+        read?.map_err(fail)?;
     }
     Ok(said)
+}
+
+/// Makes trials of the rows of one trial, and gives them to `on`. A trial that cannot be used is added
+/// to those in `said`.
+fn give(
+    key: TrialKey,
+    rows: Rows,
+    names: &[String],
+    form: &Form,
+    stamps: Option<&Stamps>,
+    said: &mut Said,
+    on: OnRead<'_>,
+) -> Result<Result<(), String>, LibraryError> {
+    let rate_hz = match form.clock {
+        Clock::Rate(rate_hz) => Some(rate_hz),
+        Clock::Times { .. } => None,
+    };
+    let mended = match mend(rows, names, rate_hz, form.gaps) {
+        Ok(mended) => mended,
+        Err(problem) => {
+            said.bad.push(format!("{key} {problem}"));
+            return Ok(Ok(()));
+        }
+    };
+    said.add(&mended);
+    for (part, piece) in mended.pieces.iter().enumerate() {
+        let mut read = match trial(key.clone(), piece, form, stamps) {
+            Ok(read) => read,
+            Err(problem) => return Ok(Err(problem)),
+        };
+        read.is_further = part > 0;
+        on(&[], Some(read))?;
+    }
+    Ok(Ok(()))
+}
+
+/// The path of a file without its extensions, with `/` on every system: what a [`NamePattern`] fits.
+fn name_of(path: &Path) -> String {
+    let name = path.to_string_lossy().replace('\\', "/");
+    let name = name.strip_suffix(".gz").unwrap_or(&name);
+    Path::new(name).with_extension("").to_string_lossy().into_owned()
+}
+
+impl Form {
+    fn clock_column(&self) -> Option<&str> {
+        match &self.clock {
+            Clock::Times { column, .. } => Some(column),
+            Clock::Rate(_) => None,
+        }
+    }
 }
 
 impl Said {
@@ -233,10 +285,9 @@ impl<'a> Table<'a> {
         scratch: &Path,
         gathered: &mut Gathered,
     ) -> Result<(), String> {
-        let name = path.with_extension("").to_string_lossy().replace('\\', "/");
         let of_name = match self.labels[0] {
             Some(_) => Default::default(),
-            None => form.names.parts(&name).ok_or_else(|| {
+            None => form.names.parts(&name_of(path)).ok_or_else(|| {
                 format!("its name does not fit the pattern `{}`; see --names", form.names.0)
             })?,
         };
@@ -324,42 +375,47 @@ impl<'a> Table<'a> {
         }
         Ok(TrialKey::new(normal(&surface), normal(&user), number.transpose()?.unwrap_or(1)))
     }
+}
 
-    fn trial(&self, key: TrialKey, piece: &Piece, form: &Form) -> Result<Read, String> {
-        let width = self.names.len();
-        let mut about = About::default();
-        if let Some((_, stamps)) = &self.stamps
-            && stamps.say_when()
-            && let Ok(ns) = u64::try_from(piece.start)
-        {
-            let when = std::time::UNIX_EPOCH + std::time::Duration::from_nanos(ns);
-            // Dates without a zone are in local time.
-            let is_utc = matches!(stamps, Stamps::Numbers { .. });
-            let text = utc(when);
-            about.started_at =
-                Some(if is_utc { text } else { text.trim_end_matches('Z').to_string() });
-        }
-        let (mut signals, mut from) = (BTreeMap::new(), 0);
-        for (source, columns) in &form.sources {
-            let range = from..from + columns.len();
-            from = range.end;
-            let frames = piece.values.chunks_exact(width);
-            let samples: Vec<f32> =
-                frames.flat_map(|frame| frame[range.clone()].iter().copied()).collect();
-            let filled: Vec<usize> = (piece.filled.chunks_exact(width).enumerate())
-                .filter(|(_, frame)| frame[range.clone()].contains(&true))
-                .map(|(frame, _)| frame + 1)
-                .collect();
-            if !filled.is_empty() {
-                let marks = marks(&filled, samples.len() / columns.len());
-                about.interpolated.insert(source.to_string(), marks);
-            }
-            let series = Series::new(piece.rate_hz, columns.len(), samples);
-            let series = series.map_err(|error| format!("{key}, source `{source}`: {error}"))?;
-            signals.insert(source.clone(), Signal::Series(series));
-        }
-        Ok(Read { trial: Trial { key, signals }, about, is_further: false })
+/// The trial of a piece, and its `trial.toml`.
+fn trial(
+    key: TrialKey,
+    piece: &Piece,
+    form: &Form,
+    stamps: Option<&Stamps>,
+) -> Result<Read, String> {
+    let width = form.sources.iter().map(|(_, columns)| columns.len()).sum();
+    let mut about = About::default();
+    if let Some(stamps) = stamps
+        && stamps.say_when()
+        && let Ok(ns) = u64::try_from(piece.start)
+    {
+        let when = std::time::UNIX_EPOCH + std::time::Duration::from_nanos(ns);
+        // Dates without a zone are in local time.
+        let is_utc = matches!(stamps, Stamps::Numbers { .. });
+        let text = utc(when);
+        about.started_at = Some(if is_utc { text } else { text.trim_end_matches('Z').to_string() });
     }
+    let (mut signals, mut from) = (BTreeMap::new(), 0);
+    for (source, columns) in &form.sources {
+        let range = from..from + columns.len();
+        from = range.end;
+        let frames = piece.values.chunks_exact(width);
+        let samples: Vec<f32> =
+            frames.flat_map(|frame| frame[range.clone()].iter().copied()).collect();
+        let filled: Vec<usize> = (piece.filled.chunks_exact(width).enumerate())
+            .filter(|(_, frame)| frame[range.clone()].contains(&true))
+            .map(|(frame, _)| frame + 1)
+            .collect();
+        if !filled.is_empty() {
+            let marks = marks(&filled, samples.len() / columns.len());
+            about.interpolated.insert(source.to_string(), marks);
+        }
+        let series = Series::new(piece.rate_hz, columns.len(), samples);
+        let series = series.map_err(|error| format!("{key}, source `{source}`: {error}"))?;
+        signals.insert(source.clone(), Signal::Series(series));
+    }
+    Ok(Read { trial: Trial { key, signals }, about, is_further: false })
 }
 
 /// The start of a line, to be shown behind an error.
@@ -428,11 +484,45 @@ fn marks(filled: &[usize], frames: usize) -> String {
 /// The surface, user and number that the names of files give, before any is read.
 pub(crate) fn named(paths: &[std::path::PathBuf], names: &NamePattern) -> BTreeSet<TrialKey> {
     let key = |path: &std::path::PathBuf| {
-        let name = path.with_extension("").to_string_lossy().replace('\\', "/");
-        let [surface, user, number] = names.parts(&name)?;
+        let [surface, user, number] = names.parts(&name_of(path))?;
         let number = number.and_then(|text| trial_number(&text)).unwrap_or(1);
         let user = user.unwrap_or_else(|| EXPERT.into());
         Some(TrialKey::new(normal(&surface?), normal(&user), number))
     };
     paths.iter().filter_map(key).collect()
+}
+
+/// Reads all trials of a table at 100 rows a second, or by its times, and returns their number.
+pub(crate) fn try_read(path: &Path) -> Result<usize, LibraryError> {
+    let fail = |problem: String| LibraryError::file(path, problem);
+    let mut form = Form {
+        sources: Vec::new(),
+        clock: Clock::Rate(100.0),
+        labels: [None, None, None],
+        names: NamePattern("{surface}-{trial}".into()),
+        variable: None,
+        array_labels: None,
+        gaps: Gaps::Cut,
+        from_1904: false,
+        most_unpacked: 1 << 24,
+    };
+    if npy::is_array(path) {
+        let channels =
+            npy::Array::open(path, None, form.most_unpacked)?.channels().map_err(fail)?;
+        let names = (1..=channels).map(|channel| channel.to_string()).collect();
+        form.sources.extend(SourceId::new("x").map(|id| (id, names)));
+    } else {
+        let head = Head::read(path, form.most_unpacked)?;
+        if let Some(column) = columns::clock(&head, None, false).map_err(fail)? {
+            form.clock = Clock::Times { column, unit_s: None };
+        }
+        form.sources = columns::sources(&head, &form.clock, &form.labels).map_err(fail)?.0;
+    }
+    let mut count = 0;
+    let mut on = |_: &[TrialKey], read: Option<Read>| {
+        count += usize::from(read.is_some());
+        Ok(())
+    };
+    read(path, &form, &std::env::temp_dir(), &mut on)?;
+    Ok(count)
 }

@@ -1,17 +1,19 @@
 //! Arrays of NumPy: `.npy` files and the arrays of an `.npz`, by NEP 1 of NumPy. An array holds trials ×
 //! channels × samples, or channels × samples of one trial, or the samples of one channel.
 
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
-use flate2::read::DeflateDecoder;
-
-use super::text::Limited;
+use super::gather::Rows;
+use super::text::{Lines, shown};
+use super::{Form, OnRead, Said, give, name_of, trial_number, zip};
 use crate::library::LibraryError;
 use crate::library::files;
+use crate::printable::counted;
 use crate::scene::MOST_CHANNELS;
-use crate::trial::Series;
+use crate::trial::{EXPERT, Series, TrialKey, normal};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header that is read, in bytes.
@@ -75,7 +77,9 @@ impl Array {
         if let Some(name) = name {
             let is = |member: &&zip::Member| member.name.strip_suffix(".npy") == Some(name);
             let member = members.iter().find(is);
-            return open(member.ok_or_else(|| format!("it has no array `{name}`; it has {}", names()))?);
+            return open(
+                member.ok_or_else(|| format!("it has no array `{name}`; it has {}", names()))?,
+            );
         }
         let mut found = None;
         for member in members.iter().filter(|member| member.name.ends_with(".npy")) {
@@ -83,7 +87,10 @@ impl Array {
             if open(member).is_ok_and(|array| array.shape.len() > 1 && array.is_number())
                 && found.replace(member).is_some()
             {
-                return Err(format!("it has several arrays ({}); say which by --variable", names()));
+                return Err(format!(
+                    "it has several arrays ({}); say which by --variable",
+                    names()
+                ));
             }
         }
         open(found.ok_or_else(|| format!("it has no array of trials; it has {}", names()))?)
@@ -143,6 +150,19 @@ impl Array {
         }
         let is_crosswise = value("fortran_order").is_some_and(|text| text.starts_with("True"));
         Ok(Self { shape, kind, size, is_big_endian: order == ">", is_crosswise, content: from })
+    }
+
+    /// The number of trials, by the shape; 0 if the shape is none of trials.
+    pub(crate) fn trials_count(&self) -> usize {
+        self.dimensions().map_or(0, |[trials, ..]| trials)
+    }
+
+    /// The number of channels.
+    ///
+    /// # Errors
+    /// If the array has other dimensions than trials have.
+    pub(crate) fn channels(&self) -> Result<usize, String> {
+        self.dimensions().map(|[_, channels, _]| channels)
     }
 
     fn is_number(&self) -> bool {
@@ -259,7 +279,12 @@ impl Array {
     pub(crate) fn labels(mut self) -> Result<Vec<String>, String> {
         let count = match self.shape[..] {
             [count] | [count, 1] | [1, count] => count,
-            _ => return Err(format!("labels have the shape {:?}; expected one a trial", self.shape)),
+            _ => {
+                return Err(format!(
+                    "labels have the shape {:?}; expected one a trial",
+                    self.shape
+                ));
+            }
         };
         if count.saturating_mul(self.size) as u64 > MOST_WHOLE {
             return Err("labels are too many".into());
@@ -287,6 +312,93 @@ impl Array {
     }
 }
 
+/// Reads all trials of an array, like [`super::read`].
+pub(super) fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryError> {
+    let fail = |problem: String| LibraryError::file(path, problem);
+    let array = Array::open(path, form.variable.as_deref(), form.most_unpacked)?;
+    if form.clock_column().is_some() {
+        return Err(fail("an array has no column of times; give --rate HZ".into()));
+    }
+    let labels =
+        form.array_labels.as_ref().map(|labels| labels_of(path, labels, form.most_unpacked));
+    let labels = labels.transpose()?;
+    let count = array.trials_count();
+    if let Some(labels) = labels.as_ref().filter(|labels| labels.len() != count) {
+        return Err(fail(format!(
+            "it has {}, but there are {} labels",
+            counted(count, "trial"),
+            labels.len()
+        )));
+    }
+    let of_name = form.names.parts(&name_of(path));
+    if labels.is_none() && of_name.is_none() {
+        let problem = "its name does not fit the pattern";
+        return Err(fail(format!("{problem} `{}`; see --names, or give --labels", form.names.0)));
+    }
+    let [surface, user, number] = of_name.unwrap_or_default();
+    let names: Vec<String> = form.sources.iter().flat_map(|(_, names)| names.clone()).collect();
+    let places =
+        names.iter().map(|name| name.parse::<usize>().ok().and_then(|at| at.checked_sub(1)));
+    let places: Option<Vec<usize>> = places.collect();
+    let places =
+        places.ok_or_else(|| fail("the channels of an array are called 1, 2, …".into()))?;
+    let (mut said, mut numbers) = (Said::default(), BTreeMap::<String, u32>::new());
+    array.trials(
+        &mut |at, channels, frames| {
+            if let Some(place) = places.iter().find(|place| **place >= channels) {
+                return Err(fail(format!(
+                    "it has no channel {}, but {channels} channels",
+                    place + 1
+                )));
+            }
+            let surface = match &labels {
+                Some(labels) => labels[at].clone(),
+                None => surface.clone().unwrap_or_default(),
+            };
+            let next = numbers.entry(surface.clone()).or_default();
+            *next += 1;
+            let of_file = number.as_deref().and_then(trial_number).filter(|_| count == 1);
+            let user = user.clone().unwrap_or_else(|| EXPERT.into());
+            let key = TrialKey::new(normal(&surface), normal(&user), of_file.unwrap_or(*next));
+            if key.surface.is_empty() {
+                return Err(fail(format!("trial {} has no label", at + 1)));
+            }
+            if let Some(bad) = frames.iter().position(|value| value.is_infinite()) {
+                let (frame, channel) = (bad / channels + 1, bad % channels + 1);
+                return Err(fail(format!(
+                    "{key}, channel {channel}: sample {frame} is not finite"
+                )));
+            }
+            let rows = frames.chunks_exact(channels);
+            let values = rows.flat_map(|frame| places.iter().map(|place| frame[*place])).collect();
+            on(std::slice::from_ref(&key), None)?;
+            give(key, Rows { times: Vec::new(), values }, &names, form, None, &mut said, on)?
+                .map_err(fail)
+        },
+        path,
+    )?;
+    Ok(said)
+}
+
+/// The labels of an array's trials: an array of the same `.npz`, or a file with one label a line or `.npy`.
+fn labels_of(path: &Path, labels: &str, most: u64) -> Result<Vec<String>, LibraryError> {
+    let file = Path::new(labels);
+    let (of, array) = match file.exists() {
+        true if is_array(file) => (file, Array::open(file, None, most)?),
+        true => {
+            let fail = |problem| LibraryError::file(file, problem);
+            let (mut lines, mut all) = (Lines::open(file, most)?, Vec::new());
+            while let Some((_, line)) = lines.next().map_err(fail)? {
+                let label = shown(line.trim_ascii()).trim_matches('"').to_string();
+                all.extend(Some(label).filter(|label| !label.is_empty()));
+            }
+            return Ok(all);
+        }
+        false => (path, Array::open(path, Some(labels), most)?),
+    };
+    array.labels().map_err(|problem| LibraryError::file(of, problem))
+}
+
 /// A 16-bit float (IEEE 754 binary16).
 fn half(bits: u16) -> f64 {
     let sign = if bits & 0x8000 == 0 { 1.0 } else { -1.0 };
@@ -298,103 +410,3 @@ fn half(bits: u16) -> f64 {
         _ => sign * (1.0 + fraction / 1024.0) * 2f64.powi(exponent - 15),
     }
 }
-
-/// The members of a ZIP file, as NumPy writes it: stored or deflated, also beyond 4 GB (ZIP64).
-mod zip {
-    use super::*;
-
-    pub(super) struct Member {
-        pub name: String,
-        is_deflated: bool,
-        packed: u64,
-        at: u64,
-    }
-
-    fn damaged() -> String {
-        "the ZIP file is damaged or cut short".into()
-    }
-
-    fn number(bytes: &[u8], at: usize, size: usize) -> Option<u64> {
-        let mut number = [0; 8];
-        number[..size].copy_from_slice(bytes.get(at..at + size)?);
-        Some(u64::from_le_bytes(number))
-    }
-
-    /// Reads the directory at the end of a file of `length` bytes.
-    pub(super) fn members(file: &mut File, length: u64) -> Result<Vec<Member>, String> {
-        let tail = length.min(1 << 16) as usize;
-        let mut end = vec![0; tail];
-        let read = file
-            .seek(SeekFrom::End(-(tail as i64)))
-            .and_then(|_| file.read_exact(&mut end));
-        read.map_err(|error| error.to_string())?;
-        let find = |magic: &[u8]| end.windows(4).rposition(|four| four == magic);
-        let at = find(b"PK\x05\x06").ok_or_else(damaged)?;
-        let (size, start) = (number(&end, at + 12, 4), number(&end, at + 16, 4));
-        let (mut size, mut start) = (size.ok_or_else(damaged)?, start.ok_or_else(damaged)?);
-        if let (Some(long), 0xffff_ffff) = (find(b"PK\x06\x06"), start.max(size)) {
-            size = number(&end, long + 40, 8).ok_or_else(damaged)?;
-            start = number(&end, long + 48, 8).ok_or_else(damaged)?;
-        }
-        if size > 1 << 24 || start > length || size > length - start {
-            return Err(damaged());
-        }
-        let mut directory = vec![0; size as usize];
-        let read = file.seek(SeekFrom::Start(start)).and_then(|_| file.read_exact(&mut directory));
-        read.map_err(|error| error.to_string())?;
-        let (mut members, mut at) = (Vec::new(), 0);
-        while directory[at..].starts_with(b"PK\x01\x02") {
-            let field = |place, size| number(&directory, at + place, size).ok_or_else(damaged);
-            let (method, mut packed, size) = (field(10, 2)?, field(20, 4)?, field(24, 4)?);
-            let lengths = [field(28, 2)?, field(30, 2)?, field(32, 2)?].map(|x| x as usize);
-            let mut offset = field(42, 4)?;
-            let name = directory.get(at + 46..at + 46 + lengths[0]).ok_or_else(damaged)?;
-            let name = String::from_utf8_lossy(name).into_owned();
-            let extra = directory.get(at + 46 + lengths[0]..).and_then(|rest| rest.get(..lengths[1]));
-            let mut extra = extra.ok_or_else(damaged)?;
-            while let (Some(id), Some(length)) = (number(extra, 0, 2), number(extra, 2, 2)) {
-                let body = extra.get(4..4 + length as usize).ok_or_else(damaged)?;
-                if id == 1 {
-                    // The long fields stand in this order, and only where the short one is full.
-                    let mut place = if size == 0xffff_ffff { 8 } else { 0 };
-                    for short in [&mut packed, &mut offset] {
-                        if *short == 0xffff_ffff {
-                            *short = number(body, place, 8).ok_or_else(damaged)?;
-                            place += 8;
-                        }
-                    }
-                }
-                extra = &extra[4 + length as usize..];
-            }
-            if method != 0 && method != 8 {
-                return Err(format!("`{name}` is packed by method {method}; save it by NumPy again"));
-            }
-            members.push(Member { name, is_deflated: method == 8, packed, at: offset });
-            at += 46 + lengths.iter().sum::<usize>();
-            if at > directory.len() {
-                return Err(damaged());
-            }
-        }
-        Ok(members)
-    }
-
-    /// A reader of a member's content, which fails beyond `most` bytes.
-    pub(super) fn content(
-        mut file: File,
-        member: &Member,
-        most: u64,
-    ) -> Result<Box<dyn Read>, String> {
-        let mut head = [0; 30];
-        let read = file.seek(SeekFrom::Start(member.at)).and_then(|_| file.read_exact(&mut head));
-        read.map_err(|_| damaged())?;
-        let lengths = [26, 28].map(|at| u64::from(u16::from_le_bytes([head[at], head[at + 1]])));
-        let skipped = file.seek_relative((lengths[0] + lengths[1]) as i64);
-        skipped.map_err(|error| error.to_string())?;
-        let packed = BufReader::new(file).take(member.packed);
-        Ok(match member.is_deflated {
-            true => Box::new(Limited { from: DeflateDecoder::new(packed), left: most }),
-            false => Box::new(packed),
-        })
-    }
-}
-
