@@ -389,9 +389,6 @@ struct Summary {
 
 impl Summary {
     fn add(&mut self, key: &TrialKey, signals: &BTreeMap<SourceId, Signal>) {
-        let of = self.surfaces.entry(key.surface.clone()).or_default();
-        of.0 += 1;
-        of.1.insert(key.user.clone());
         let series = signals.iter().filter_map(|(id, signal)| match signal {
             Signal::Series(series) => Some((id, series)),
             Signal::Image(_) => None,
@@ -402,6 +399,9 @@ impl Summary {
             longest = longest.max(series.duration_s());
             self.constants(id, series);
         }
+        let of = self.surfaces.entry(key.surface.clone()).or_default();
+        of.0 += 1;
+        of.1.insert(key.user.clone());
         of.2 += longest;
     }
 

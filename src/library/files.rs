@@ -177,7 +177,7 @@ pub(crate) fn read_bytes(path: &Path, most: u64) -> Result<Vec<u8>, LibraryError
     }
 }
 
-pub(super) const EMPTY_FILE: &str = "the file is empty (0 bytes); record again, or remove it";
+pub(crate) const EMPTY_FILE: &str = "the file is empty (0 bytes); record again, or remove it";
 
 /// Refuses a recording that is too long for a trial.
 pub(super) fn check_length(outline: Outline) -> Result<(), String> {

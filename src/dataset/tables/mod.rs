@@ -32,7 +32,6 @@ use text::{Lines, shown};
 
 use crate::library::files::number_in;
 use crate::library::{About, LibraryError};
-use crate::printable::counted;
 use crate::record::utc;
 use crate::scene::SourceId;
 use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, normal};
