@@ -206,6 +206,9 @@ impl<'a> RecordingOpening<'a> {
                     .headers
                     .note(&item.path, "not used, it was never finished; remove the folder"),
                 _ if item.is_hidden() => {}
+                _ if item.unusable.is_some() => {
+                    item.unusable.iter().for_each(|why| self.headers.note(&item.path, *why));
+                }
                 _ if item.is_dir => self.trial(&surface.name, item),
                 _ if item.is_series() && self.scene.get(item.stem_and_extension().0).is_none() => {
                     loose.push(item);
@@ -215,8 +218,7 @@ impl<'a> RecordingOpening<'a> {
                     "not used, it lies in no TRIAL folder; expected SURFACE/TRIAL/<source>.wav",
                 ),
                 _ => {
-                    let why = item.unusable.map(String::from).or_else(|| item.unreadable());
-                    why.into_iter().for_each(|why| self.headers.note(&item.path, why));
+                    item.unreadable().into_iter().for_each(|why| self.headers.note(&item.path, why))
                 }
             }
         }

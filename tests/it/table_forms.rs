@@ -411,7 +411,7 @@ fn what_has_two_readings_is_refused_and_shows_both() {
         (
             "time,x\n".to_string() + &t(|i| format!("{},1.5\n", 100 * i)),
             &[],
-            &["0.01 in s, 10 in ms"],
+            &["0.01 rows a second in s, 10 in ms"],
         ),
         ("time,x\n".to_string() + &t(|i| format!("{i},{i}.5\n")), &[], &["milliseconds or rows"]),
         (

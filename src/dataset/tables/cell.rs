@@ -57,6 +57,14 @@ impl Numbers {
         }
     }
 
+    /// Checks the decimal mark of a number that is read elsewhere, such as a time.
+    pub(crate) fn check(&mut self, cell: &[u8]) -> Result<(), String> {
+        match cell.iter().find(|byte| matches!(byte, b'.' | b',')) {
+            Some(mark) => self.marked(*mark, cell),
+            None => Ok(()),
+        }
+    }
+
     /// Remembers the decimal mark, or refuses one that is not that of the numbers before.
     fn marked(&mut self, mark: u8, cell: &[u8]) -> Result<(), String> {
         match *self.mark.get_or_insert(mark) {

@@ -61,6 +61,12 @@ impl Names {
                 cells.pop();
             }
             let written = cells.iter().filter(|cell| !cell.is_empty()).count();
+            // A row above the names that leaves out the first column names groups of columns; another one
+            // is a line of the program's own.
+            let is_group = cells.len() == width && written > 0 && cells[0].is_empty();
+            if !names.rows.is_empty() && names.are_distinct(is_numeric) && !is_group {
+                break;
+            }
             if names.rows.is_empty() && cells.len() + 1 == width && written > 0 && is_index(rows) {
                 // R writes no name for the names of rows.
                 cells.insert(0, String::new());
@@ -101,9 +107,6 @@ impl Names {
             }
             names.at = names.at.max(line.number);
             names.rows.insert(0, cells);
-            if names.are_distinct(is_numeric) {
-                break;
-            }
         }
         Ok(names)
     }

@@ -72,6 +72,15 @@ impl Layout {
             line.cells.len() == width && line.cells.iter().zip(&is_numeric).all(&mut fits) && found
         };
         let mut start = lines.iter().position(is_row).ok_or_else(|| no_rows(head))?;
+        // A first row with a damaged cell is no line of names, if there are names above it.
+        let holds = |line: &HeadLine| {
+            let mut cells = line.cells.iter().zip(&is_numeric);
+            line.cells.len() == width && cells.any(|(cell, is)| *is && is_number(cell, delimiter))
+        };
+        let is_named = |line: &HeadLine| line.cells.len() == width && !holds(line);
+        while start > 1 && holds(&lines[start - 1]) && lines[..start - 1].iter().any(is_named) {
+            start -= 1;
+        }
         let mut notes = Vec::new();
         if start == 0 && numbers_as_names(&lines) {
             notes.push("the numbers in the first line are names of the columns".to_string());

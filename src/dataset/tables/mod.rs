@@ -295,13 +295,15 @@ impl<'a> Table<'a> {
         let mut numbers = Numbers::new(layout.delimiter);
         let mut values = vec![0.0; self.values.len()];
         let (mut label, mut known, mut at) = (Vec::new(), None::<Vec<u8>>, 0);
+        let mut list = Vec::new();
         while let Some((line, text)) = lines.next()? {
-            let mut cells: Vec<&[u8]> = Vec::with_capacity(layout.columns.len() + 1);
+            let mut cells = reused(list);
             let there = line >= layout.first
                 && layout
                     .cells(text, &mut cells)
                     .map_err(|problem| format!("line {line} {problem}{}", shortened(text)))?;
             if !there || text == self.head.names.as_slice() {
+                list = reused(cells);
                 continue;
             }
             label.clear();
@@ -334,7 +336,12 @@ impl<'a> Table<'a> {
             let time = match &self.stamps {
                 None => None,
                 Some((column, stamps)) => {
-                    let time = time(stamps, cells[*column], group).map_err(|problem| {
+                    let cell = cells[*column];
+                    let is_number = matches!(stamps, Stamps::Numbers { .. } | Stamps::Days { .. });
+                    let marked = if is_number { numbers.check(cell) } else { Ok(()) };
+                    let marked = marked.map_err(|problem| format!("`{}` {problem}", shown(cell)));
+                    let time = marked.and_then(|()| time(stamps, cell, group));
+                    let time = time.map_err(|problem| {
                         let name = &layout.columns[*column].name;
                         format!("line {line}, column `{name}`: {problem}")
                     })?;
@@ -352,6 +359,7 @@ impl<'a> Table<'a> {
                 })? as f32;
             }
             gathered.push(at, time, &values, scratch).map_err(|error| error.to_string())?;
+            list = reused(cells);
         }
         match gathered.groups.is_empty() {
             true => Err("it holds no rows of numbers; expected a line for each sample".into()),
@@ -415,6 +423,13 @@ fn trial(
         signals.insert(source.clone(), Signal::Series(series));
     }
     Ok(Read { trial: Trial { key, signals }, about, is_further: false })
+}
+
+/// An empty list in the memory of another one, for cells of the next line.
+fn reused<'a>(mut list: Vec<&[u8]>) -> Vec<&'a [u8]> {
+    list.clear();
+    // Nothing is left that could be converted; the list keeps its memory.
+    list.into_iter().map(|_| &[][..]).collect()
 }
 
 /// The start of a line, to be shown behind an error.

@@ -125,7 +125,8 @@ impl Array {
         };
         let (order, kind) = descr.split_at_checked(1).ok_or_else(damaged)?;
         let (kind, size) = kind.split_at_checked(1).ok_or_else(damaged)?;
-        let size: usize = size.parse().map_err(|_| damaged())?;
+        // Objects have no size.
+        let size: usize = size.parse().unwrap_or(0);
         let (kind, size) = match (kind, size) {
             ("f", 2 | 4 | 8) => (Kind::Float, size),
             ("i", 1 | 2 | 4 | 8) => (Kind::Signed, size),
