@@ -36,8 +36,6 @@ pub use survey::{ColumnSurvey, SURVEY_S, Survey};
 
 use intake::GARBAGE;
 
-pub(crate) use intake::{LinesEvent, LinesIntake};
-
 /// Pause after a read that did not fill half of the buffer, so that one read takes many lines, even if
 /// each line is sent by itself.
 const GATHER: Duration = Duration::from_millis(4);
@@ -243,8 +241,7 @@ impl Work<'_> {
                     }
                     self.link.stopped()
                 };
-                let (survey, _) =
-                    survey(line, half, stopped).map_err(Disconnected::Lost)?;
+                let (survey, _) = survey(line, half, stopped).map_err(Disconnected::Lost)?;
                 if self.link.stopped() {
                     return Ok(());
                 }

@@ -5,7 +5,7 @@ pub(crate) mod files;
 pub(crate) mod loader;
 pub mod recording;
 pub(crate) mod series_file;
-mod wav;
+pub(crate) mod wav;
 
 use std::collections::BTreeMap;
 use std::fmt;

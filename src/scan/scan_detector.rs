@@ -158,8 +158,7 @@ impl ScanDetector {
             }
             DetectorEvent::End { end, cut } if self.leads(at) => {
                 if cut {
-                    let why = "a gap in its data hides a part of it";
-                    self.marks.push(Mark::Spoil { why: why.into() });
+                    self.marks.push(Mark::Spoil(Doubt::Cut));
                 }
                 let ended_s = self.time_s(at, end, streams).unwrap_or(now_s).clamp(0.0, now_s);
                 self.end(streams, ended_s, |this, stream| this.index(at, end, stream, streams));

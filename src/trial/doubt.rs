@@ -68,6 +68,8 @@ pub enum Doubt {
     NoData,
     /// The data stopped before the scan was over.
     EndedEarly,
+    /// The scan begins or ends in a gap of the data.
+    Cut,
     /// Samples and pictures were lost, in gaps that were bridged.
     LostSamples {
         samples: u64,
@@ -158,7 +160,7 @@ impl Doubt {
     pub fn spoils(&self) -> bool {
         use Doubt::*;
         let of_source = matches!(self, Gap { .. } | Missing { .. } | PictureLost { .. });
-        of_source || matches!(self, Unusable { .. } | NoData | EndedEarly)
+        of_source || matches!(self, Unusable { .. } | NoData | EndedEarly | Cut)
     }
 
     /// How bad a fault of a sensor is: whether the sensor is dead (not clipped), and the share of time.
@@ -206,6 +208,7 @@ impl Doubt {
             Self::Unusable { why, .. } => format!("left out: {why}"),
             Self::NoData => "no source of the scene has any data in this scan".into(),
             Self::EndedEarly => "its data stopped before it was over".into(),
+            Self::Cut => "a gap in its data hides a part of it".into(),
             Self::LostSamples { samples } => format!("{samples} samples were lost in it"),
             Self::TooShort { scan_s, needed_s, .. } => {
                 // A scan that is too short by less than a tenth must not look long enough.

@@ -66,7 +66,9 @@ const FORMS: &[(&str, Print)] = &[
     ("list", |_, [x, y, z]| format!("[{x}, {y}, {z}]")),
     ("np.array", |_, [x, y, z]| format!("[ {x:>6}  {y:>6}  {z:>6}]")),
     ("repr of an array", |_, [x, y, z]| format!("array([{x}, {y}, {z}], dtype=float32)")),
-    ("list of np.float64", |_, [x, y, z]| format!("[np.float64({x}), np.float64({y}), np.float64({z})]")),
+    ("list of np.float64", |_, [x, y, z]| {
+        format!("[np.float64({x}), np.float64({y}), np.float64({z})]")
+    }),
     ("bytes of Python", |_, [x, y, z]| format!("b'{x},{y},{z}\\r\\n'")),
     ("comment", |_, [x, y, z]| format!("/*{x},{y},{z}*/")),
     ("comment with blanks", |_, [x, y, z]| format!("/* {x}, {y}, {z} */")),
@@ -116,7 +118,9 @@ const FORMS: &[(&str, Print)] = &[
         format!("{{\"state\":\"{state}\",\"x\":{x},\"y\":{y},\"z\":{z}}}")
     }),
     ("object with an array", |i, [x, y, z]| format!("{{\"t\":{},\"acc\":[{x},{y},{z}]}}", i * 10)),
-    ("ESP-IDF", |i, [x, y, z]| format!("\u{1b}[0;32mI ({}) imu: x={x} y={y} z={z}\u{1b}[0m", 300 + i * 10)),
+    ("ESP-IDF", |i, [x, y, z]| {
+        format!("\u{1b}[0;32mI ({}) imu: x={x} y={y} z={z}\u{1b}[0m", 300 + i * 10)
+    }),
     ("DMP of the MPU6050", |_, [x, y, z]| format!("ypr\t{x}\t{y}\t{z}")),
     ("NMEA", |_, [x, y, z]| checked(&format!("ACC,{x},{y},{z}"))),
     ("a counter", |i, [x, y, z]| format!("{i},{x},{y},{z}")),
@@ -125,7 +129,9 @@ const FORMS: &[(&str, Print)] = &[
         format!("{},{x},{y},{z}", (4_294_000_000 + 10_000 * i as u64) % (1 << 32))
     }),
     ("seconds", |i, [x, y, z]| format!("{:.2}\t{x}\t{y}\t{z}", 3.0 + 0.01 * i as f64)),
-    ("seconds since 1970, whole", |i, [x, y, z]| format!("{},{x},{y},{z}", 1_700_000_000 + i / 100)),
+    ("seconds since 1970, whole", |i, [x, y, z]| {
+        format!("{},{x},{y},{z}", 1_700_000_000 + i / 100)
+    }),
     ("ISO 8601", |i, [x, y, z]| {
         format!("2024-03-01T10:00:{:02}.{:03}Z,{x},{y},{z}", i / 100, 10 * (i % 100))
     }),
@@ -210,7 +216,9 @@ fn what_has_two_readings_is_an_error_that_shows_both() {
 
 #[test]
 fn a_cell_that_is_damaged_is_missing_and_never_a_number() {
-    for cell in ["nan", "NaN", "-nan", "inf", "-inf", "ovf", "null", "", "-", "1.2.3", "1-2", "0x", "1e999"] {
+    for cell in
+        ["nan", "NaN", "-nan", "inf", "-inf", "ovf", "null", "", "-", "1.2.3", "1-2", "0x", "1e999"]
+    {
         let mut text = vec!["1.5,2.5,3.5".to_string(); 30];
         text.push(format!("1.5,{cell},3.5"));
         let (all, _) = frames(vec![Column::Place(2)], &text);
@@ -286,7 +294,10 @@ fn clocks_and_constant_columns_are_no_channels_and_that_is_said() {
     assert_eq!(survey.measuring(), places);
     let said = survey.remarks();
     assert_eq!(said.len(), 2, "{said:?}");
-    assert!(said[0].contains("columns 1, 2;") && said[1].contains("left out: columns 4, 5, 6"), "{said:?}");
+    assert!(
+        said[0].contains("columns 1, 2;") && said[1].contains("left out: columns 4, 5, 6"),
+        "{said:?}"
+    );
     // Seconds since 1970 set no channel's scale.
     let all = [1, 29, 30, 31].map(Column::Place);
     assert_eq!(survey.scale(&all), survey.scale(&places[3..]));
@@ -301,7 +312,10 @@ fn lines_that_do_not_fit_are_shown_beside_one_that_does() {
         })
         .collect();
     let said = survey(&text).remarks();
-    assert!(said[0].contains("only 80 %") && said[0].contains("`free heap 23456` is not"), "{said:?}");
+    assert!(
+        said[0].contains("only 80 %") && said[0].contains("`free heap 23456` is not"),
+        "{said:?}"
+    );
 }
 
 proptest! {

@@ -459,7 +459,10 @@ fn the_right_speed_of_a_port_is_found_where_another_gives_noise() {
         _ => vec![0xf8, 0x00, 0xe6, 0x9c, 0x06, b'x', 0x80],
     };
     let (said, done) = watched(print, &[]);
-    assert!(!done && said.contains("at 57600 baud comes text") && said.contains("@57600"), "{said}");
+    assert!(
+        !done && said.contains("at 57600 baud comes text") && said.contains("@57600"),
+        "{said}"
+    );
 }
 
 #[test]

@@ -41,7 +41,7 @@ pub(super) struct Names {
 }
 
 impl Names {
-    pub fn of(
+    pub(super) fn of(
         above: &[HeadLine],
         width: usize,
         is_numeric: &[bool],
@@ -141,7 +141,7 @@ impl Names {
         (0..width).map(name).collect()
     }
 
-    pub fn columns(&self, width: usize, has_arrows: bool) -> Vec<Column> {
+    pub(super) fn columns(&self, width: usize, has_arrows: bool) -> Vec<Column> {
         let mut names = self.joined();
         names.resize(width, String::new());
         if self.rows.is_empty() {

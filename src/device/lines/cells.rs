@@ -103,8 +103,20 @@ fn ends_word(byte: u8) -> bool {
 /// Words in place of a number that is missing.
 fn is_missing(word: &[u8]) -> bool {
     const WORDS: [&str; 14] = [
-        "nan", "inf", "infinity", "ovf", "ovl", "null", "none", "na", "n/a", "-", "--", "---",
-        "undefined", "overflow",
+        "nan",
+        "inf",
+        "infinity",
+        "ovf",
+        "ovl",
+        "null",
+        "none",
+        "na",
+        "n/a",
+        "-",
+        "--",
+        "---",
+        "undefined",
+        "overflow",
     ];
     WORDS.iter().any(|missing| word.eq_ignore_ascii_case(missing.as_bytes()))
 }
@@ -307,7 +319,8 @@ impl Cells {
         let inner = &line[at + 1..];
         let Some(length) = inner.iter().position(|byte| *byte == b'"') else { return at + 1 };
         let text = inner[..length].trim_ascii();
-        let is_text = text.first().is_some_and(|first| first.is_ascii_alphabetic() || *first == b'_');
+        let is_text =
+            text.first().is_some_and(|first| first.is_ascii_alphabetic() || *first == b'_');
         if !is_text || is_missing(text) || text.iter().any(|byte| matches!(byte, b':' | b'=')) {
             return at + 1;
         }
@@ -451,7 +464,8 @@ fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize, bool) {
         let sign = usize::from(matches!(rest.first(), Some(b'+' | b'-')));
         let length = rest[sign..].iter().take_while(|byte| byte.is_ascii_digit()).count();
         if length > 0 {
-            let fold = |sum: i32, byte: &u8| sum.saturating_mul(10).saturating_add(i32::from(byte - b'0'));
+            let fold =
+                |sum: i32, byte: &u8| sum.saturating_mul(10).saturating_add(i32::from(byte - b'0'));
             let size = rest[sign..sign + length].iter().fold(0, fold);
             exponent = if rest[0] == b'-' { -size } else { size };
             at += 1 + sign + length;
@@ -494,7 +508,8 @@ fn time_of(text: &[u8]) -> Option<(f64, usize)> {
         let date = jiff::civil::Date::new(year as i16, month as i8, day as i8).ok()?;
         days = Some((date.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp().as_second()) as f64);
         at = 10;
-        if !matches!(text.get(at), Some(b'T' | b' ' | b'_' | b't')) || digits(at + 1, at + 3).is_none()
+        if !matches!(text.get(at), Some(b'T' | b' ' | b'_' | b't'))
+            || digits(at + 1, at + 3).is_none()
         {
             return days.map(|s| (s, at));
         }
@@ -523,7 +538,8 @@ fn time_of(text: &[u8]) -> Option<(f64, usize)> {
         at += 1;
     } else if days.is_some() && (is(at, b'+') || is(at, b'-')) {
         let minutes_at = at + 3 + usize::from(is(at + 3, b':'));
-        if let (Some(hours), minutes) = (digits(at + 1, at + 3), digits(minutes_at, minutes_at + 2)) {
+        if let (Some(hours), minutes) = (digits(at + 1, at + 3), digits(minutes_at, minutes_at + 2))
+        {
             let offset = hours * 3600.0 + minutes.unwrap_or(0.0) * 60.0;
             seconds -= if is(at, b'-') { -offset } else { offset };
             at = minutes.map_or(at + 3, |_| minutes_at + 2);

@@ -87,7 +87,9 @@ impl Steps {
                 unit.map(|(name, _)| *name)
             }
             () if whole_seconds && (self.sum - seconds).abs() < 1.5 => Some(UNITS[0].0),
-            () if rising && (self.zeros == 0 || !self.fractions && self.up.len() >= 3) => Some(TIME),
+            () if rising && (self.zeros == 0 || !self.fractions && self.up.len() >= 3) => {
+                Some(TIME)
+            }
             () => None,
         }
     }

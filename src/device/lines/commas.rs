@@ -127,7 +127,9 @@ fn look(line: &[u8]) -> Look {
         // Digits that end a word, a unit or an exponent are no number's begin.
         let stuck = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'^' | b'_' | 0x80..);
         let run = match !run.starts_with(b":") && at > 0 && stuck(line[at - 1]) {
-            true => run.iter().position(|byte| *byte == b',').map_or(&[][..], |comma| &run[comma + 1..]),
+            true => {
+                run.iter().position(|byte| *byte == b',').map_or(&[][..], |comma| &run[comma + 1..])
+            }
             false => run,
         };
         // A comma at an end stands beside a blank or a letter, so it separates.
@@ -167,7 +169,8 @@ fn is_decimal(text: &[u8]) -> bool {
 fn has_blank_between(line: &[u8]) -> bool {
     // A comma, a name or a list's end needs no blank behind it.
     let alone = |byte: &u8| !matches!(byte, b',' | b';' | b':' | b'=' | b']' | b'}' | b'[' | b'{');
-    let mut pieces = line.split(u8::is_ascii_whitespace).filter(|piece| !piece.is_empty()).peekable();
+    let mut pieces =
+        line.split(u8::is_ascii_whitespace).filter(|piece| !piece.is_empty()).peekable();
     std::iter::from_fn(|| {
         let piece = pieces.next()?;
         Some((piece, pieces.peek()?.starts_with(b",")))
@@ -227,10 +230,28 @@ impl Runs {
             () if self.grouped => Look::Both,
             () if self.points && self.thousands > 0 && self.many == 0 => Look::Both,
             () if self.points => Look::Separate,
-            () if self.many > 0 => if self.padded { Look::Both } else { Look::Integers },
+            () if self.many > 0 => {
+                if self.padded {
+                    Look::Both
+                } else {
+                    Look::Integers
+                }
+            }
             () if other => Look::Decimal,
-            () if self.numbers == 1 && named => if self.padded { Look::Decimal } else { Look::Unsure },
-            () if self.numbers == 1 => if self.padded { Look::Both } else { Look::Integers },
+            () if self.numbers == 1 && named => {
+                if self.padded {
+                    Look::Decimal
+                } else {
+                    Look::Unsure
+                }
+            }
+            () if self.numbers == 1 => {
+                if self.padded {
+                    Look::Both
+                } else {
+                    Look::Integers
+                }
+            }
             () if self.padded => Look::Decimal,
             () if likely && self.one == self.numbers => Look::Likely,
             () => Look::Unsure,
@@ -244,7 +265,16 @@ mod tests {
 
     #[test]
     fn another_separator_makes_commas_decimal() {
-        let lines = ["9,81;0,50", "1;0,12;9,81;", "0,12\t9,81", "ax:0,12;ay:-9,81", "1,05 2", "12.03.2024;0,12", "08,50;09,81", "\"0,1\",\"9,8\""];
+        let lines = [
+            "9,81;0,50",
+            "1;0,12;9,81;",
+            "0,12\t9,81",
+            "ax:0,12;ay:-9,81",
+            "1,05 2",
+            "12.03.2024;0,12",
+            "08,50;09,81",
+            "\"0,1\",\"9,8\"",
+        ];
         for line in lines {
             assert_eq!(look(line.as_bytes()), Look::Decimal, "{line}");
         }

@@ -56,7 +56,8 @@ impl Form {
         if !self.named {
             return Vec::new();
         }
-        let mut labels = self.keys.iter().filter(|key| key.name & LEAD == 0).map(|key| &key.label[0]);
+        let mut labels =
+            self.keys.iter().filter(|key| key.name & LEAD == 0).map(|key| &key.label[0]);
         // A prefix that all names share tells nothing.
         let first = labels.next();
         let mut shared = labels.all(|prefix| Some(prefix) == first);
@@ -214,7 +215,8 @@ impl Form {
                 let text = |(begin, end): (usize, usize)| {
                     let text = String::from_utf8_lossy(&line[begin..end]);
                     let mark = |c: char| c.is_whitespace() || ":=\"'()[]{}<>,;".contains(c);
-                    let words: Vec<&str> = text.split(mark).filter(|word| !word.is_empty()).collect();
+                    let words: Vec<&str> =
+                        text.split(mark).filter(|word| !word.is_empty()).collect();
                     words.join(" ").chars().take(64).collect()
                 };
                 let Cell { name, label, place, .. } = *cell;
@@ -250,7 +252,8 @@ impl Form {
         fn order(key: &Key) -> (&[String; 2], u32) {
             (&key.label, key.place)
         }
-        let first = (0..names.len()).min_by(|one, two| order(&names[*one]).cmp(&order(&names[*two])));
+        let first =
+            (0..names.len()).min_by(|one, two| order(&names[*one]).cmp(&order(&names[*two])));
         names.rotate_left(first.unwrap_or(0));
         if !names.is_sorted_by(|one, two| order(one) <= order(two)) {
             names.rotate_right(first.unwrap_or(0));

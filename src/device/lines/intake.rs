@@ -27,8 +27,6 @@ const LATE: f64 = 0.02;
 const LOOKBACK_S: f64 = 1.0;
 /// Seconds without rows before a header that shows a restart.
 const RESTART_S: f64 = 0.5;
-/// Number of consecutive rows of another width after which the columns count as changed.
-const CHANGED: u32 = 20;
 /// Values at which clocks of 16 and 32 bits start again from 0.
 const CLOCK_WRAPS: [f64; 2] = [65_536.0, 4_294_967_296.0];
 /// Numbers of values, other than powers of two, after which counters begin again.
@@ -205,12 +203,7 @@ impl LinesIntake {
 
     /// Parses bytes that arrived at `now_s` (seconds of any clock that never goes back); passes
     /// frames and gaps to `on`, in order. Returns the number of rows that became frames.
-    pub fn feed(
-        &mut self,
-        bytes: &[u8],
-        now_s: f64,
-        mut on: impl FnMut(LinesEvent<'_>),
-    ) -> u64 {
+    pub fn feed(&mut self, bytes: &[u8], now_s: f64, mut on: impl FnMut(LinesEvent<'_>)) -> u64 {
         let rows = self.rows;
         self.settle(now_s, &mut on);
         // Rows borrow from the parser, so it is taken out while `self` is used.

@@ -235,7 +235,8 @@ impl Reader {
     fn no_row(&mut self, line: &[u8], on: &mut impl FnMut(&[u8], Line<'_>)) {
         if let Some(form) = &self.form {
             // Words in a line show a log, unless the rows hold words, too.
-            let log = self.cells.worded && (form.named || !form.worded) && !form.resembles(&self.cells);
+            let log =
+                self.cells.worded && (form.named || !form.worded) && !form.resembles(&self.cells);
             return on(line, if log { Line::Words } else { Line::Other });
         }
         self.held.extend_from_slice(line);
@@ -254,8 +255,12 @@ impl Reader {
         let renames = match &self.form {
             Some(form) if form.named => false,
             // A log's words that happen to be as many as the columns are no names.
-            Some(form) => fits(form) && (hard || names.iter().any(|name| self.told.contains(name))
-                || self.told.is_empty()),
+            Some(form) => {
+                fits(form)
+                    && (hard
+                        || names.iter().any(|name| self.told.contains(name))
+                        || self.told.is_empty())
+            }
             None => !names.is_empty(),
         };
         if renames {
@@ -267,7 +272,8 @@ impl Reader {
             self.told = names;
             return on(line, Line::Header(&self.told));
         }
-        let letters = line.iter().filter(|byte| byte.is_ascii_alphabetic() || **byte == b' ').count();
+        let letters =
+            line.iter().filter(|byte| byte.is_ascii_alphabetic() || **byte == b' ').count();
         match half {
             true => {}
             false if 2 * letters >= line.len() => on(line, Line::Words),
@@ -323,7 +329,8 @@ fn header_of(line: &[u8]) -> (bool, Vec<String>) {
         (false, true) => *byte == b'\t',
         (false, false) => *byte == b' ',
     };
-    let fields = text.split(is_end).map(<[u8]>::trim_ascii).filter(|field| hard || !field.is_empty());
+    let fields =
+        text.split(is_end).map(<[u8]>::trim_ascii).filter(|field| hard || !field.is_empty());
     let names: Option<Vec<String>> = fields.map(|field| name_of(field).map(String::from)).collect();
     (hard, names.unwrap_or_default())
 }

@@ -263,7 +263,8 @@ impl Survey {
     pub fn measuring(&self) -> Vec<Column> {
         let columns = self.columns();
         let all_constant = columns.iter().all(|column| column.constant || !column.measures());
-        let wanted = |column: &ColumnSurvey| column.measures() && (all_constant || !column.constant);
+        let wanted =
+            |column: &ColumnSurvey| column.measures() && (all_constant || !column.constant);
         let columns = columns.iter().enumerate().filter(|(_, column)| wanted(column));
         columns.map(|(at, _)| self.column(at)).collect()
     }

@@ -62,7 +62,8 @@ impl Swaps {
         let pairs = (0..now.len()).flat_map(|one| (one + 1..now.len()).map(move |two| (one, two)));
         let swapped = |&(one, two): &(usize, usize)| {
             let apart = (before[one].mean - before[two].mean).abs();
-            let near = |at: usize, was: usize| (now[at].mean - before[was].mean).abs() <= NEAR * apart;
+            let near =
+                |at: usize, was: usize| (now[at].mean - before[was].mean).abs() <= NEAR * apart;
             apart > APART * (before[one].spread + before[two].spread)
                 && near(one, two)
                 && near(two, one)
