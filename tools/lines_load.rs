@@ -137,8 +137,8 @@ fn measure(
     let stream = LinesStream { id: SourceId::new("ac")?, columns, scale: Some(1.0) };
     let count = Some(Count::Rows(Column::Name("n".into())));
     let (rate_hz, streams) = (Some(load.rate_hz), vec![stream]);
-    let address = address.parse()?;
-    let config = LinesConfig { address, rate_hz, count, decimal_comma: None, streams };
+    let config =
+        LinesConfig { address: address.parse()?, rate_hz, count, decimal_comma: None, streams };
     let mut device = Lines::new(config);
     let (sink, mut tap) = series(load.columns, load.rate_hz as usize, Waker::new().0);
     let (reports, warnings) = crossbeam_channel::unbounded();

@@ -11,8 +11,9 @@ use super::show::joined;
 use super::{Done, Failure, SourceArgs, parsed, share, show};
 use crate::evaluate::plan::Plan;
 use crate::recognise::{
-    EmbeddingOptions, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode, ReferenceOptions,
-    Rejection, RejectionError, STAGES, ScanTime, Settling, SumPrecision, TreeOptions,
+    EmbeddingOptions, LeftOutBy, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode,
+    ReferenceOptions, Rejection, RejectionError, STAGES, ScanTime, Settling, SumPrecision,
+    TreeOptions,
 };
 use crate::scene::Scene;
 use crate::station::Recogniser;
@@ -272,7 +273,11 @@ impl AnswerArgs {
 fn on_unknown(rejections: &[Rejection]) -> Option<String> {
     let least = rejections.iter().min_by_key(|rejection| rejection.trials)?;
     let [rate, low, high] = [least.rate, least.rate_low, least.rate_high].map(show::percent);
-    let of_whom = if least.across_people { "" } else { "; for this person" };
+    let of_whom = match least.left_out {
+        LeftOutBy::People => "",
+        LeftOutBy::Sessions => "; for the people in the library",
+        LeftOutBy::Trials => "; within one session",
+    };
     Some(format!(
         "unknown surfaces are detected; at most {rate} of scans of known surfaces are called unknown \
          by mistake (95 % interval {low} to {high}, from {} left-out trials{of_whom})",

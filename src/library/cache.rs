@@ -31,8 +31,6 @@ const HEADER: usize = MAGIC.len() + 2 + 8;
 const CHECKSUM: u64 = 4;
 /// Longest name of a record, in bytes. A name consists of a surface, a user and a trial number.
 const LONGEST_NAME: u32 = 1 << 16;
-/// Largest record that is read, in bytes. A damaged file may claim that a record has any length.
-const LARGEST_RECORD: u64 = 1 << 30;
 /// Number of records in memory at a time while a cache is written.
 const AT_ONCE: usize = 32;
 /// Suffix of a file that is still being written. The writing program holds a lock on the file.
@@ -112,9 +110,7 @@ impl Cache {
     /// The bytes stored under `name`; `None` if they are damaged or were stored with another stamp.
     pub(crate) fn get(&self, name: &str, stamp: u64) -> Option<Vec<u8>> {
         let place = self.records.get(name).filter(|place| place.stamp == stamp)?;
-        if place.length > LARGEST_RECORD {
-            return None;
-        }
+        // Not longer than the file, see `record`.
         let mut bytes = vec![0; usize::try_from(place.length + CHECKSUM).ok()?];
         read_exact_at(self.file.as_ref()?, &mut bytes, place.begin).ok()?;
         let sum = bytes.split_off(place.length as usize);

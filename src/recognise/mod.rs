@@ -26,6 +26,7 @@ pub(crate) mod reference;
 mod shape;
 mod spec;
 
+pub use decide::LeftOutBy;
 pub use decide::conformal::{Rejection, RejectionError};
 pub use decide::interval::wilson_interval;
 pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfall};

@@ -129,7 +129,8 @@ fn the_answer_is_how_long_to_drag_or_how_many_trials_are_lacking_for_it() {
     let line = lines.next().unwrap();
     assert!(lines.next().unwrap().starts_with("ir: samples less than"), "{stdout}");
     assert!(
-        line.starts_with("drag for at least ") && line.ends_with("(for this person)"),
+        line.starts_with("drag for at least ")
+            && line.ends_with("(for this person, within one session)"),
         "{line}"
     );
 }

@@ -9,8 +9,9 @@ use crate::common::{id, picture, real_sounds, series};
 use surfaced::evaluate::{Evaluation, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, FreshFrames, LibraryShape, Method,
-    MethodName, MethodSpec, Model, Ranking, RecogniseError, ReferenceOptions, TrialFrames,
+    Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, FreshFrames, LeftOutBy,
+    LibraryShape, Method, MethodName, MethodSpec, Model, Ranking, RecogniseError, ReferenceOptions,
+    TrialFrames,
 };
 use surfaced::scene::{Colour, Domain, Scene, SourceId};
 use surfaced::seed;
@@ -233,7 +234,7 @@ fn scans_are_called_unknown_by_all_trials_also_those_of_a_surface_that_one_perso
     let scene = Scene::lmt108();
     let library = [by("anna", 0..2), by("b", 0..3)].concat();
     let rejection = trained(&scene, &embedding(&scene), &library).rejection(None).unwrap();
-    assert!(rejection.across_people);
+    assert_eq!(rejection.left_out, LeftOutBy::People);
     assert_eq!(rejection.trials, library.len());
 }
 

@@ -152,7 +152,7 @@ impl Edited<'_> {
         let mut keeper = Keeper::start(history.clone(), scene.clone(), BTreeMap::new())?;
         for number in 1..=SCANS {
             let scan = Scan { scan_s: 0.05, ..Scan::of_signals(number, self.signals()?.1) };
-            let answer = Arc::new(Answer { spoiled: Vec::new(), ..answer(number, Some("oak")) });
+            let answer = Arc::new(Answer { doubts: Vec::new(), ..answer(number, Some("oak")) });
             let whole = AnsweredScan { scan: Box::new(scan), answer, by: None };
             keeper.on_event(&StationEvent::Scan(Arc::new(whole)));
         }

@@ -19,6 +19,7 @@
 //! rejected there than α states, since whole scans are compared with excerpts of the same person. Many
 //! of its unknown surfaces have a near twin in the library: another version of the same tile or foam.
 
+use super::LeftOutBy;
 use super::interval::beta_quantile;
 
 /// A scan is compared with whole trials if it has at least this share of their median length.
@@ -129,8 +130,8 @@ pub struct Rejection {
     pub rate: f64,
     /// Number of left-out library trials that the threshold is based on.
     pub trials: usize,
-    /// True if whole people were left out; if false, the rate holds only for people in the library.
-    pub across_people: bool,
+    #[serde(flatten)]
+    pub left_out: LeftOutBy,
     /// Lower end of the 95 % interval of the rate, given these trials.
     pub rate_low: f64,
     pub rate_high: f64,
@@ -142,12 +143,12 @@ impl Rejection {
     ///
     /// # Errors
     /// If there are fewer than `FEWEST` trials, since more than one scan in ten would be wrongly rejected.
-    pub(crate) fn usual(trials: usize, across_people: bool) -> Result<Self, RejectionError> {
+    pub(crate) fn usual(trials: usize, left_out: LeftOutBy) -> Result<Self, RejectionError> {
         if trials < FEWEST {
             let rate = 1.0 / (FEWEST + 1) as f64;
             return Err(RejectionError::TooFew { rate, needed: FEWEST, trials });
         }
-        Self::new(trials, across_people, USUAL_RATE.max(1.0 / (trials + 1) as f64))
+        Self::new(trials, left_out, USUAL_RATE.max(1.0 / (trials + 1) as f64))
     }
 
     /// The threshold for a rate of `rate`, based on `trials` left-out trials. Given these trials, the
@@ -159,7 +160,7 @@ impl Rejection {
     /// If there are fewer than 1/α − 1 trials: no p-value can then be as low as `rate`.
     pub(crate) fn new(
         trials: usize,
-        across_people: bool,
+        left_out: LeftOutBy,
         rate: f64,
     ) -> Result<Self, RejectionError> {
         if !(rate > 0.0 && rate < 1.0) {
@@ -173,7 +174,7 @@ impl Rejection {
         let end = |level| beta_quantile(k, (trials + 1) as f64 - k, level);
         let (rate_low, rate_high) =
             if k < 2.0 { (0.0, end(0.95)) } else { (end(0.025), end(0.975)) };
-        Ok(Self { rate, trials, across_people, rate_low, rate_high })
+        Ok(Self { rate, trials, left_out, rate_low, rate_high })
     }
 
     pub fn rejects(&self, p_value: f64) -> bool {
@@ -192,27 +193,28 @@ mod tests {
 
     #[test]
     fn the_usual_rate_is_as_low_as_the_trials_can_show() {
-        assert!(Rejection::usual(8, false).is_err());
+        assert!(Rejection::usual(8, LeftOutBy::Trials).is_err());
         for (trials, rate) in [(9, 0.1), (24, 0.04), (99, 0.01), (1000, 0.01)] {
-            let usual = Rejection::usual(trials, false).unwrap();
+            let usual = Rejection::usual(trials, LeftOutBy::Trials).unwrap();
             assert!((usual.rate - rate).abs() < 1e-12, "{trials}");
             assert!(usual.rejects(1.0 / (trials + 1) as f64));
             assert!(usual.rate_low <= rate && rate < usual.rate_high);
         }
         // P(rate ≤ x) = 1 − (1 − x)^n for k = 1.
-        let interval = Rejection::usual(24, false).unwrap();
+        let interval = Rejection::usual(24, LeftOutBy::Trials).unwrap();
         assert!(interval.rate_low == 0.0 && (interval.rate_high - 0.117).abs() < 1e-3);
     }
 
     #[test]
     fn too_few_trials_are_refused_and_99_are_enough_for_one_percent() {
-        let error = Rejection::new(98, false, 0.01).unwrap_err().to_string();
+        let error = Rejection::new(98, LeftOutBy::Trials, 0.01).unwrap_err().to_string();
         assert!(error.contains("1 % false rejections takes 99 trials"), "{error}");
-        let enough = Rejection::new(99, false, 0.01).unwrap();
+        let enough = Rejection::new(99, LeftOutBy::Trials, 0.01).unwrap();
         assert!(enough.rejects(1.0 / 100.0) && !enough.rejects(2.0 / 100.0));
         assert!(enough.rate_low < 0.01 && 0.01 < enough.rate_high, "{enough:?}");
         assert!(
-            Rejection::new(99, false, 0.0).is_err() && Rejection::new(99, false, f64::NAN).is_err()
+            Rejection::new(99, LeftOutBy::Trials, 0.0).is_err()
+                && Rejection::new(99, LeftOutBy::Trials, f64::NAN).is_err()
         );
     }
 

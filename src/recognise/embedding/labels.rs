@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::recognise::decide::LeftOutBy;
 use crate::trial::TrialKey;
 
 /// At most this many groups of trials are left out, one at a time.
@@ -18,8 +19,7 @@ pub(super) struct Labels {
     /// Group of each trial. The trials of a group are left out together.
     pub group: Vec<usize>,
     pub groups: usize,
-    /// Whether groups are users, so that results on left-out trials hold for other people, too.
-    pub across_users: bool,
+    pub left_out: LeftOutBy,
 }
 
 impl Labels {
@@ -38,11 +38,10 @@ impl Labels {
         let by_user = joined(appearances(keys.iter().map(|key| key.user.as_str())).1);
         let sessions = keys.iter().map(|key| (key.user.as_str(), key.session.as_deref()));
         let by_session = joined(appearances(sessions).1);
-        let across_users = tells(&by_user);
-        let group = if across_users {
-            by_user
+        let (group, left_out) = if tells(&by_user) {
+            (by_user, LeftOutBy::People)
         } else if tells(&by_session) {
-            by_session
+            (by_session, LeftOutBy::Sessions)
         } else {
             let owners = keys.iter().map(|key| (key.user.as_str(), key.surface.as_str()));
             let mut counts = BTreeMap::new();
@@ -51,7 +50,7 @@ impl Labels {
                 *count += 1;
                 *count - 1
             };
-            joined(owners.map(of_trial).collect())
+            (joined(owners.map(of_trial).collect()), LeftOutBy::Trials)
         };
         Self {
             classes: surfaces.len(),
@@ -59,7 +58,7 @@ impl Labels {
             class,
             groups: group.iter().max().map_or(0, |last| last + 1),
             group,
-            across_users,
+            left_out,
         }
     }
 }
@@ -129,7 +128,7 @@ mod tests {
     #[test]
     fn one_persons_trials_are_left_out_by_number() {
         let labels = labels(&keys(&[("expert", 3)]));
-        assert_eq!((labels.groups, labels.across_users), (3, false));
+        assert_eq!((labels.groups, labels.left_out), (3, LeftOutBy::Trials));
         assert_eq!(labels.group, [0, 1, 2, 0, 1, 2]);
         assert_eq!(labels.class, [0, 0, 0, 1, 1, 1]);
     }
@@ -137,7 +136,7 @@ mod tests {
     #[test]
     fn several_peoples_trials_are_left_out_person_by_person() {
         let labels = labels(&keys(&[("anna", 2), ("expert", 3)]));
-        assert_eq!((labels.groups, labels.across_users), (2, true));
+        assert_eq!((labels.groups, labels.left_out), (2, LeftOutBy::People));
         assert_eq!(labels.group, [0, 0, 1, 1, 1, 0, 0, 1, 1, 1]);
     }
 
@@ -150,7 +149,10 @@ mod tests {
             })
             .collect();
         let labels = labels(&keys);
-        assert_eq!((labels.group, labels.across_users), (vec![0, 0, 1, 1, 0, 0, 1, 1], false));
+        assert_eq!(
+            (labels.group, labels.left_out),
+            (vec![0, 0, 1, 1, 0, 0, 1, 1], LeftOutBy::Sessions)
+        );
     }
 
     #[test]
@@ -171,6 +173,6 @@ mod tests {
     fn a_person_with_a_trial_or_two_does_not_make_a_library_of_several_people() {
         let mut few = keys(&[("expert", 5)]);
         few.insert(0, TrialKey::new("ash", "anna", 1));
-        assert!(!labels(&few).across_users);
+        assert_eq!(labels(&few).left_out, LeftOutBy::Trials);
     }
 }

@@ -85,7 +85,8 @@ impl Trained {
                 Calibration::new(scan_s, of_each, scans)
             };
         let excerpt_s = SHARE * drag_s;
-        let longest_s = if labels.across_users { f64::INFINITY } else { excerpt_s - 1e-9 };
+        let longest_s =
+            if labels.left_out.across_people() { f64::INFINITY } else { excerpt_s - 1e-9 };
         let mut by_length: Vec<Calibration> = (begun.looks.iter().enumerate())
             .map(|(at, look)| (at, *look as f64 * LOOK_S))
             .filter(|(_, scan_s)| *scan_s < longest_s)
@@ -95,11 +96,11 @@ impl Trained {
                 calibrate(scan_s, 1, vectors.collect())
             })
             .collect();
-        if begun.looks.is_empty() || !labels.across_users {
+        if begun.looks.is_empty() || !labels.left_out.across_people() {
             let excerpts = trials().flat_map(|i| training.excerpts(i).map(move |x| (i, x)));
             by_length.push(calibrate(excerpt_s, EXCERPTS, excerpts.collect()));
         }
-        if labels.across_users {
+        if labels.left_out.across_people() {
             let wholes = trials().map(|i| (i, training.whole(i)));
             by_length.push(calibrate(drag_s, 1, wholes.collect()));
         }
@@ -178,7 +179,7 @@ impl LeftOut {
             lengths.get((share * lengths.len() as f64) as usize).copied().unwrap_or(0.0)
         };
         let drag_s = quantile(0.5);
-        let whole_from_s = if labels.across_users { quantile(SHORTER) } else { drag_s };
+        let whole_from_s = if labels.left_out.across_people() { quantile(SHORTER) } else { drag_s };
         let mut looks: Vec<usize> = BEGINNINGS
             .map(|share| (share * drag_s / LOOK_S).round().max(1.0) as usize)
             .into_iter()

@@ -273,7 +273,7 @@ impl EmbeddingModel {
         let people: BTreeSet<&str> = self.keys.iter().map(|key| key.user.as_str()).collect();
         LibraryCounts {
             people: people.len(),
-            across_people: self.labels.across_users,
+            left_out: self.labels.left_out,
             surfaces: self.labels.surfaces.iter().cloned().zip(trials).collect(),
         }
     }
@@ -396,10 +396,10 @@ impl EmbeddingModel {
     pub fn rejection(&self, rate: Option<f64>) -> Result<Rejection, RejectionError> {
         let all = vec![true; self.joint.stretches.len()];
         let trials = self.trained(&all).conformity.trials();
-        let across = self.labels.across_users;
+        let left_out = self.labels.left_out;
         match rate {
-            None => Rejection::usual(trials, across),
-            Some(rate) => Rejection::new(trials, across, rate),
+            None => Rejection::usual(trials, left_out),
+            Some(rate) => Rejection::new(trials, left_out, rate),
         }
     }
 

@@ -2,6 +2,7 @@
 
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
+use crate::recognise::decide::LeftOutBy;
 use crate::recognise::follow::FollowOptions;
 
 /// The accuracy that a scan time must reach.
@@ -71,8 +72,7 @@ pub struct ScanTime {
     /// Number of left-out trials that the answer is based on.
     pub trials: usize,
     pub people: usize,
-    /// True if each person was left out in turn, so that the accuracy holds for other people too.
-    pub across_people: bool,
+    pub left_out: LeftOutBy,
     /// Why `enough` is `None` or the length of whole trials; `None` if `enough` is a shorter time.
     pub shortfall: Option<Shortfall>,
 }
@@ -80,7 +80,7 @@ pub struct ScanTime {
 impl Serialize for ScanTime {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         let (at, whole) = (self.enough, self.whole);
-        let mut document = to.serialize_struct("ScanTime", 12)?;
+        let mut document = to.serialize_struct("ScanTime", 13)?;
         document.serialize_field("target", &self.target)?;
         // If it is null or the whole length, `reason` says why.
         document.serialize_field("scan_s", &self.scan_s())?;
@@ -92,7 +92,8 @@ impl Serialize for ScanTime {
         document.serialize_field("accuracy_whole", &whole.map(|whole| whole.accuracy))?;
         document.serialize_field("trials", &self.trials)?;
         document.serialize_field("people", &self.people)?;
-        document.serialize_field("across_people", &self.across_people)?;
+        document.serialize_field("across_people", &self.left_out.across_people())?;
+        document.serialize_field("left_out", self.left_out.name())?;
         document.serialize_field("reason", &self.reason())?;
         document.serialize_field("more_trials", &self.more_trials())?;
         document.end()
@@ -121,7 +122,7 @@ impl ScanTime {
             number(at.accuracy_low),
             number(at.accuracy_high),
             self.whole_percent(),
-            self.for_whom()
+            self.left_out.of_whom(self.people)
         )
     }
 
@@ -140,14 +141,6 @@ impl ScanTime {
             Shortfall::NothingLeftOut { lacking } => Some(lacking.iter().map(|(_, n)| n).sum()),
             Shortfall::TooFewTrials { more, .. } => Some(*more),
             Shortfall::NotReached | Shortfall::NoModel(_) => None,
-        }
-    }
-
-    fn for_whom(&self) -> &'static str {
-        match (self.people, self.across_people) {
-            (_, true) => "for other people, too: each was left out in turn",
-            (0 | 1, _) => "for this person",
-            _ => "for the people in the library",
         }
     }
 
@@ -207,7 +200,7 @@ mod tests {
             whole: Some(at(4.8, 0.995, 0.97, 0.999)),
             trials: 200,
             people: 1,
-            across_people: false,
+            left_out: LeftOutBy::Trials,
             shortfall: None,
         }
     }
@@ -217,9 +210,9 @@ mod tests {
         assert_eq!(
             answer().line(),
             "drag for at least 0.9 s: 99.0 % of left-out scans (97.2 to 99.7) are named right by \
-             then, and 99.5 % at full length (for this person)"
+             then, and 99.5 % at full length (for this person, within one session)"
         );
-        let others = ScanTime { people: 4, across_people: true, ..answer() };
+        let others = ScanTime { people: 4, left_out: LeftOutBy::People, ..answer() };
         assert!(others.line().ends_with("(for other people, too: each was left out in turn)"));
     }
 

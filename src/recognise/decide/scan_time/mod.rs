@@ -18,6 +18,7 @@ mod answer;
 
 pub use answer::{AccuracyAt, Goal, ScanTime, Shortfall};
 
+use super::LeftOutBy;
 use super::interval::{can_show, wilson, wilson_of_groups};
 use super::settle::{FollowedTrial, looks_in};
 use crate::recognise::follow::LOOK_S;
@@ -35,8 +36,7 @@ pub(crate) fn looked_after(scan_s: f64) -> impl Iterator<Item = usize> {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct LibraryCounts {
     pub people: usize,
-    /// Whether all trials of each person were left out together, one person at a time.
-    pub across_people: bool,
+    pub left_out: LeftOutBy,
     /// Each surface with its number of trials.
     pub surfaces: Vec<(String, usize)>,
 }
@@ -116,9 +116,9 @@ impl LeftOutAccuracy {
             .map(|(g, group)| (group.right[at(g)], group.trials))
             .collect();
         let share = counts.iter().map(|count| count.0).sum::<usize>() as f64 / self.trials() as f64;
-        let (accuracy_low, accuracy_high) = match self.library.across_people {
-            true => wilson_of_groups(&counts),
-            false => wilson(share, self.trials() as f64),
+        let (accuracy_low, accuracy_high) = match self.library.left_out {
+            LeftOutBy::People | LeftOutBy::Sessions => wilson_of_groups(&counts),
+            LeftOutBy::Trials => wilson(share, self.trials() as f64),
         };
         AccuracyAt { scan_s, accuracy: share, accuracy_low, accuracy_high }
     }
@@ -154,7 +154,7 @@ impl LeftOutAccuracy {
             whole,
             trials,
             people: self.library.people,
-            across_people: self.library.across_people,
+            left_out: self.library.left_out,
             shortfall: None,
         };
         let share = goal.to_show();
@@ -234,7 +234,10 @@ mod tests {
         };
         let scans: Vec<FollowedTrial> = (0..trials).map(scan).collect();
         let surfaces = vec![("ash".into(), trials / 2), ("oak".into(), trials / 2)];
-        LeftOutAccuracy::new(&scans, LibraryCounts { people: 1, across_people: false, surfaces })
+        LeftOutAccuracy::new(
+            &scans,
+            LibraryCounts { people: 1, left_out: LeftOutBy::Trials, surfaces },
+        )
     }
 
     #[test]
@@ -297,7 +300,7 @@ mod tests {
         let poor = accuracy(10, |i| if i == 3 { 9.0 } else { 0.1 }).scan_time(Goal::Accuracy(0.99));
         assert_eq!((poor.scan_s(), poor.shortfall), (None, Some(Shortfall::NotReached)));
         let surfaces = vec![("ash".to_string(), 1), ("oak".to_string(), 2)];
-        let counts = LibraryCounts { people: 1, across_people: false, surfaces };
+        let counts = LibraryCounts { people: 1, left_out: LeftOutBy::Trials, surfaces };
         let none = LeftOutAccuracy::new(&[], counts).scan_time(Goal::Loss(0.01));
         let lacking = vec![("ash".to_string(), 1)];
         assert_eq!(none.shortfall, Some(Shortfall::NothingLeftOut { lacking }));
