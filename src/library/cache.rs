@@ -110,8 +110,11 @@ impl Cache {
     /// The bytes stored under `name`; `None` if they are damaged or were stored with another stamp.
     pub(crate) fn get(&self, name: &str, stamp: u64) -> Option<Vec<u8>> {
         let place = self.records.get(name).filter(|place| place.stamp == stamp)?;
-        // Not longer than the file, see `record`.
-        let mut bytes = vec![0; usize::try_from(place.length + CHECKSUM).ok()?];
+        // A damaged file may claim that a record is larger than the memory.
+        let length = usize::try_from(place.length + CHECKSUM).ok()?;
+        let mut bytes = Vec::new();
+        bytes.try_reserve_exact(length).ok()?;
+        bytes.resize(length, 0);
         read_exact_at(self.file.as_ref()?, &mut bytes, place.begin).ok()?;
         let sum = bytes.split_off(place.length as usize);
         (checksum(&head(name, stamp, place.length), &bytes)[..] == sum).then_some(bytes)

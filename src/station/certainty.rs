@@ -147,7 +147,7 @@ mod tests {
     use crate::trial::lines;
 
     fn rejection() -> Rejection {
-        Rejection::usual(99, true).unwrap()
+        Rejection::usual(99, crate::recognise::LeftOutBy::People).unwrap()
     }
 
     fn answer(p_value: Option<f64>, scan_s: f64) -> Answer {

@@ -35,9 +35,7 @@ impl Lateness {
 
 /// Number of steps from which the period of a clock column is measured.
 const STEPS: usize = 256;
-/// Steps this close to the median, as a share of it, are single steps.
-const NEAR: f64 = 0.25;
-/// Share of the period by which its measure must differ for a loss to be no explanation.
+/// Share of the period by which a new measure makes the lateness so far meaningless.
 const OFF: f64 = 0.03;
 /// Rows that a clock column may be late by its jitter.
 const JITTER: f64 = 0.95;
@@ -54,8 +52,8 @@ pub(super) struct RowClock {
     late: f64,
     rows: f64,
     lateness: Lateness,
-    steps: Vec<f64>,
-    missing: f64,
+    /// Microseconds before each row, and how many rows were counted as missing there.
+    steps: Vec<(f64, f64)>,
 }
 
 impl RowClock {
@@ -67,7 +65,6 @@ impl RowClock {
             rows: 0.0,
             lateness: Lateness::new(LOOKBACK),
             steps: Vec::new(),
-            missing: 0.0,
         }
     }
 
@@ -79,8 +76,7 @@ impl RowClock {
         let missing = (late - least + 1.0 - JITTER).floor().max(0.0);
         self.late = late - missing;
         self.lateness.add(self.rows, self.late);
-        self.missing += missing;
-        self.steps.push(step_us);
+        self.steps.push((step_us, missing));
         if self.steps.len() == STEPS {
             self.measure();
         }
@@ -89,28 +85,36 @@ impl RowClock {
 
     /// Begins again after a restart of the device's clock; keeps the period.
     pub(super) fn restart(&mut self) {
-        (self.late, self.lateness, self.missing) = (0.0, Lateness::new(LOOKBACK), 0.0);
+        (self.late, self.lateness) = (0.0, Lateness::new(LOOKBACK));
         self.steps.clear();
     }
 
+    /// Measures the period. Either rows were lost where they were counted as missing, or none were and
+    /// the period was wrong: of the two, that one holds by which rows come less unevenly.
     fn measure(&mut self) {
-        let all_us: f64 = self.steps.iter().sum();
-        let rows = self.steps.len() as f64 + self.missing;
-        self.steps.sort_unstable_by(f64::total_cmp);
-        let median = self.steps[self.steps.len() / 2];
-        let near = self.steps.iter().filter(|step| (*step / median - 1.0).abs() < NEAR);
-        let (count, sum) = near.fold((0.0, 0.0), |(n, sum), step| (n + 1.0, sum + step));
-        // Holds at least the median, so the count is not 0.
-        let usual_us = sum / count;
-        if (usual_us / self.period_us - 1.0).abs() > OFF {
-            self.period_us = usual_us;
+        let (all_us, missing) =
+            self.steps.iter().fold((0.0, 0.0), |(us, n), s| (us + s.0, n + s.1));
+        let rows = self.steps.len() as f64;
+        let uneven = |period_us: f64, counts: f64| {
+            let (mut late_us, mut least, mut most) = (0.0, 0.0f64, 0.0f64);
+            for (step_us, missing) in &self.steps {
+                late_us += step_us - period_us * (1.0 + counts * missing);
+                (least, most) = (least.min(late_us), most.max(late_us));
+            }
+            most - least
+        };
+        let (even_us, lossy_us) = (all_us / rows, all_us / (rows + missing));
+        let slack_us = 1e-3 * even_us;
+        let is_even = uneven(even_us, 0.0) <= uneven(lossy_us, 1.0) + slack_us;
+        let found_us = if is_even { even_us } else { lossy_us };
+        if (found_us / self.period_us - 1.0).abs() > OFF {
+            self.period_us = found_us;
             self.restart();
         } else {
-            self.period_us += 0.5 * (all_us / rows - self.period_us);
+            self.period_us += 0.5 * (found_us - self.period_us);
         }
         self.measured_hz = Some(1e6 / self.period_us);
         self.steps.clear();
-        self.missing = 0.0;
     }
 }
 

@@ -222,7 +222,7 @@ mod tests {
     fn of_exchangeable_queries_no_more_than_the_stated_share_is_rejected() {
         // A permutation of 0 … 999; each value in turn is the query, and 199 others are the library.
         let value = |i: usize| ((i * 617) % 1000) as f64;
-        let test = Rejection::new(199, true, 0.05).unwrap();
+        let test = Rejection::new(199, LeftOutBy::People, 0.05).unwrap();
         let rejected = (0..1000).filter(|&q| {
             let others = (1..=199).map(|j| value((q + 5 * j) % 1000)).collect();
             let conformity = Conformity::new(vec![calibration(4.8, others)]);

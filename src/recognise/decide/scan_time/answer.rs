@@ -169,7 +169,7 @@ impl ScanTime {
                  add a source, or record more trials",
                 percent(self.target),
                 self.whole_percent(),
-                self.for_whom()
+                self.left_out.of_whom(self.people)
             ),
         }
     }
