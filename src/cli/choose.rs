@@ -35,7 +35,7 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Fai
     Ok(entries)
 }
 
-/// The folds of the protocol `named` by the user, or of the first that fits (which is printed).
+/// The folds of the protocol `named` by the user, or of the hardest that fits (which is printed).
 pub(super) fn split(
     keys: &[TrialKey],
     named: Option<Protocol>,
@@ -44,7 +44,7 @@ pub(super) fn split(
     let protocol = named.unwrap_or_else(fitting);
     let folds = evaluate::folds(protocol, keys)?;
     if named.is_none() {
-        say!("protocol: {}, which fits these data", protocol.name());
+        say!("protocol: {} ({})", protocol.name(), protocol.left_out());
     }
     Ok((protocol, folds))
 }

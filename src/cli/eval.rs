@@ -36,7 +36,7 @@ pub(super) struct Args {
     /// Recordings: a library, or the LMT108 database; or feature tables
     #[arg(required = true)]
     data: Option<PathBuf>,
-    /// How queries and library are split (default: the first of these that fits)
+    /// How queries and library are split (default: the hardest that the data allow: other people, else other sessions, else other trials)
     #[arg(long, value_enum)]
     protocol: Option<Protocol>,
     /// Compute the paper's tables, each result beside the paper's
@@ -269,6 +269,7 @@ impl EvalReport {
         result!("accuracy   {accuracy} ({right} of {of} queries; 95 % interval {interval})");
         let sources = listed(&self.outcome.sources);
         result!("           {} · {method} · {sources}{mark}", self.protocol.name());
+        result!("           {}", self.protocol.left_out());
         if self.protocol.folds_are_users() {
             let users = show::counted(self.outcome.folds.len(), "user");
             let (mean, std) = (self.outcome.accuracy_mean, self.outcome.accuracy_std);

@@ -13,7 +13,7 @@ pub(super) struct FigureArgs {
     /// SVG file to write; the JSON and any other pictures are written beside it
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// How queries and library are split (default: the first of these that fits)
+    /// How queries and library are split (default: the hardest that the data allow: other people, else other sessions, else other trials)
     #[arg(long, value_enum)]
     pub protocol: Option<Protocol>,
     #[command(flatten)]

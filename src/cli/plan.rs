@@ -31,7 +31,7 @@ pub(super) struct Args {
     /// File to write the plan to
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// How queries and library are split (default: the first of these that fits)
+    /// How queries and library are split (default: the hardest that the data allow: other people, else other sessions, else other trials)
     #[arg(long, value_enum)]
     protocol: Option<Protocol>,
     #[command(flatten)]

@@ -168,6 +168,9 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
     Ok(ReplayStage { name: library.name, scene, entries, folds: vec![fold], synthetic, cache })
 }
 
+/// Seconds between two scans on a page, so that people can read an answer.
+const REST_S: f64 = 2.5;
+
 /// Plays and names the queries of the stage. `reading` locks out edits until the library is read.
 fn play(
     args: &Args,
@@ -179,7 +182,9 @@ fn play(
         .map(|(_, entry)| first_seconds(entry, &stage.scene, how.query_seconds))
         .collect();
     let mut tally = Tally::new(!args.json, queries.len());
-    let device = Replay::new(&stage.scene, queries).speed(args.speed).synthetic(stage.synthetic);
+    let rest_s = if args.serve.is_wanted() { REST_S } else { 0.0 };
+    let device = Replay::new(&stage.scene, queries).speed(args.speed).rest_s(rest_s);
+    let device = device.synthetic(stage.synthetic);
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     if args.json {

@@ -26,6 +26,8 @@ pub struct Replay {
     speed: Speed,
     /// Length of the parts in which a recording is pushed, in seconds.
     chunk_s: f64,
+    /// Seconds between two trials in real time.
+    rest_s: f64,
     synthetic: bool,
 }
 
@@ -39,6 +41,7 @@ impl Replay {
             entries,
             speed: Speed::Max,
             chunk_s: 0.01,
+            rest_s: 0.0,
             synthetic: false,
         }
     }
@@ -50,6 +53,12 @@ impl Replay {
 
     pub fn chunk_s(mut self, seconds: f64) -> Self {
         self.chunk_s = seconds.max(1e-6);
+        self
+    }
+
+    /// Rests this long between two trials in real time, so that people can read an answer.
+    pub fn rest_s(mut self, seconds: f64) -> Self {
+        self.rest_s = seconds;
         self
     }
 
@@ -97,6 +106,9 @@ impl Device for Replay {
             };
             link.state(DeviceState::Streaming, "");
             Player { replay: self, sinks, link, due: Instant::now() }.play(trial)?;
+            if let Speed::RealTime(factor) = self.speed {
+                link.sleep_until(Instant::now() + Duration::from_secs_f64(self.rest_s / factor));
+            }
         }
         Ok(())
     }

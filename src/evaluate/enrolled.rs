@@ -118,7 +118,7 @@ mod tests {
         assert_eq!(by_expert.len(), 1);
         assert_eq!(by_expert[0].library, [0, 1, 3, 6, 7, 9], "trial 1 by user1 is enrolled");
         assert_eq!(by_expert[0].queries, [2, 4, 8, 10]);
-        assert_eq!(of(Protocol::AllVsOneUser)[0].library, [0, 1, 3, 5, 6, 7, 9, 11]);
+        assert_eq!(of(Protocol::AllVsOneUser)[1].library, [0, 1, 3, 5, 6, 7, 9, 11]);
     }
 
     /// The user's trials of `a` are nearer to the expert's trials of `b`, so only enrolling helps.

@@ -9,21 +9,45 @@ use crate::trial::{EXPERT, TrialKey};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Protocol {
-    /// The library is the expert's trials; each fold names the trials of one other user (1 vs 10)
-    ExpertVsUsers,
+    /// Each fold names the trials of one person; the library is everybody else's trials (10 vs 1)
+    AllVsOneUser,
+    /// Each fold names the trials of one session; the library is the trials of all other sessions
+    LeaveOneSessionOut,
     /// Fold k names trial k of every surface; the library is the same person's other trials (1 vs 1)
     LeaveOneTrialOut,
-    /// Each fold names the trials of one user; the library is everybody else's trials (10 vs 1)
-    AllVsOneUser,
+    /// The library is the expert's trials; each fold names the trials of one other user (1 vs 10)
+    ExpertVsUsers,
 }
 
 impl Protocol {
-    /// All protocols, in order of preference.
-    pub const ALL: [Self; 3] = [Self::ExpertVsUsers, Self::LeaveOneTrialOut, Self::AllVsOneUser];
+    /// The protocols that data get by default, the hardest first.
+    const DEFAULTS: [Self; 3] =
+        [Self::AllVsOneUser, Self::LeaveOneSessionOut, Self::LeaveOneTrialOut];
 
-    /// The first of [`Self::ALL`] that fits the trials.
+    /// The hardest protocol that asks at least half of the trials, or else the one that asks most of
+    /// them; `None` if none fits.
     pub(crate) fn fitting(keys: &[TrialKey]) -> Option<Self> {
-        Self::ALL.into_iter().find(|protocol| enough(&protocol.split(keys), keys))
+        let asked = |protocol: &Self| -> usize {
+            let folds = protocol.split(keys);
+            if !enough(&folds, keys) {
+                return 0;
+            }
+            folds.iter().map(|fold| fold.queries.len()).sum()
+        };
+        let half = |protocol: &Self| 2 * asked(protocol) >= keys.len().max(1);
+        let most = || Self::DEFAULTS.into_iter().rev().max_by_key(asked);
+        let found = Self::DEFAULTS.into_iter().find(half).or_else(most);
+        found.filter(|protocol| asked(protocol) > 0)
+    }
+
+    /// Which trials are left out, and what that leaves untold.
+    pub(crate) fn left_out(self) -> &'static str {
+        match self {
+            Self::AllVsOneUser => "each person left out in turn",
+            Self::LeaveOneSessionOut => "each session left out in turn",
+            Self::LeaveOneTrialOut => "trials left out within sessions: another day will be worse",
+            Self::ExpertVsUsers => "other people's trials, named by those of `expert`",
+        }
     }
 
     pub(crate) fn folds_are_users(self) -> bool {
@@ -34,15 +58,25 @@ impl Protocol {
         match self {
             Self::ExpertVsUsers => "expert-vs-users",
             Self::LeaveOneTrialOut => "leave-one-trial-out",
+            Self::LeaveOneSessionOut => "leave-one-session-out",
             Self::AllVsOneUser => "all-vs-one-user",
         }
     }
 
     fn split(self, keys: &[TrialKey]) -> Vec<Fold> {
-        let users = || keys.iter().map(|key| &*key.user).filter(|user| *user != EXPERT).collect();
         let groups = match self {
-            Self::ExpertVsUsers => by_user(keys, users(), |key, _| key.user == EXPERT),
-            Self::AllVsOneUser => by_user(keys, users(), |key, user| key.user != user),
+            Self::ExpertVsUsers => {
+                let by_expert = |&i: &usize| keys[i].user == EXPERT;
+                let limited = |fold: Fold| Fold {
+                    library: fold.library.into_iter().filter(by_expert).collect(),
+                    ..fold
+                };
+                let others = by_user(keys).into_iter().filter(|fold| fold.name != EXPERT);
+                others.map(limited).collect()
+            }
+            Self::AllVsOneUser => by_user(keys),
+            Self::LeaveOneSessionOut if !sessions_count(keys) => Vec::new(),
+            Self::LeaveOneSessionOut => by_group(keys, session_of),
             Self::LeaveOneTrialOut => by_trial(keys),
         };
         groups.into_iter().filter_map(|fold| known_only(fold, keys)).collect()
@@ -56,9 +90,11 @@ impl Protocol {
             Self::LeaveOneTrialOut => {
                 "at least two surfaces with at least two trials each by one person"
             }
-            Self::AllVsOneUser => {
-                "trials of at least two surfaces by at least two people, one of them not `expert`"
+            Self::LeaveOneSessionOut => {
+                "at least two surfaces with trials in at least two sessions each, and a session of \
+                 several trials (`session` in trial.toml)"
             }
+            Self::AllVsOneUser => "trials of at least two surfaces by at least two people",
         }
     }
 }
@@ -66,7 +102,7 @@ impl Protocol {
 /// Queries, and the library that they are compared with. Trials are given by their indices.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fold {
-    /// Name of the user or trial that is left out.
+    /// Name of the person, session or trial that is left out.
     pub name: String,
     pub library: Vec<usize>,
     /// The trials to name. The library has other trials of the same surfaces.
@@ -112,20 +148,41 @@ fn natural(name: &str) -> (&str, u64) {
     (stem, number.parse().unwrap_or(0))
 }
 
-/// One fold for each of `users`, whose trials are its queries.
-pub(super) fn by_user(
-    keys: &[TrialKey],
-    users: BTreeSet<&str>,
-    in_library: impl Fn(&TrialKey, &str) -> bool,
-) -> Vec<Fold> {
-    let mut users: Vec<&str> = users.into_iter().collect();
-    users.sort_by_key(|user| natural(user));
-    let fold = |user: &str| Fold {
-        name: user.into(),
-        library: (0..keys.len()).filter(|&i| in_library(&keys[i], user)).collect(),
-        queries: (0..keys.len()).filter(|&i| keys[i].user == user).collect(),
+/// Whether sessions tell more than trials: at least two surfaces have trials in at least two sessions
+/// each, and some session has several trials. If not, the data count as one session.
+pub(crate) fn sessions_count(keys: &[TrialKey]) -> bool {
+    let mut of_surface: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+    let mut trials: BTreeMap<String, usize> = BTreeMap::new();
+    for key in keys.iter().filter(|key| key.session.is_some()) {
+        of_surface.entry(&key.surface).or_default().insert(session_of(key));
+        *trials.entry(session_of(key)).or_default() += 1;
+    }
+    of_surface.values().filter(|sessions| sessions.len() > 1).count() > 1
+        && trials.values().any(|&count| count > 1)
+}
+
+/// The name of a trial's session. Two people never share one.
+fn session_of(key: &TrialKey) -> String {
+    let user = if key.user == EXPERT { String::new() } else { format!("{} ", key.user) };
+    format!("{user}{}", key.session.as_deref().unwrap_or("without session"))
+}
+
+/// One fold for each person.
+pub(super) fn by_user(keys: &[TrialKey]) -> Vec<Fold> {
+    by_group(keys, |key| key.user.clone())
+}
+
+/// One fold for each group, which names the group's trials by all others.
+fn by_group(keys: &[TrialKey], group: impl Fn(&TrialKey) -> String) -> Vec<Fold> {
+    let groups: Vec<String> = keys.iter().map(group).collect();
+    let names: BTreeSet<&String> = groups.iter().collect();
+    let mut names: Vec<&String> = names.into_iter().collect();
+    names.sort_by_key(|name| natural(name));
+    let fold = |name: &String| {
+        let (queries, library) = (0..keys.len()).partition(|&i| groups[i] == *name);
+        Fold { name: name.clone(), library, queries }
     };
-    users.into_iter().map(fold).collect()
+    names.into_iter().map(fold).collect()
 }
 
 /// One fold for each person and trial number; its library is the same person's other trials.
@@ -187,9 +244,10 @@ mod tests {
     }
 
     #[test]
-    fn all_vs_one_user_leaves_out_just_that_user() {
+    fn all_vs_one_user_asks_every_person_the_expert_too() {
         let folds = folds(Protocol::AllVsOneUser, &keys()).unwrap();
-        assert_eq!(folds[0].library, [0, 1, 2, 4, 5, 6, 7, 9]);
+        assert_eq!(folds.iter().map(|f| &*f.name).collect::<Vec<_>>(), [EXPERT, "user1", "user2"]);
+        assert_eq!(folds[1].library, [0, 1, 2, 4, 5, 6, 7, 9]);
     }
 
     #[test]
@@ -208,7 +266,7 @@ mod tests {
             let keys: Vec<TrialKey> = keys.iter().map(key).collect();
             (Protocol::fitting(&keys), folds(Protocol::ExpertVsUsers, &keys))
         };
-        assert_eq!(Protocol::fitting(&keys()), Some(Protocol::ExpertVsUsers));
+        assert_eq!(Protocol::fitting(&keys()), Some(Protocol::AllVsOneUser));
         let alone = [("a", EXPERT, 1), ("a", EXPERT, 2), ("b", EXPERT, 1), ("b", EXPERT, 2)];
         let (protocol, refused) = natural(&alone);
         assert_eq!(protocol, Some(Protocol::LeaveOneTrialOut));
@@ -216,6 +274,61 @@ mod tests {
         assert!(refused.ends_with("; leave-one-trial-out fits them"), "{refused}");
         let users = [("a", "user1", 1), ("b", "user1", 1), ("a", "user2", 1), ("b", "user2", 1)];
         assert_eq!(natural(&users).0, Some(Protocol::AllVsOneUser));
+    }
+
+    /// Two trials of `a` and of `b` in each of these sessions, by one person.
+    fn sessions(names: &[&str]) -> Vec<TrialKey> {
+        let of = |surface: &'static str| {
+            names.iter().enumerate().flat_map(move |(at, session)| {
+                [1, 2].map(|n| TrialKey {
+                    session: Some((*session).into()),
+                    ..TrialKey::new(surface, EXPERT, 2 * at as u32 + n)
+                })
+            })
+        };
+        ["a", "b"].into_iter().flat_map(of).collect()
+    }
+
+    #[test]
+    fn the_hardest_protocol_that_the_data_allow_is_chosen_whatever_people_are_called() {
+        let of = |people: &[&str]| {
+            let by = |surface: &'static str| {
+                people.iter().flat_map(move |user| [1, 2].map(|n| TrialKey::new(surface, *user, n)))
+            };
+            Protocol::fitting(&["a", "b"].into_iter().flat_map(by).collect::<Vec<_>>())
+        };
+        for people in [["anna", "ben"], [EXPERT, "ben"], ["ben", EXPERT]] {
+            assert_eq!(of(&people), Some(Protocol::AllVsOneUser), "{people:?}");
+        }
+        assert_eq!(of(&["anna"]), Some(Protocol::LeaveOneTrialOut));
+        let mut days = sessions(&["monday", "tuesday"]);
+        assert_eq!(Protocol::fitting(&days), Some(Protocol::LeaveOneSessionOut));
+        // A visitor with one trial does not make a library of two people.
+        days.push(TrialKey::new("a", "visitor", 1));
+        assert_eq!(Protocol::fitting(&days), Some(Protocol::LeaveOneSessionOut));
+        assert_eq!(Protocol::fitting(&[TrialKey::new("a", EXPERT, 1)]), None);
+    }
+
+    #[test]
+    fn a_session_is_left_out_with_all_of_its_trials_and_belongs_to_one_person() {
+        let days = sessions(&["monday", "tuesday"]);
+        let found = folds(Protocol::LeaveOneSessionOut, &days).unwrap();
+        assert_eq!(found[0].name, "monday");
+        assert_eq!(
+            (&*found[0].queries, &*found[0].library),
+            (&[0, 1, 4, 5][..], &[2, 3, 6, 7][..])
+        );
+        let mut two = days.clone();
+        two.extend(days.into_iter().map(|key| TrialKey { user: "anna".into(), ..key }));
+        assert_eq!(folds(Protocol::LeaveOneSessionOut, &two).unwrap().len(), 4);
+        assert!(!sessions_count(&sessions(&["monday"])));
+        // A session for each trial tells nothing of sessions.
+        let mut single = sessions(&["1", "2"]);
+        for (at, key) in single.iter_mut().enumerate() {
+            key.session = Some(at.to_string());
+        }
+        let error = folds(Protocol::LeaveOneSessionOut, &single).unwrap_err().to_string();
+        assert!(error.contains("several trials") && error.contains("trial-out fits"), "{error}");
     }
 
     #[test]

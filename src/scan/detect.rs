@@ -134,7 +134,10 @@ impl Detector {
                         self.state = DetectorState::Quiet { tap };
                         tap.is_none().then_some(DetectorEvent::End { end, cut })
                     }
-                    None if !is_drag && lasted(hops, config.longest_tap_s) => {
+                    None if !is_drag
+                        && lasted(hops, config.longest_tap_s)
+                        && hops >= LEAST_DRAG =>
+                    {
                         contact.is_drag = true;
                         Some(DetectorEvent::Drag { tap, start })
                     }
@@ -191,6 +194,11 @@ const BLOCKS: usize = 20;
 const MEMORY_S: f64 = BLOCK_S * BLOCKS as f64;
 /// Fewest quiet hops that end a contact, since a single frame of any vibration may be near 0.
 const LEAST_HOLD: u64 = 4;
+/// Fewest hops with data in a drag, so that few frames of a slow stream make none.
+const LEAST_DRAG: u64 = 10;
+/// Fewest values from which a vibration's level is taken. Where a hop has fewer, it is taken from
+/// several hops, since a single value of any vibration may be near 0 or far from it.
+const LEAST_VALUES: f64 = 4.0;
 /// A gap in a drag that is longer than this ends it, in seconds.
 pub(super) const LONGEST_GAP_S: f64 = 3.0;
 /// Vibration below this share of full scale (about 6 steps of 16 bits) is noise of the converter.
@@ -231,6 +239,9 @@ pub(super) struct StreamLevel {
     /// Number of frames missing since the last frame, and of hops without a level since the last level.
     missing: u64,
     silent: u64,
+    /// Mean squares of the latest hops, and the largest number of them.
+    recent: VecDeque<f64>,
+    most_recent: usize,
     /// Number of hops from which the floor was learnt.
     hops: u64,
     smooth: f64,
@@ -252,6 +263,9 @@ impl StreamLevel {
             slow: Vec::new(),
             missing: 0,
             silent: 0,
+            recent: VecDeque::new(),
+            most_recent: (LEAST_VALUES / (hop_frames(rate_hz) * channels.max(1) as f64)).ceil()
+                as usize,
             hops: 0,
             smooth: 0.0,
             blocks: VecDeque::new(),
@@ -317,8 +331,15 @@ impl StreamLevel {
             }
             return None;
         }
-        self.silent = 0;
-        Some(self.level(sum / real as f64, held))
+        if std::mem::take(&mut self.silent) > 0 {
+            self.recent.clear();
+        }
+        if self.recent.len() == self.most_recent || self.kind == SensorKind::Force {
+            self.recent.pop_front();
+        }
+        self.recent.push_back(sum / real as f64);
+        let mean = self.recent.iter().sum::<f64>() / self.recent.len() as f64;
+        Some(self.level(mean, held))
     }
 
     pub(super) fn relearn(&mut self) {

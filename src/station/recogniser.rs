@@ -1,5 +1,6 @@
 //! Names scans by comparing them with a library, using any method.
 
+use std::cell::LazyCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -153,8 +154,8 @@ impl Recogniser {
     /// each of them.
     fn query(&self, scan: &Scan) -> Result<(Prepared, Vec<Doubt>), RecogniseError> {
         let (model, _) = self.model(scan.truth.as_ref());
-        let embedding = model.clone().embedding();
-        let rests = |id: &SourceId| embedding.as_ref().map_or(&[][..], |model| model.rests(id));
+        let embedding = LazyCell::new(|| model.clone().embedding());
+        let rests = |id: &SourceId| (*embedding).as_ref().map_or(&[][..], |model| model.rests(id));
         let (trial, left_out) = without_flawed(scan.trial.clone(), &self.scene, rests);
         let trial = Arc::new(trial);
         Ok((model.prepare(&Entry::in_memory(trial.clone()), &trial)?, left_out))

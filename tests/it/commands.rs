@@ -85,7 +85,7 @@ fn golden_scores_come_out_of_the_command_line() {
 fn an_evaluation_prints_what_was_promised() {
     let dir = scene();
     for (protocol, queries, folds) in
-        [("expert-vs-users", 6, 2), ("leave-one-trial-out", 6, 2), ("all-vs-one-user", 6, 2)]
+        [("expert-vs-users", 6, 2), ("leave-one-trial-out", 6, 2), ("all-vs-one-user", 12, 3)]
     {
         let report = json(&["eval", &path(&dir), "--protocol", protocol, "--json", "--n", "50"]);
         assert_eq!(report["queries"], queries, "{protocol}");
@@ -107,13 +107,13 @@ fn an_evaluation_chooses_a_protocol_and_says_which() {
     let dir = scene();
     let output = surfaced(&["eval", &path(&dir), "--method", "knn", "--sources", "mi2"]);
     let said = stderr(&output);
-    assert!(said.contains("protocol: expert-vs-users"), "{said}");
+    assert!(said.contains("protocol: all-vs-one-user (each person left out in turn)"), "{said}");
     assert!(said.contains("next: surfaced chart "), "{said}");
     let shown = String::from_utf8(output.stdout).unwrap();
-    assert!(shown.contains(" of 6 queries; 95 % interval "), "{shown}");
-    assert!(shown.contains("mean over 2 users: "), "{shown}");
-    let knn = ["eval", &path(&dir), "--method", "knn", "--enrolled", "1"];
-    refused(&knn, 1, &["no user has more than 1 trial(s)"]);
+    assert!(shown.contains(" of 12 queries; 95 % interval "), "{shown}");
+    assert!(shown.contains("mean over 3 users: "), "{shown}");
+    let knn = ["eval", &path(&dir), "--method", "knn", "--enrolled", "2"];
+    refused(&knn, 1, &["no user has more than 2 trial(s)"]);
     let within = [&knn[..], &["--protocol", "leave-one-trial-out"]].concat();
     refused(&within, 2, &["--enrolled goes with expert-vs-users"]);
 }

@@ -197,9 +197,8 @@ fn relabelled(entry: &Entry, suspects: &BTreeMap<&TrialKey, &str>) -> Entry {
 /// Makes the folds. Each person is left out in one fold if there are several. Further folds leave
 /// out the remaining trials ([`by_parts`]), for example of a surface that only one person recorded.
 fn left_out(keys: &[TrialKey]) -> Vec<Fold> {
-    let people = keys.iter().map(|key| key.user.as_str()).collect();
-    let by_person = by_user(keys, people, |key, user| key.user != user).into_iter();
-    let mut folds: Vec<Fold> = by_person
+    let mut folds: Vec<Fold> = by_user(keys)
+        .into_iter()
         .filter_map(|fold| known_only(fold, keys))
         .filter(|fold| enough(std::slice::from_ref(fold), keys))
         .collect();

@@ -20,9 +20,11 @@ const MEMBERS: usize = 50;
 /// cost time with its square.
 const FEATURES: (usize, usize) = (20, 600);
 
-/// Without a group, only as many members are trained as together have this many features. They take
-/// most of the time and memory otherwise, and all of them would say about the same.
-const FEATURES_WITHOUT: usize = 6000;
+/// Without a group, fewer members are trained: as many as together have this many features, and as make
+/// this many products for an answer, over all groups. They would take most of the time and memory
+/// otherwise.
+const FEATURES_WITHOUT: usize = 12_000;
+const PRODUCTS_WITHOUT: usize = 8_000_000;
 
 /// Number of products that is worth its own thread.
 const WORTH_A_THREAD: usize = 500_000;
@@ -52,8 +54,9 @@ pub(crate) struct Answer {
 
 impl Ensemble {
     /// Trains on the given columns of the training vectors, shape (N, D): on all rows, and without each
-    /// group, then with fewer members ([`FEATURES_WITHOUT`]). An ensemble without a group is `None` if the remaining rows are too few or all alike. If
-    /// not even all rows can train a member, the first ensemble tells nothing apart.
+    /// group, then with fewer members ([`FEATURES_WITHOUT`]). An ensemble without a group is `None` if the
+    /// remaining rows are too few or all alike. If not even all rows can train a member, the first
+    /// ensemble tells nothing apart.
     pub(crate) fn train(
         vectors: &Array2<f32>,
         columns: &[usize],
@@ -63,7 +66,10 @@ impl Ensemble {
         let trials = rows.trials.iter().max().map_or(0, |last| last + 1);
         let size = (2 * trials).clamp(FEATURES.0, FEATURES.1).min(columns.len());
         let members = if size == columns.len() { 1 } else { MEMBERS };
-        let members_without = members.min(FEATURES_WITHOUT.div_ceil(size.max(1)));
+        let products = (rows.group_count * (rows.classes.max(2) - 1) * size).max(1);
+        let members_without = members
+            .min(FEATURES_WITHOUT.div_ceil(size.max(1)))
+            .min(PRODUCTS_WITHOUT.div_ceil(products));
         let trained: Vec<_> = (0..members)
             .into_par_iter()
             .map(|number| {

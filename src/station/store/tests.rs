@@ -131,7 +131,7 @@ fn a_scan_that_was_refused_is_kept_once_somebody_says_so() {
     thread.store(scan(1), strict.clone(), None);
     let refused = stored.recv().unwrap().enrolled;
     assert_eq!(refused.outcome, EnrolledOutcome::Refused);
-    let short = Doubt::TooShort { scan_s: 0.0, needed_s: 1.0, settled: false };
+    let short = Doubt::TooShort { scan_s: 0.01, needed_s: 1.0, settled: false };
     assert_eq!(refused.doubts, [short]);
     thread.keep_refused(1, strict);
     let kept = stored.recv().unwrap().enrolled;
