@@ -337,9 +337,12 @@ impl StreamLevel {
         if self.recent.len() == self.most_recent || self.kind == SensorKind::Force {
             self.recent.pop_front();
         }
-        self.recent.push_back(sum / real as f64);
-        let mean = self.recent.iter().sum::<f64>() / self.recent.len() as f64;
-        Some(self.level(mean, held))
+        let mean = sum / real as f64;
+        self.recent.push_back(mean);
+        let of_recent = self.recent.iter().sum::<f64>() / self.recent.len() as f64;
+        self.learn(of_recent, held);
+        // A contact begins once several hops are loud, and ends with the first of several quiet ones.
+        Some(self.level(mean.min(of_recent)))
     }
 
     pub(super) fn relearn(&mut self) {
@@ -347,9 +350,12 @@ impl StreamLevel {
         self.blocks.clear();
     }
 
-    fn level(&mut self, mean: f64, held: bool) -> f64 {
-        let hops = |seconds: f64| (seconds / self.hop_s).round();
-        let (learn, block) = (hops(LEARN_S).max(SMOOTH), hops(BLOCK_S).max(1.0) as u64);
+    fn hops_in(&self, seconds: f64) -> f64 {
+        (seconds / self.hop_s).round()
+    }
+
+    fn learn(&mut self, mean: f64, held: bool) {
+        let block = self.hops_in(BLOCK_S).max(1.0) as u64;
         if !held {
             self.hops += 1;
             // Begins with a plain mean, so that the first hop weighs no more than any other.
@@ -365,7 +371,10 @@ impl StreamLevel {
                 }
             }
         }
-        if (self.hops as f64) < learn {
+    }
+
+    fn level(&self, mean: f64) -> f64 {
+        if (self.hops as f64) < self.hops_in(LEARN_S).max(SMOOTH) {
             return 0.0;
         }
         let floor = self.blocks.iter().copied().fold(self.lowest, f64::min);

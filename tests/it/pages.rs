@@ -12,7 +12,7 @@ use surfaced::scene::{LibraryToml, Scene};
 use surfaced::station::config::StationConfig;
 
 /// Blocks that show something else than commands, by how they begin, and what they are.
-const SHOWN: [(&str, &str); 12] = [
+const SHOWN: [(&str, &str); 13] = [
     ("my-library/", "a listing of files"),
     ("device ─►", "a drawing of the source code"),
     ("format = 1", "a file, read below"),
@@ -24,6 +24,7 @@ const SHOWN: [(&str, &str); 12] = [
     ("SELECT ", "the same question is asked by tools/many-stations in .ci/run"),
     ("sql", "the same"),
     ("ini", "files for systemd"),
+    ("0.12,9.81,3.1 → ", "forms of lines, read by tests/it/line_forms.rs"),
     ("python", "examples, run by tools/python/run in .ci/run"),
 ];
 

@@ -7,22 +7,16 @@ use std::process::Output;
 use crate::common::id;
 use assert_cmd::Command;
 use serde_json::Value;
-use surfaced::dataset::synth::{self, Difficulty, Parameters};
+use surfaced::dataset::synth::{self, Parameters};
 use surfaced::evaluate::plan::{Plan, PlanOptions, Planned, search};
 use surfaced::evaluate::{self, Evaluation, Protocol};
 use surfaced::library::{Entry, Library};
 use surfaced::recognise::{Embedding, EmbeddingOptions};
 
 /// A synthetic scene with some of its sources.
-fn scene(surfaces: usize, trials: u32, difficulty: Difficulty, sources: &[&str]) -> Library {
-    let parameters = Parameters {
-        surfaces,
-        trials,
-        users: 0,
-        drag_seconds: 1.2,
-        difficulty,
-        ..Parameters::default()
-    };
+fn scene(surfaces: usize, trials: u32, sources: &[&str]) -> Library {
+    let parameters =
+        Parameters { surfaces, trials, users: 0, drag_seconds: 1.2, ..Parameters::default() };
     let library = synth::library(&parameters);
     let ids: Vec<_> = sources.iter().map(|name| id(name)).collect();
     let scene = library.scene.only(&ids).unwrap();
@@ -43,7 +37,7 @@ fn names(plan: &Plan) -> Vec<&str> {
 #[test]
 fn five_easy_surfaces_need_one_cheap_source() {
     let all = ["ac", "ca1", "fr", "ir", "me", "mi1", "mi2"];
-    let library = scene(5, 4, Difficulty::default(), &all);
+    let library = scene(5, 4, &all);
     let planned = plan(&library, 0.99);
     assert_eq!(planned.plan.sources.len(), 1, "{:?}", planned.steps);
     let expected = &planned.plan.expected;
@@ -60,10 +54,10 @@ fn five_easy_surfaces_need_one_cheap_source() {
     assert_eq!(names(&plan(&library, 0.99).plan), names(&planned.plan), "the same again");
 }
 
-/// 108 surfaces without the camera: no source is enough.
+/// 108 surfaces without camera and sound: no source is enough.
 #[test]
 fn a_hundred_and_eight_surfaces_need_several() {
-    let library = scene(108, 3, Difficulty::lmt108(), &["fr", "ir", "me", "mi1"]);
+    let library = scene(108, 3, &["fr", "ir", "me"]);
     let planned = plan(&library, 0.97);
     assert!(planned.sources.iter().all(|cost| cost.accuracy < 0.97), "{:?}", planned.sources);
     let best = planned.sources.iter().map(|cost| cost.accuracy).fold(0.0, f64::max);

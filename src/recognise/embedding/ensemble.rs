@@ -45,11 +45,32 @@ pub(crate) struct Ensemble {
 /// The answer of an ensemble to a vector.
 #[derive(Clone, Debug)]
 pub(crate) struct Answer {
-    /// ln of the probability of each class: of the mean over members of softmax(−distance/2).
-    pub log_probabilities: Vec<f64>,
+    /// For each member, the squared distance to each class mean.
+    distances: Vec<Vec<f64>>,
+    /// Number of features of a member.
+    features: usize,
+}
+
+impl Answer {
+    #[cfg(test)]
+    pub(super) fn of(distances: Vec<Vec<f64>>) -> Self {
+        Self { distances, features: 1 }
+    }
+
+    /// ln of the probability of each class: of the mean over members of softmax(−distance/2τ).
+    pub(crate) fn log_probabilities(&self, tau: f64) -> Vec<f64> {
+        let of_members: Vec<Vec<f64>> =
+            self.distances.iter().map(|distances| log_softmax(distances, tau)).collect();
+        let classes = of_members.first().map_or(0, Vec::len);
+        (0..classes).map(|class| log_mean(of_members.iter().map(|of| of[class]))).collect()
+    }
+
     /// Mean over members of the squared distance to the nearest class mean, divided by the number of
     /// features.
-    pub strangeness: f64,
+    pub(crate) fn strangeness(&self) -> f64 {
+        let total: f64 = self.distances.iter().map(|distances| least(distances)).sum();
+        total / (self.distances.len() * self.features).max(1) as f64
+    }
 }
 
 impl Ensemble {
@@ -110,34 +131,18 @@ impl Ensemble {
 
     /// The answers to vectors, shape (n, D).
     pub(crate) fn answers(&self, vectors: ArrayView2<'_, f32>) -> Vec<Answer> {
-        let of_member = |member: &Member| -> Vec<Answer> {
-            let own = gathered(vectors, &member.columns);
-            let features = member.columns.len().max(1) as f64;
-            let answer = |distances: Vec<f64>| {
-                let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
-                Answer {
-                    log_probabilities: log_softmax(&distances, least),
-                    strangeness: least / features,
-                }
-            };
-            member.discriminant.distances(own.view()).into_iter().map(answer).collect()
+        let of_member = |member: &Member| {
+            member.discriminant.distances(gathered(vectors, &member.columns).view())
         };
         // The threads of a small task cost more than they save.
         let work = vectors.nrows() * self.members.first().map_or(0, |m| m.discriminant.work());
-        let least = (WORTH_A_THREAD / work.max(1)).max(1);
-        let members = self.members.par_iter().with_min_len(least);
-        let all: Vec<Vec<Answer>> = members.map(of_member).collect();
-        let mean = |at: usize| {
-            let of_class =
-                |class: usize| log_mean(all.iter().map(move |of| of[at].log_probabilities[class]));
-            let classes = all.first().map_or(0, |of| of[at].log_probabilities.len());
-            let strangeness: f64 = all.iter().map(|of_member| of_member[at].strangeness).sum();
-            Answer {
-                log_probabilities: (0..classes).map(of_class).collect(),
-                strangeness: strangeness / all.len().max(1) as f64,
-            }
-        };
-        (0..vectors.nrows()).map(mean).collect()
+        let fewest = (WORTH_A_THREAD / work.max(1)).max(1);
+        let members = self.members.par_iter().with_min_len(fewest);
+        let mut all: Vec<_> = members.map(|member| of_member(member).into_iter()).collect();
+        let features = self.members.first().map_or(0, |member| member.columns.len());
+        let answer =
+            |_| Answer { distances: all.iter_mut().filter_map(Iterator::next).collect(), features };
+        (0..vectors.nrows()).map(answer).collect()
     }
 
     /// Mean over members of w_c, shape (C, D), and of b_c; see [`Discriminant::weights`].
@@ -181,13 +186,19 @@ fn drawn(columns: &[usize], size: usize, seed: u64, number: usize) -> Vec<usize>
     columns
 }
 
-/// ln softmax(−d/2); equal shares if all distances are infinite.
-fn log_softmax(distances: &[f64], least: f64) -> Vec<f64> {
+fn least(distances: &[f64]) -> f64 {
+    distances.iter().copied().fold(f64::INFINITY, f64::min)
+}
+
+/// ln softmax(−d/2τ); equal shares if all distances are infinite.
+fn log_softmax(distances: &[f64], tau: f64) -> Vec<f64> {
+    let least = least(distances);
     if !least.is_finite() {
         return vec![-(distances.len() as f64).ln(); distances.len()];
     }
-    let total: f64 = distances.iter().map(|d| (0.5 * (least - d)).exp()).sum();
-    distances.iter().map(|d| 0.5 * (least - d) - total.ln()).collect()
+    let scale = 0.5 / tau;
+    let total: f64 = distances.iter().map(|d| (scale * (least - d)).exp()).sum();
+    distances.iter().map(|d| scale * (least - d) - total.ln()).collect()
 }
 
 /// ln of the mean of e^x. A mean too small for a number still has a logarithm.

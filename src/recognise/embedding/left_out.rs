@@ -13,6 +13,7 @@ use super::ensemble::{Answer, Ensemble};
 use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present};
 use super::labels::Labels;
+use super::temperature::Temperature;
 use super::training::Training;
 use crate::recognise::decide::conformal::{Calibration, Conformity};
 use crate::recognise::follow::LOOK_S;
@@ -34,6 +35,8 @@ pub(super) struct Trained {
     pub without: Vec<Option<Ensemble>>,
     /// How far left-out trials lie from all surfaces by these sources.
     pub conformity: Conformity,
+    /// How much less certain than its members an ensemble is.
+    pub temperature: Temperature,
 }
 
 /// Beginnings of left-out trials.
@@ -48,10 +51,15 @@ struct Begun {
 impl Trained {
     fn new(joint: &JointEmbedder, training: &Training, present: &Present) -> Self {
         let (all, without) = training.ensembles(joint, present);
-        Self { all, without, conformity: Conformity::default() }
+        Self {
+            all,
+            without,
+            conformity: Conformity::default(),
+            temperature: Temperature::default(),
+        }
     }
 
-    /// Trains, and measures the conformity of the library trials that have these sources. `drag_s` is
+    /// Trains, and measures conformity and temperature with the library trials that have these sources. `drag_s` is
     /// the median length of their drag in seconds.
     pub(super) fn measured(
         joint: &JointEmbedder,
@@ -65,7 +73,7 @@ impl Trained {
         trained
     }
 
-    /// Measures conformity. In a library of one person, excerpts replace scans by somebody else.
+    /// Measures conformity and temperature. In a library of one person, excerpts replace scans by somebody else.
     fn measure(
         &mut self,
         training: &Training,
@@ -81,7 +89,7 @@ impl Trained {
             |scan_s: f64, of_each: usize, vectors: Vec<(usize, ArrayView1<'_, f32>)>| {
                 let strange = self.of_left_out(labels, &vectors).into_iter();
                 let scans =
-                    strange.map(|(at, answer)| (labels.group[vectors[at].0], answer.strangeness));
+                    strange.map(|(at, answer)| (labels.group[vectors[at].0], answer.strangeness()));
                 Calibration::new(scan_s, of_each, scans)
             };
         let excerpt_s = SHARE * drag_s;
@@ -104,7 +112,24 @@ impl Trained {
             let wholes = trials().map(|i| (i, training.whole(i)));
             by_length.push(calibrate(drag_s, 1, wholes.collect()));
         }
-        self.conformity = Conformity::new(by_length);
+        let conformity = Conformity::new(by_length);
+        let named = |scan_s: f64, vectors: Vec<(usize, ArrayView1<'_, f32>)>| {
+            let known =
+                self.of_left_out(labels, &vectors).into_iter().filter_map(|(at, answer)| {
+                    let trial = vectors[at].0;
+                    self.can_name(labels, trial).then(|| (answer, labels.class[trial]))
+                });
+            (scan_s, known.collect::<Vec<_>>())
+        };
+        let begun = begun.looks.iter().enumerate().map(|(at, look)| {
+            let kept = begun.trials.iter().filter(|(trial, _)| full[*trial]);
+            let vectors = kept.map(|(trial, vectors)| (*trial, ArrayView1::from(&vectors[at])));
+            named(*look as f64 * LOOK_S, vectors.collect())
+        });
+        let wholes = evenly(full.len()).into_iter().filter(|&i| full[i]);
+        let wholes = named(drag_s, wholes.map(|i| (i, training.whole(i))).collect());
+        let temperature = Temperature::fit(&begun.chain([wholes]).collect::<Vec<_>>());
+        (self.conformity, self.temperature) = (conformity, temperature);
     }
 
     /// The answers to vectors of library trials by the ensembles without their groups. Each vector comes
@@ -136,7 +161,7 @@ impl Trained {
 
     pub(super) fn p_value(&self, vector: ArrayView2<'_, f32>, scan_s: f64) -> Option<f64> {
         let of_group = |without: &Option<Ensemble>| {
-            without.as_ref().map_or(f64::INFINITY, |w| w.answers(vector)[0].strangeness)
+            without.as_ref().map_or(f64::INFINITY, |w| w.answers(vector)[0].strangeness())
         };
         let scores: Vec<f64> = self.without.par_iter().map(of_group).collect();
         self.conformity.p_value(scan_s, |group| scores[group])

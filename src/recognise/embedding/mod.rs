@@ -33,6 +33,7 @@ mod passed;
 mod picture;
 mod quantiles;
 mod series;
+mod temperature;
 mod tiles;
 mod training;
 

@@ -136,9 +136,9 @@ impl EmbeddingModel {
         trained
     }
 
-    /// Makes a posterior from the answer of an ensemble, and a p-value.
-    fn posterior_of(&self, answer: Answer, p_value: Option<f64>) -> Posterior {
-        let log_posterior = answer.log_probabilities;
+    /// Makes a posterior from the answer of an ensemble, its temperature, and a p-value.
+    fn posterior_of(&self, answer: &Answer, tau: f64, p_value: Option<f64>) -> Posterior {
+        let log_posterior = answer.log_probabilities(tau);
         let probabilities = log_posterior.iter().map(|log_p| log_p.exp()).collect();
         let probabilities = held_back(probabilities, self.left_out.held_out);
         Posterior { log_posterior, probabilities, p_value }
@@ -149,7 +149,7 @@ impl EmbeddingModel {
         let vector = ArrayView1::from(vector).insert_axis(Axis(0));
         let p_value = trained.p_value(vector, scan_s);
         // One vector has one answer.
-        self.posterior_of(trained.all.answers(vector).remove(0), p_value)
+        self.posterior_of(&trained.all.answers(vector)[0], trained.temperature.at(scan_s), p_value)
     }
 
     fn stretches<'a>(&'a self, present: &'a Present) -> impl Iterator<Item = &'a Stretch> {
@@ -252,15 +252,15 @@ impl EmbeddingModel {
         let look = |(at, answer): (usize, Answer)| {
             let scan_s = looks[at] as f64 * LOOK_S;
             // Only the model without this trial measures it, so this value is used for every group.
-            let p_value = trained.conformity.p_value(scan_s, |_| answer.strangeness);
-            let posterior = self.posterior_of(answer, p_value);
+            let p_value = trained.conformity.p_value(scan_s, |_| answer.strangeness());
+            let posterior = self.posterior_of(&answer, trained.temperature.at(scan_s), p_value);
             let class = posterior.best();
             LeftOutLook { class, probability: posterior.log_posterior[class].exp(), p_value }
         };
         Some(FollowedTrial {
             group: self.labels.group[trial],
             truth: self.labels.class[trial],
-            whole: self.posterior_of(whole, None).best(),
+            whole: self.posterior_of(&whole, trained.temperature.at(drag_s), None).best(),
             drag_s,
             looks: answers.into_iter().map(look).collect(),
         })
