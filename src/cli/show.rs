@@ -46,16 +46,15 @@ pub(super) fn result<T: serde::Serialize>(as_json: bool, value: &T, print: impl 
 /// The sources that were left out of queries, and the reasons. There is one line for each source and
 /// channel, even if the channel was stuck at many values.
 pub(super) fn left_out(left_out: &LeftOutSources) -> Vec<String> {
-    let mut kinds: BTreeMap<(Option<&SourceId>, usize), (BTreeSet<&TrialKey>, BTreeSet<String>)> =
-        BTreeMap::new();
+    type Found<'a> = (BTreeSet<&'a TrialKey>, BTreeSet<String>);
+    let mut kinds: BTreeMap<(Option<&SourceId>, usize), Found<'_>> = BTreeMap::new();
     for (trial, doubt) in left_out {
         let channel = if let Doubt::Stuck { channel, .. } = doubt { *channel } else { 0 };
         let (trials, texts) = kinds.entry((doubt.source(), channel)).or_default();
         trials.insert(trial);
         texts.insert(doubt.text());
     }
-    let line = |((source, channel), (trials, texts)): ((Option<&SourceId>, usize), (_, _))| {
-        let (trials, texts): (BTreeSet<&TrialKey>, BTreeSet<String>) = (trials, texts);
+    let line = |((source, channel), (trials, texts)): ((Option<&SourceId>, usize), Found<'_>)| {
         let first = trials.first().map(ToString::to_string).unwrap_or_default();
         let more = match trials.len() {
             0 | 1 => String::new(),

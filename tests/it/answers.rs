@@ -320,7 +320,8 @@ fn skin() -> (Scene, Arc<EmbeddingModel>, impl Fn(&str, u32, bool) -> Trial) {
         let ir = (0..600).map(|i| (i as f32 * rough).sin() + 0.2 * noise(i, 9)).collect();
         let taxel = |i: usize, c: usize| {
             let at = (60 * c + 40 * number as usize) % 400;
-            let touches = touched && (c < 2 || number % 3 == 0) && (at..at + 90).contains(&i);
+            let touches =
+                touched && (c < 2 || number.is_multiple_of(3)) && (at..at + 90).contains(&i);
             if touches { 1.0 + noise(i, c) } else { 0.0 }
         };
         let skin = (0..600).flat_map(|i| (0..3).map(move |c| taxel(i, c))).collect();

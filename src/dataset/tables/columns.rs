@@ -194,6 +194,9 @@ pub(crate) fn clock(
     Ok(column.map(|column| columns[column].name.clone()))
 }
 
+/// A source, and the names of the columns that are its channels.
+pub(crate) type Wanted = (SourceId, Vec<String>);
+
 /// Groups columns into sources by name: columns whose names differ only in a last axis (x, y, z), after
 /// the last `_`, `.`, `-` or space, or in a last digit, are channels of one source. Returns what people
 /// should know about columns that are left out.
@@ -204,7 +207,7 @@ pub(crate) fn sources(
     head: &Head,
     clock: &Clock,
     labels: &[Option<String>; 3],
-) -> Result<(Vec<(SourceId, Vec<String>)>, Vec<String>), String> {
+) -> Result<(Vec<Wanted>, Vec<String>), String> {
     let layout = &head.layout;
     let mut taken: BTreeSet<usize> = BTreeSet::new();
     for label in labels.iter().flatten() {

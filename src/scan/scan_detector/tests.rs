@@ -52,8 +52,8 @@ struct Gap {
 }
 
 enum AnyIntake {
-    Stylus(Intake),
-    Lines(LinesIntake),
+    Stylus(Box<Intake>),
+    Lines(Box<LinesIntake>),
 }
 
 /// A sensor, its intake, its streams and the detector, in simulated time.
@@ -81,7 +81,7 @@ impl Bench {
                 let wanted =
                     |name: &str, value| Wanted { id: id(name), channels: vec![name.into()], value };
                 let wanted = vec![wanted("ac", Value::FullScale), wanted("at", Value::Unit)];
-                AnyIntake::Stylus(Intake::new(wanted, rate_hz as u32))
+                AnyIntake::Stylus(Box::new(Intake::new(wanted, rate_hz as u32)))
             }
             _ => {
                 let stream = |name: &str, place| LinesStream {
@@ -95,7 +95,7 @@ impl Bench {
                     _ => None,
                 };
                 let streams = vec![stream("ac", 2), stream("at", 3)];
-                AnyIntake::Lines(LinesIntake::new(streams, count, rate_hz))
+                AnyIntake::Lines(Box::new(LinesIntake::new(streams, count, rate_hz)))
             }
         };
         let (mut sinks, mut streams) = (Vec::new(), Vec::new());
