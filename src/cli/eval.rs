@@ -195,7 +195,18 @@ fn evaluated(
         };
         let answer = |p: Prediction| {
             let TrialKey { surface: truth, user, number: trial, session } = p.key;
-            EvalAnswer { truth, user, trial, session, answer: p.surface, margin: p.margin }
+            EvalAnswer {
+                truth,
+                user,
+                trial,
+                session,
+                fold: folds[p.fold].name.clone(),
+                answer: p.surface,
+                margin: p.margin,
+                confidence: p.confidence,
+                p_value: p.p_value,
+                probabilities: p.probabilities.into_iter().collect(),
+            }
         };
         Ok(EvalReport {
             outcome: measured.outcome,
@@ -253,8 +264,14 @@ struct EvalAnswer {
     user: String,
     trial: u32,
     session: Option<String>,
+    /// Name of the person, session or trial that was left out.
+    fold: String,
     answer: String,
     margin: f64,
+    confidence: Option<f64>,
+    p_value: Option<f64>,
+    /// Of each surface of the library; empty if the method gives none.
+    probabilities: BTreeMap<String, f64>,
 }
 
 impl EvalReport {

@@ -254,9 +254,31 @@ impl Run<'_, '_> {
         };
         let query_ms = query.started.elapsed().as_secs_f64() * 1e3;
         let key = self.on.trials.key(index).clone();
-        let named = ranking.map(|r| (r.surface().to_string(), r.margin, r.sources));
-        let (surface, margin, sources) = named.unwrap_or_default();
-        Ok((Prediction { key, fold, surface, margin, query_ms, sources }, remarks))
+        let nameless = Prediction {
+            key,
+            fold,
+            surface: String::new(),
+            margin: 0.0,
+            query_ms,
+            sources: Vec::new(),
+            confidence: None,
+            p_value: None,
+            probabilities: Vec::new(),
+        };
+        let Some(ranking) = ranking else { return Ok((nameless, remarks)) };
+        let surface = ranking.surface().to_string();
+        // The score of a method that gives probabilities is 1/probability.
+        let scored = ranking.ranked.into_iter().filter(|_| ranking.confidence.is_some());
+        let prediction = Prediction {
+            surface,
+            margin: ranking.margin,
+            sources: ranking.sources,
+            confidence: ranking.confidence,
+            p_value: ranking.p_value,
+            probabilities: scored.map(|one| (one.surface, 1.0 / one.score)).collect(),
+            ..nameless
+        };
+        Ok((prediction, remarks))
     }
 
     fn sum_up(&self, folds: &[Fold], predictions: &[Prediction]) -> Outcome {

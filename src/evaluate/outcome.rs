@@ -82,6 +82,12 @@ pub struct Prediction {
     /// Time from raw samples to the answer, in milliseconds.
     pub query_ms: f64,
     pub sources: Vec<SourceId>,
+    /// Stated probability of the answer; `None` if the method gives none.
+    pub confidence: Option<f64>,
+    /// Conformal p-value of the answer; see [`crate::recognise::Ranking`].
+    pub p_value: Option<f64>,
+    /// Each surface of the library with its probability; empty if the method gives none.
+    pub probabilities: Vec<(String, f64)>,
 }
 
 impl Prediction {
@@ -115,6 +121,9 @@ pub struct Confusion {
     pub counts: Vec<Vec<u32>>,
 }
 
+/// Least probability in a log loss, so that one query does not outweigh all others.
+const LEAST_PROBABILITY: f64 = 1e-6;
+
 /// Result of an evaluation. Accuracies are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Outcome {
@@ -126,6 +135,9 @@ pub struct Outcome {
     pub accuracy_std: f64,
     /// Mean over classes of the precision TP/(TP+FP), taken as 0 for a class that is never the answer.
     pub precision_mean: f64,
+    /// Mean over queries of −ln of the probability of the true surface, which counts as at least
+    /// [`LEAST_PROBABILITY`]; `None` if the method gives no probabilities.
+    pub log_loss: Option<f64>,
     pub classes: usize,
     /// Surfaces that could be the answer, but have no query.
     pub never_queried: Vec<String>,
@@ -171,6 +183,7 @@ impl Outcome {
             accuracy_mean: accuracies.mean()?,
             accuracy_std: if folds.len() > 1 { accuracies.std(1.0) } else { 0.0 },
             precision_mean: confusion.precision_mean(),
+            log_loss: log_loss(predictions, confusion.labels.len()),
             classes: confusion.labels.len(),
             never_queried: never_queried.cloned().collect(),
             queries: predictions.len(),
@@ -220,6 +233,21 @@ impl Confusion {
         };
         (0..self.labels.len()).map(of_class).sum::<f64>() / self.labels.len() as f64
     }
+}
+
+/// See [`Outcome::log_loss`]. A query without an answer gives each of the `classes` an equal share.
+fn log_loss(predictions: &[Prediction], classes: usize) -> Option<f64> {
+    if predictions.iter().all(|p| p.probabilities.is_empty()) {
+        return None;
+    }
+    let of = |p: &Prediction| {
+        let of_truth = p.probabilities.iter().find(|(surface, _)| *surface == p.key.surface);
+        match of_truth {
+            Some((_, probability)) => -probability.max(LEAST_PROBABILITY).ln(),
+            None => (classes.max(1) as f64).ln(),
+        }
+    };
+    Some(predictions.iter().map(of).sum::<f64>() / predictions.len() as f64)
 }
 
 /// The percentile of some values by nearest rank; `share` is from 0 to 1. 0 if there are no values.
@@ -272,6 +300,9 @@ mod tests {
             margin: 0.0,
             query_ms: 1.0,
             sources: vec![],
+            confidence: None,
+            p_value: None,
+            probabilities: vec![],
         }
     }
 
@@ -290,6 +321,18 @@ mod tests {
         // Precision: 1 of 2 answers for a, no answer for b, 1 of 1 answer for c.
         assert_eq!(outcome.precision_mean, 0.5);
         assert_eq!(outcome.confusion.counts[1], [1, 0, 0]);
+    }
+
+    #[test]
+    fn log_loss_is_that_of_the_true_surfaces_where_there_are_probabilities() {
+        assert_eq!(outcome(&[prediction("a", "a", 0)]).log_loss, None);
+        let sure = |truth: &str, p: f64| Prediction {
+            probabilities: vec![("a".into(), p), ("b".into(), 1.0 - p)],
+            ..prediction(truth, "a", 0)
+        };
+        let found = outcome(&[sure("a", 0.5), sure("b", 1.0), prediction("c", "", 0)]).log_loss;
+        let expected = (2f64.ln() + 1e6f64.ln() + 3f64.ln()) / 3.0;
+        assert!((found.unwrap() - expected).abs() < 1e-12, "{found:?}");
     }
 
     #[test]

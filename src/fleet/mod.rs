@@ -75,6 +75,8 @@ pub(crate) fn start(
     let client = format!("surfaced-fleet-{:08x}", crc32fast::hash(place.as_bytes()));
     let mut options = mqtt::options(&address, client).map_err(system)?;
     options.set_clean_session(false).set_manual_acks(true);
+    // A larger packet would end the connection, and a retained one would do so again each time.
+    options.set_max_packet_size(LARGEST_OF_MQTT, LARGEST_MESSAGE);
     let stations = Stations::of(&cache);
     let problem = Some("connecting".into());
     let inner = Mutex::new(Inner { cache, stations, broker: address.to_string(), problem });
@@ -129,6 +131,11 @@ async fn subscribe(fleet: &Fleet, options: &MqttOptions, prefix: &str) {
     }
 }
 
+/// Largest message of a station that is read, in bytes. A larger one is passed over.
+const LARGEST_MESSAGE: usize = 256 << 10;
+/// Largest packet that MQTT knows, in bytes.
+const LARGEST_OF_MQTT: usize = (256 << 20) - 1;
+
 fn take(fleet: &Fleet, prefix: &str, topic: &str, payload: &[u8]) -> Result<(), String> {
     let below = topic.strip_prefix(prefix).and_then(|rest| rest.strip_prefix('/'));
     let (station, what) = below.and_then(|rest| rest.split_once('/')).unwrap_or_default();
@@ -138,6 +145,9 @@ fn take(fleet: &Fleet, prefix: &str, topic: &str, payload: &[u8]) -> Result<(), 
     // An empty message only deletes a retained message, so it is ignored.
     if payload.is_empty() {
         return Ok(());
+    }
+    if payload.len() > LARGEST_MESSAGE {
+        return Err(format!("it has {} bytes, more than {LARGEST_MESSAGE}", payload.len()));
     }
     let said: Value = serde_json::from_slice(payload).map_err(|error| error.to_string())?;
     let inner = &mut *fleet.lock();

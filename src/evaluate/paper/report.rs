@@ -195,6 +195,9 @@ fn outcome(row: &RowPart, keys: &[TrialKey]) -> Option<Outcome> {
     let predictions: Vec<Prediction> = (row.answers.iter())
         .filter_map(|&(fold, query, answer)| {
             Some(Prediction {
+                confidence: None,
+                p_value: None,
+                probabilities: Vec::new(),
                 key: keys.get(query)?.clone(),
                 fold,
                 surface: keys.get(answer)?.surface.clone(),
