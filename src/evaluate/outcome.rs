@@ -136,7 +136,7 @@ pub struct Outcome {
     /// Mean over classes of the precision TP/(TP+FP), taken as 0 for a class that is never the answer.
     pub precision_mean: f64,
     /// Mean over queries of −ln of the probability of the true surface, which counts as at least
-    /// [`LEAST_PROBABILITY`]; `None` if the method gives no probabilities.
+    /// 1e-6; `None` if the method gives no probabilities.
     pub log_loss: Option<f64>,
     pub classes: usize,
     /// Surfaces that could be the answer, but have no query.

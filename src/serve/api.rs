@@ -17,8 +17,10 @@ use super::guard::{Guard, Traffic, guard};
 use super::hub::{Hub, Shared};
 use super::request::{Problem, Said, body, label};
 use super::settings::{LARGEST_BODY, Settings};
+use super::state::DeviceView;
 use super::subscribers::EventFilter;
 use super::{library, metrics, scans};
+use crate::device::DeviceState;
 use crate::station::Command;
 use crate::trial::EXPERT;
 
@@ -41,7 +43,8 @@ pub(crate) fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
     let mut router = Router::new()
         .nest("/api/v1", api)
         .route("/metrics", get(all_metrics))
-        .route("/healthz", get(health));
+        .route("/healthz", get(health))
+        .route("/readyz", get(ready));
     for (path, content_type, text) in FILES {
         router = router.route(path, file(content_type, text));
     }
@@ -141,6 +144,23 @@ async fn health(State(hub): Shared) -> Response {
         true => (StatusCode::SERVICE_UNAVAILABLE, "ended"),
     };
     (status, Json(json!({ "status": text }))).into_response()
+}
+
+/// Whether scans can be named now. Says what is not ready, but no names, since it needs no token.
+async fn ready(State(hub): Shared) -> Response {
+    let hub = hub.lock();
+    let state = &hub.state;
+    let library = state.library.as_ref().is_some_and(|library| library.problem.is_none());
+    let streams = |device: &DeviceView| device.state == DeviceState::Streaming;
+    let devices = !state.devices.is_empty() && state.devices.iter().all(streams);
+    let parts = [("ended", !state.finished), ("library", library), ("devices", devices)];
+    let lacking: Vec<&str> =
+        parts.iter().filter(|(_, ready)| !ready).map(|(part, _)| *part).collect();
+    let (status, text) = match lacking.is_empty() {
+        true => (StatusCode::OK, "ready"),
+        false => (StatusCode::SERVICE_UNAVAILABLE, "not ready"),
+    };
+    (status, Json(json!({ "status": text, "lacking": lacking }))).into_response()
 }
 
 /// The files of the page: path, content type and text of each.

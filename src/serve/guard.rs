@@ -29,7 +29,7 @@ const MOST_SESSIONS: usize = 1024;
 const LOGGED_A_MINUTE: u32 = 10;
 
 /// Paths that need no token, since they reveal nothing and the token form needs them.
-const OPEN: [&str; 3] = ["/healthz", "/style.css", "/favicon.svg"];
+const OPEN: [&str; 4] = ["/healthz", "/readyz", "/style.css", "/favicon.svg"];
 
 /// The page with the token form; the text of a problem takes the place of `PROBLEM_PLACE` there.
 const TOKEN_FORM: &str = include_str!("page/token.html");

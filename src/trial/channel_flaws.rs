@@ -179,7 +179,7 @@ impl SeriesFlaws {
     }
 
     /// The channels of `source` that are stuck, at 0 or clipped so far. `rests` is the share of time
-    /// that each channel rests in the library, see [`Doubt::is_usual`]; empty if no channel may rest.
+    /// that each channel rests in the library, see `is_usual`; empty if no channel may rest.
     pub fn doubts(&self, source: &SourceId, rests: &[f32]) -> Vec<Doubt> {
         let of = |(at, c): (usize, &ChannelFlaws)| {
             c.dead(source, at + 1).or_else(|| c.saturated(source, at + 1))

@@ -25,7 +25,9 @@ fn routes() -> BTreeSet<(String, String)> {
             }
         }
     }
-    routes.retain(|(_, path)| path.starts_with('/') && path != "/metrics" && path != "/healthz");
+    routes.retain(|(_, path)| {
+        path.starts_with('/') && !["/metrics", "/healthz", "/readyz"].contains(&path.as_str())
+    });
     routes
 }
 

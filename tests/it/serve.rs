@@ -141,6 +141,8 @@ fn a_station_that_is_busy_or_gone_is_said_to_be() {
     let ended = served.post("/api/v1/start", "");
     assert_eq!((ended.status, ended.json()["error"].as_str()), (409, Some("ended")));
     assert_eq!(served.get("/healthz").status, 503);
+    let ready = served.get("/readyz");
+    assert_eq!((ready.status, &ready.json()["lacking"][0]), (503, &"ended".into()));
 }
 
 #[test]
@@ -302,6 +304,7 @@ fn with_a_token_nothing_is_revealed_without_it() {
         assert!(form.status == 401 && form.body.contains("name=\"token\""), "{}", form.body);
         assert_eq!(form.body.contains("This token is not right."), says, "{path}");
     }
+    assert_ne!(served.get("/readyz").status, 401, "needs no token");
     for path in ["/healthz", "/style.css", "/favicon.svg"] {
         assert_eq!(served.get(path).status, 200, "{path}");
         let old = served.request("GET", path, &["Cookie: surfaced_token=of-last-year-1234"], "");
