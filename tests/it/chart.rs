@@ -26,7 +26,7 @@ fn a_chart_has_every_method_and_its_controls() {
     let synth = ["synth", &data, "--surfaces", "4", "--trials", "3", "--users", "1"];
     assert!(surfaced(&[&synth[..], &["--seconds", "0.8"]].concat()).status.success());
     let said = ["chart", &data, "--sources", "mi2,ir", "--surfaces", "3", "--out", &svg];
-    let output = surfaced(&said);
+    let output = surfaced(&[&said[..], &["--protocol", "expert-vs-users"]].concat());
     assert!(output.status.success() && output.stdout.is_empty(), "{}", stderr(&output));
     assert!(stderr(&output).contains("to go)"), "it says how far it is");
 

@@ -184,7 +184,7 @@ fn replay_gives_the_labels_of_eval_on_the_real_sounds() {
 fn a_line_of_replay_holds_what_was_promised() {
     let dir = scene();
     let all = lines(&["replay", &path(&dir), "--json", "--n", "50"]);
-    assert_eq!(all.len(), 6, "users against the expert");
+    assert_eq!(all.len(), 12, "each person against the others");
     for line in all {
         assert_eq!(line["ranked"].as_array().unwrap().len(), 3);
         assert_eq!(line["lost_samples"], 0);
