@@ -155,11 +155,6 @@ impl SeriesFrames {
         Self { whole, samples: series.frames(), rests, views, copies, looks }
     }
 
-    /// The whole series and its copies.
-    pub(super) fn pieces(&self) -> impl Iterator<Item = &Piece> {
-        std::iter::once(&self.whole).chain(&self.copies)
-    }
-
     pub fn rate_hz(&self) -> f64 {
         self.views.frames[0].rate_hz
     }

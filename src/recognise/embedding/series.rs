@@ -54,10 +54,8 @@ impl SeriesEmbedder {
     pub(super) fn new(trials: &[&SeriesFrames]) -> Self {
         let views = trials[0].views.clone();
         let embedder = |view: usize| {
-            // Of copies, too, so that a band that noise moves far stays within a turn of its angle.
-            let pieces = trials.par_iter().flat_map_iter(|trial| trial.pieces());
-            let counts: Vec<Counts> = pieces
-                .map(|piece| counted(&views.frames[view], &piece.frames[view]).on_surface())
+            let counts: Vec<Counts> = (trials.par_iter())
+                .map(|trial| counted(&views.frames[view], &trial.whole.frames[view]).on_surface())
                 .collect();
             ViewEmbedder::new(&counts)
         };
