@@ -60,7 +60,8 @@ fn replay_and_eval_print_their_json() {
     let dir = tempfile::tempdir().unwrap();
     let data = &small_dataset(dir.path());
     for stderr in [closed, full] {
-        let replay = ["replay", data, "--json", "--method", "reference"];
+        let replay =
+            ["replay", data, "--protocol", "expert-vs-users", "--method", "reference", "--json"];
         let output = surfaced(&replay, stderr());
         assert!(output.status.success(), "{:?}", output.status);
         assert_eq!(String::from_utf8(output.stdout).unwrap().lines().count(), 2);
