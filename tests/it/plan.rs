@@ -58,8 +58,8 @@ fn five_easy_surfaces_need_one_cheap_source() {
 #[test]
 fn a_hundred_and_eight_surfaces_need_several() {
     let library = scene(108, 3, &["fr", "ir", "me"]);
-    let planned = plan(&library, 0.97);
-    assert!(planned.sources.iter().all(|cost| cost.accuracy < 0.97), "{:?}", planned.sources);
+    let planned = plan(&library, 0.75);
+    assert!(planned.sources.iter().all(|cost| cost.accuracy < 0.75), "{:?}", planned.sources);
     let best = planned.sources.iter().map(|cost| cost.accuracy).fold(0.0, f64::max);
     let plan = &planned.plan;
     assert!(plan.sources.len() >= 2, "{:?}", planned.steps);

@@ -39,6 +39,8 @@ fn a_stress_run_measures_draws_and_says_where_methods_break() {
     let run = done(&[
         "stress",
         &data,
+        "--protocol",
+        "expert-vs-users",
         "--out",
         out.to_str().unwrap(),
         "--methods",
