@@ -196,7 +196,7 @@ def enrolment(stage, trials):
     text = lambda: (browser.text("#enrolling") or "")
     browser.wait("the order", lambda: "slate: 0 of 2 kept" in text())
     stage.stylus.play(scan_of(trials[0], 0.5))
-    browser.wait("the refusal", lambda: "Last one refused: 0." in text() and "is too short, drag for 1." in text())
+    browser.wait("the refusal", lambda: "Last one refused: lifted after 0." in text() and "s needed" in text())
     assert browser.run("return document.getElementById('enrolling').closest('#now') !== null")
     stage.seen("enrolment-refused")
     browser.click("#enroll-keep")
