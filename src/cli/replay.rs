@@ -168,7 +168,7 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
     Ok(ReplayStage { name: library.name, scene, entries, folds: vec![fold], synthetic, cache })
 }
 
-/// Seconds between two scans on a page, so that people can read an answer.
+/// Seconds between two scans on a page at real speed, so that people can read an answer.
 const REST_S: f64 = 2.5;
 
 /// Plays and names the queries of the stage. `reading` locks out edits until the library is read.
@@ -182,7 +182,8 @@ fn play(
         .map(|(_, entry)| first_seconds(entry, &stage.scene, how.query_seconds))
         .collect();
     let mut tally = Tally::new(!args.json, queries.len());
-    let rest_s = if args.serve.is_wanted() { REST_S } else { 0.0 };
+    let is_shown = args.serve.is_wanted() && args.speed == Speed::RealTime(1.0);
+    let rest_s = if is_shown { REST_S } else { 0.0 };
     let device = Replay::new(&stage.scene, queries).speed(args.speed).rest_s(rest_s);
     let device = device.synthetic(stage.synthetic);
     let options = args.serve.options(Options::default());
