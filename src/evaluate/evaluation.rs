@@ -15,8 +15,8 @@ use super::{EvaluateError, Fold};
 use crate::library::Entry;
 use crate::recognise::features::FeatureVector;
 use crate::recognise::{
-    LibraryShape, Method, Model, Prepared, PreparedLibrary, RecogniseError, prepare_library,
-    without_flawed,
+    LibraryShape, Method, Model, Prepared, PreparedLibrary, RecogniseError, if_enough,
+    prepare_library, without_flawed,
 };
 use crate::scene::Scene;
 use crate::trial::{Doubt, Trial, TrialKey};
@@ -244,14 +244,9 @@ impl Run<'_, '_> {
     ) -> Result<(Prediction, Vec<Doubt>), RecogniseError> {
         let query = self.query(model, index, seconds)?;
         let mut remarks = query.left_out;
-        let ranking = match model.rank(&query.prepared) {
-            // A query with too little data to name counts as named wrong.
-            Err(RecogniseError::TooLittle) => {
-                remarks.push(Doubt::TooLittle);
-                None
-            }
-            ranking => Some(ranking?),
-        };
+        // A query with too little data to name counts as named wrong.
+        let ranking = if_enough(model.rank(&query.prepared))?;
+        remarks.extend(ranking.is_none().then_some(Doubt::TooLittle));
         let query_ms = query.started.elapsed().as_secs_f64() * 1e3;
         let key = self.on.trials.key(index).clone();
         let nameless = Prediction {

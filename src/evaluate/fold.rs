@@ -27,17 +27,15 @@ impl Protocol {
     /// The hardest protocol that asks at least half of the trials, or else the one that asks most of
     /// them; `None` if none fits.
     pub(crate) fn fitting(keys: &[TrialKey]) -> Option<Self> {
-        let asked = |protocol: &Self| -> usize {
+        let asked = Self::DEFAULTS.map(|protocol| {
             let folds = protocol.split(keys);
-            if !enough(&folds, keys) {
-                return 0;
-            }
-            folds.iter().map(|fold| fold.queries.len()).sum()
-        };
-        let half = |protocol: &Self| 2 * asked(protocol) >= keys.len().max(1);
-        let most = || Self::DEFAULTS.into_iter().rev().max_by_key(asked);
-        let found = Self::DEFAULTS.into_iter().find(half).or_else(most);
-        found.filter(|protocol| asked(protocol) > 0)
+            let queries: usize = folds.iter().map(|fold| fold.queries.len()).sum();
+            (protocol, if enough(&folds, keys) { queries } else { 0 })
+        });
+        let half = asked.iter().find(|(_, asked)| 2 * asked >= keys.len().max(1));
+        // Of equals, the last is taken, so the hardest.
+        let found = half.or_else(|| asked.iter().rev().max_by_key(|(_, asked)| *asked));
+        found.filter(|(_, asked)| *asked > 0).map(|(protocol, _)| *protocol)
     }
 
     /// Which trials are left out, and what that leaves untold.
@@ -150,7 +148,7 @@ fn natural(name: &str) -> (&str, u64) {
 
 /// Whether sessions tell more than trials: at least two surfaces have trials in at least two sessions
 /// each, and some session has several trials. If not, the data count as one session.
-pub(crate) fn sessions_count(keys: &[TrialKey]) -> bool {
+fn sessions_count(keys: &[TrialKey]) -> bool {
     let mut of_surface: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
     let mut trials: BTreeMap<String, usize> = BTreeMap::new();
     for key in keys.iter().filter(|key| key.session.is_some()) {

@@ -70,13 +70,13 @@ impl StressPlan<'_> {
 
     /// For each entry, whether it is also compared with a library without its surface.
     pub fn unknown(&self) -> Vec<bool> {
-        let surface = |entry: &'_ Entry| entry.key.surface.clone();
-        let surfaces: BTreeSet<String> = self.entries.iter().map(surface).collect();
-        let left_out: BTreeSet<&String> = match surfaces.len() > UNKNOWN_SHARE {
-            true => surfaces.iter().step_by(UNKNOWN_SHARE).collect(),
+        let surfaces: BTreeSet<&str> =
+            self.entries.iter().map(|entry| entry.key.surface.as_str()).collect();
+        let left_out: BTreeSet<&str> = match surfaces.len() > UNKNOWN_SHARE {
+            true => surfaces.into_iter().step_by(UNKNOWN_SHARE).collect(),
             false => BTreeSet::new(),
         };
-        self.entries.iter().map(|entry| left_out.contains(&entry.key.surface)).collect()
+        self.entries.iter().map(|entry| left_out.contains(&*entry.key.surface)).collect()
     }
 }
 

@@ -197,8 +197,8 @@ fn log_softmax(distances: &[f64], tau: f64) -> Vec<f64> {
         return vec![-(distances.len() as f64).ln(); distances.len()];
     }
     let scale = 0.5 / tau;
-    let total: f64 = distances.iter().map(|d| (scale * (least - d)).exp()).sum();
-    distances.iter().map(|d| scale * (least - d) - total.ln()).collect()
+    let total = distances.iter().map(|d| (scale * (least - d)).exp()).sum::<f64>().ln();
+    distances.iter().map(|d| scale * (least - d) - total).collect()
 }
 
 /// ln of the mean of e^x. A mean too small for a number still has a logarithm.

@@ -59,8 +59,8 @@ impl Trained {
         }
     }
 
-    /// Trains, and measures conformity and temperature with the library trials that have these sources. `drag_s` is
-    /// the median length of their drag in seconds.
+    /// Trains, and measures conformity and temperature with the library trials that have these sources.
+    /// `drag_s` is the median length of their drag in seconds.
     pub(super) fn measured(
         joint: &JointEmbedder,
         training: &Training,
@@ -73,7 +73,8 @@ impl Trained {
         trained
     }
 
-    /// Measures conformity and temperature. In a library of one person, excerpts replace scans by somebody else.
+    /// Measures conformity and temperature. In a library of one person, excerpts replace scans by
+    /// somebody else.
     fn measure(
         &mut self,
         training: &Training,
@@ -85,50 +86,49 @@ impl Trained {
             .map(|of_trial| present.iter().zip(of_trial).all(|(want, has)| has | !want))
             .collect();
         let trials = || (0..full.len()).filter(|&i| full[i]);
-        let calibrate =
-            |scan_s: f64, of_each: usize, vectors: Vec<(usize, ArrayView1<'_, f32>)>| {
-                let strange = self.of_left_out(labels, &vectors).into_iter();
-                let scans =
-                    strange.map(|(at, answer)| (labels.group[vectors[at].0], answer.strangeness()));
-                Calibration::new(scan_s, of_each, scans)
-            };
-        let excerpt_s = SHARE * drag_s;
-        let longest_s =
-            if labels.left_out.across_people() { f64::INFINITY } else { excerpt_s - 1e-9 };
-        let mut by_length: Vec<Calibration> = (begun.looks.iter().enumerate())
-            .map(|(at, look)| (at, *look as f64 * LOOK_S))
-            .filter(|(_, scan_s)| *scan_s < longest_s)
-            .map(|(at, scan_s)| {
-                let kept = begun.trials.iter().filter(|(trial, _)| full[*trial]);
-                let vectors = kept.map(|(trial, vectors)| (*trial, ArrayView1::from(&vectors[at])));
-                calibrate(scan_s, 1, vectors.collect())
-            })
-            .collect();
-        if begun.looks.is_empty() || !labels.left_out.across_people() {
-            let excerpts = trials().flat_map(|i| training.excerpts(i).map(move |x| (i, x)));
-            by_length.push(calibrate(excerpt_s, EXCERPTS, excerpts.collect()));
-        }
-        if labels.left_out.across_people() {
-            let wholes = trials().map(|i| (i, training.whole(i)));
-            by_length.push(calibrate(drag_s, 1, wholes.collect()));
-        }
-        let conformity = Conformity::new(by_length);
-        let named = |scan_s: f64, vectors: Vec<(usize, ArrayView1<'_, f32>)>| {
-            let known =
-                self.of_left_out(labels, &vectors).into_iter().filter_map(|(at, answer)| {
-                    let trial = vectors[at].0;
-                    self.can_name(labels, trial).then(|| (answer, labels.class[trial]))
-                });
-            (scan_s, known.collect::<Vec<_>>())
+        // Answers to vectors, each with its trial.
+        let answers = |vectors: Vec<(usize, ArrayView1<'_, f32>)>| -> Vec<(usize, Answer)> {
+            let of_left_out = self.of_left_out(labels, &vectors).into_iter();
+            of_left_out.map(|(at, answer)| (vectors[at].0, answer)).collect()
         };
-        let begun = begun.looks.iter().enumerate().map(|(at, look)| {
+        let calibration = |scan_s: f64, of_each: usize, answers: &[(usize, Answer)]| {
+            let scans = answers.iter();
+            let scans = scans.map(|(trial, answer)| (labels.group[*trial], answer.strangeness()));
+            Calibration::new(scan_s, of_each, scans)
+        };
+        let beginning = |(at, look): (usize, &usize)| {
             let kept = begun.trials.iter().filter(|(trial, _)| full[*trial]);
             let vectors = kept.map(|(trial, vectors)| (*trial, ArrayView1::from(&vectors[at])));
-            named(*look as f64 * LOOK_S, vectors.collect())
-        });
-        let wholes = evenly(full.len()).into_iter().filter(|&i| full[i]);
-        let wholes = named(drag_s, wholes.map(|i| (i, training.whole(i))).collect());
-        let temperature = Temperature::fit(&begun.chain([wholes]).collect::<Vec<_>>());
+            (*look as f64 * LOOK_S, answers(vectors.collect()))
+        };
+        let begun: Vec<(f64, Vec<(usize, Answer)>)> =
+            begun.looks.iter().enumerate().map(beginning).collect();
+        let (across_people, excerpt_s) = (labels.left_out.across_people(), SHARE * drag_s);
+        let longest_s = if across_people { f64::INFINITY } else { excerpt_s - 1e-9 };
+        let mut by_length: Vec<Calibration> = (begun.iter())
+            .filter(|(scan_s, _)| *scan_s < longest_s)
+            .map(|(scan_s, answers)| calibration(*scan_s, 1, answers))
+            .collect();
+        if begun.is_empty() || !across_people {
+            let excerpts = trials().flat_map(|i| training.excerpts(i).map(move |x| (i, x)));
+            by_length.push(calibration(excerpt_s, EXCERPTS, &answers(excerpts.collect())));
+        }
+        // Conformity needs all whole trials or none, the temperature no more than these.
+        let sample = evenly(full.len());
+        let is_sampled = |trial: &usize| sample.binary_search(trial).is_ok();
+        let wholes = trials().filter(|i| across_people || is_sampled(i));
+        let mut wholes = answers(wholes.map(|i| (i, training.whole(i))).collect());
+        if across_people {
+            by_length.push(calibration(drag_s, 1, &wholes));
+        }
+        wholes.retain(|(trial, _)| is_sampled(trial));
+        let known = |(scan_s, answers): (f64, Vec<(usize, Answer)>)| {
+            let known = answers.into_iter().filter(|(trial, _)| self.can_name(labels, *trial));
+            (scan_s, known.map(|(trial, answer)| (answer, labels.class[trial])).collect())
+        };
+        let held_out: Vec<_> = begun.into_iter().chain([(drag_s, wholes)]).map(known).collect();
+        let temperature = Temperature::fit(&held_out);
+        let conformity = Conformity::new(by_length);
         (self.conformity, self.temperature) = (conformity, temperature);
     }
 

@@ -8,7 +8,8 @@
 //! on whole trials and on augmented copies (`copies`). The gain of copies varies, so that they learn
 //! how much to trust level; they are stored beside the library. The temperature of
 //! probabilities (`temperature`), the stopping rule and the threshold of `unknown` come from leaving out
-//! library trials, by user or else by session if there are several (`left_out`). If a source is missing, only its columns are left out.
+//! library trials, by user or else by session if there are several (`left_out`). If a source is missing,
+//! only its columns are left out.
 //!
 //! The score of a surface is 1/posterior, so that smaller means more alike, as in every method. The
 //! margin is the log of the odds. Only the band of a source's configuration is used (`passed`).
