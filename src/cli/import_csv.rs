@@ -12,7 +12,8 @@ use crate::dataset::tables::{
 use crate::library::{LibraryError, files};
 use crate::record::{TrialOptions, check_writable, write_library_toml, write_trial};
 use crate::scene::{LibraryToml, Scene, SourceId};
-use crate::trial::{Series, Signal, TrialKey};
+use crate::system::Locked;
+use crate::trial::{Series, Signal, Trial, TrialKey};
 
 /// Extensions of the tables that are looked for in folders.
 const TABLES: [&str; 10] = ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz", "npy", "npz"];
@@ -301,7 +302,7 @@ impl Import<'_> {
                     ));
                     return Ok(());
                 }
-                self.summary.add(&trial.key, &trial.signals);
+                self.summary.add(&trial);
                 let Some(staging) = staging else { return Ok(()) };
                 let options = TrialOptions { durable: false, about };
                 write_trial(&staging.folder, &trial, &staging.scene, &options).map(drop)
@@ -319,7 +320,7 @@ struct Staging {
     folder: PathBuf,
     scene: Scene,
     /// Locked while the import runs.
-    _lock: File,
+    _lock: Locked,
 }
 
 impl Staging {
@@ -335,17 +336,16 @@ impl Staging {
         };
         let folder = out.with_file_name(format!(".{name}.importing"));
         let fail = |error| Failure::from(LibraryError::io(&folder, error));
-        let lock_path = out.with_file_name(format!(".{name}.importing.lock"));
         if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
             std::fs::create_dir_all(parent).map_err(fail)?;
         }
-        let lock = File::create(&lock_path).map_err(fail)?;
-        if lock.try_lock().is_err() {
+        let lock = File::create(lock_of(&folder)).map_err(fail)?;
+        let Some(lock) = Locked::now(lock) else {
             return Err(Failure::usage_at(
                 out,
                 "another import is writing this library; wait for it",
             ));
-        }
+        };
         if folder.exists() {
             say!("an import into {} was interrupted before; it starts over", out.display());
             std::fs::remove_dir_all(&folder).map_err(fail)?;
@@ -370,10 +370,13 @@ impl Drop for Staging {
     fn drop(&mut self) {
         // After `finish`, the folder has another name. A crash leaves both, and the next import says so.
         let _ = std::fs::remove_dir_all(&self.folder);
-        let mut lock = self.folder.clone().into_os_string();
-        lock.push(".lock");
-        let _ = std::fs::remove_file(lock);
+        let _ = std::fs::remove_file(lock_of(&self.folder));
     }
+}
+
+/// The lock beside a folder `.NAME.importing`.
+fn lock_of(folder: &Path) -> PathBuf {
+    folder.with_extension("importing.lock")
 }
 
 /// What people see of an import.
@@ -388,21 +391,17 @@ struct Summary {
 }
 
 impl Summary {
-    fn add(&mut self, key: &TrialKey, signals: &BTreeMap<SourceId, Signal>) {
-        let series = signals.iter().filter_map(|(id, signal)| match signal {
-            Signal::Series(series) => Some((id, series)),
-            Signal::Image(_) => None,
-        });
-        let mut longest: f64 = 0.0;
-        for (id, series) in series {
-            self.rates.entry(id.clone()).or_insert(series.rate_hz());
-            longest = longest.max(series.duration_s());
-            self.constants(id, series);
+    fn add(&mut self, trial: &Trial) {
+        for (id, signal) in &trial.signals {
+            if let Signal::Series(series) = signal {
+                self.rates.entry(id.clone()).or_insert(series.rate_hz());
+                self.constants(id, series);
+            }
         }
-        let of = self.surfaces.entry(key.surface.clone()).or_default();
+        let of = self.surfaces.entry(trial.key.surface.clone()).or_default();
         of.0 += 1;
-        of.1.insert(key.user.clone());
-        of.2 += longest;
+        of.1.insert(trial.key.user.clone());
+        of.2 += trial.longest_s(|_| true).unwrap_or(0.0);
     }
 
     fn constants(&mut self, id: &SourceId, series: &Series) {

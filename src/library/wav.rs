@@ -121,7 +121,8 @@ fn open_wav(path: &Path) -> Result<(BufReader<File>, WavData), LibraryError> {
     }
     let mut file = BufReader::new(file);
     let data = walk_wav(&mut file, size).map_err(|error| failure(path, error))?;
-    let rest = size - file.stream_position().map_err(|error| failure(path, error))?;
+    let at = file.stream_position().map_err(|error| failure(path, error))?;
+    let rest = size.saturating_sub(at);
     check(data).map_err(|problem| LibraryError::file(path, problem))?;
     if rest < data.length {
         return Err(truncated(path, &format!(" ({rest} of {} bytes of samples)", data.length)));

@@ -31,26 +31,30 @@ pub(crate) struct Group {
     parts: Vec<(u64, usize)>,
 }
 
-pub(crate) struct Gathered {
+pub(crate) struct Gathered<'a> {
     /// Values in each row.
     columns: usize,
     has_times: bool,
+    /// Folder for the temporary file.
+    scratch: &'a Path,
     pub groups: Vec<Group>,
+    of_keys: HashMap<TrialKey, usize>,
     /// The group of each combination of labels, as they are written.
     pub places: HashMap<Vec<u8>, usize>,
     held: usize,
     file: Option<File>,
 }
 
-impl Gathered {
-    pub(crate) fn new(columns: usize, has_times: bool) -> Self {
-        let (groups, places) = (Vec::new(), HashMap::new());
-        Self { columns, has_times, groups, places, held: 0, file: None }
+impl<'a> Gathered<'a> {
+    pub(crate) fn new(columns: usize, has_times: bool, scratch: &'a Path) -> Self {
+        let (groups, of_keys, places) = (Vec::new(), HashMap::new(), HashMap::new());
+        Self { columns, has_times, scratch, groups, of_keys, places, held: 0, file: None }
     }
 
     /// The group of a trial, which is new if no row of it came yet.
     pub(crate) fn group(&mut self, key: TrialKey) -> usize {
-        if let Some(at) = self.groups.iter().position(|group| group.key == key) {
+        let at = *self.of_keys.entry(key.clone()).or_insert(self.groups.len());
+        if at < self.groups.len() {
             return at;
         }
         self.groups.push(Group {
@@ -61,29 +65,23 @@ impl Gathered {
             held: Rows::default(),
             parts: Vec::new(),
         });
-        self.groups.len() - 1
+        at
     }
 
-    /// Adds a row to a group. `scratch` is the folder for the temporary file.
-    pub(crate) fn push(
-        &mut self,
-        at: usize,
-        time: Option<i64>,
-        values: &[f32],
-        scratch: &Path,
-    ) -> io::Result<()> {
+    /// Adds a row to a group.
+    pub(crate) fn push(&mut self, at: usize, time: Option<i64>, values: &[f32]) -> io::Result<()> {
         let group = &mut self.groups[at];
         group.rows += 1;
         group.held.times.extend(time);
         group.held.values.extend_from_slice(values);
         self.held += 8 * usize::from(time.is_some()) + 4 * values.len();
-        if self.held > MOST_HELD { self.store(scratch) } else { Ok(()) }
+        if self.held > MOST_HELD { self.store() } else { Ok(()) }
     }
 
-    fn store(&mut self, scratch: &Path) -> io::Result<()> {
+    fn store(&mut self) -> io::Result<()> {
         let file = match &mut self.file {
             Some(file) => file,
-            none => none.insert(tempfile::tempfile_in(scratch)?),
+            none => none.insert(tempfile::tempfile_in(self.scratch)?),
         };
         let mut at = file.seek(SeekFrom::End(0))?;
         let mut to = BufWriter::with_capacity(1 << 16, file);
@@ -145,14 +143,14 @@ mod tests {
     #[test]
     fn rows_that_were_stored_come_back_in_their_order() {
         let dir = tempfile::tempdir().unwrap();
-        let mut gathered = Gathered::new(2, true);
+        let mut gathered = Gathered::new(2, true, dir.path());
         let keys = ["oak", "ash"].map(|name| TrialKey::new(name, "anna", 1));
         for row in 0..100 {
             let at = gathered.group(keys[row % 3 % 2].clone());
             let x = row as f32;
-            gathered.push(at, Some(row as i64), &[x, -x], dir.path()).unwrap();
+            gathered.push(at, Some(row as i64), &[x, -x]).unwrap();
             if row % 30 == 29 {
-                gathered.store(dir.path()).unwrap();
+                gathered.store().unwrap();
             }
         }
         let all = [0, 1].map(|at| gathered.take(at).unwrap());

@@ -166,8 +166,7 @@ pub(crate) fn read(
     let head = Head::read(path, form.most_unpacked)?;
     let mut lines = Lines::open(path, form.most_unpacked)?;
     let table = Table::new(&head, form).map_err(fail)?;
-    let mut gathered = Gathered::new(table.values.len(), table.stamps.is_some());
-    table.gather(path, form, &mut lines, scratch, &mut gathered).map_err(fail)?;
+    let mut gathered = table.gather(path, form, &mut lines, scratch).map_err(fail)?;
     let mut said = Said { times: table.said.clone(), ..Said::default() };
     let keys: Vec<TrialKey> = gathered.groups.iter().map(|group| group.key.clone()).collect();
     on(&keys, None)?;
@@ -175,8 +174,7 @@ pub(crate) fn read(
         let key = gathered.groups[at].key.clone();
         let rows = gathered.take(at).map_err(|error| LibraryError::io(path, error))?;
         let stamps = table.stamps.as_ref().map(|(_, stamps)| stamps);
-        let read = give(key, rows, &table.names, form, stamps, &mut said, on);
-        read?.map_err(fail)?;
+        give(path, key, rows, form, stamps, &mut said, on)?;
     }
     Ok(said)
 }
@@ -184,35 +182,28 @@ pub(crate) fn read(
 /// Makes trials of the rows of one trial, and gives them to `on`. A trial that cannot be used is added
 /// to those in `said`.
 fn give(
+    path: &Path,
     key: TrialKey,
     rows: Rows,
-    names: &[String],
     form: &Form,
     stamps: Option<&Stamps>,
     said: &mut Said,
     on: OnRead<'_>,
-) -> Result<Result<(), String>, LibraryError> {
-    let rate_hz = match form.clock {
-        Clock::Rate(rate_hz) => Some(rate_hz),
-        Clock::Times { .. } => None,
-    };
-    let mended = match mend(rows, names, rate_hz, form.gaps) {
+) -> Result<(), LibraryError> {
+    let mended = match mend(rows, &form.columns(), form.rate_hz(), form.gaps) {
         Ok(mended) => mended,
         Err(problem) => {
             said.bad.push(format!("{key} {problem}"));
-            return Ok(Ok(()));
+            return Ok(());
         }
     };
     said.add(&mended);
     for (part, piece) in mended.pieces.iter().enumerate() {
-        let mut read = match trial(key.clone(), piece, form, stamps) {
-            Ok(read) => read,
-            Err(problem) => return Ok(Err(problem)),
-        };
-        read.is_further = part > 0;
-        on(&[], Some(read))?;
+        let read = trial(key.clone(), piece, form, stamps);
+        let read = read.map_err(|problem| LibraryError::file(path, problem))?;
+        on(&[], Some(Read { is_further: part > 0, ..read }))?;
     }
-    Ok(Ok(()))
+    Ok(())
 }
 
 /// The path of a file without its extensions, with `/` on every system: what a [`NamePattern`] fits.
@@ -223,11 +214,17 @@ fn name_of(path: &Path) -> String {
 }
 
 impl Form {
-    fn clock_column(&self) -> Option<&str> {
-        match &self.clock {
-            Clock::Times { column, .. } => Some(column),
-            Clock::Rate(_) => None,
+    /// Rows a second; `None` if a column tells the times.
+    fn rate_hz(&self) -> Option<f64> {
+        match self.clock {
+            Clock::Rate(rate_hz) => Some(rate_hz),
+            Clock::Times { .. } => None,
         }
+    }
+
+    /// The names of the columns of all sources, in their order.
+    fn columns(&self) -> Vec<String> {
+        self.sources.iter().flat_map(|(_, columns)| columns.clone()).collect()
     }
 }
 
@@ -248,9 +245,8 @@ struct Table<'a> {
     labels: [Option<usize>; 3],
     stamps: Option<(usize, Stamps)>,
     said: Option<String>,
-    /// The columns of all sources, in their order, and their names.
+    /// The columns of all sources, in their order.
     values: Vec<usize>,
-    names: Vec<String>,
 }
 
 impl<'a> Table<'a> {
@@ -270,20 +266,20 @@ impl<'a> Table<'a> {
             said = Some(format!("times are column `{}`, {how}", column.name));
             stamps = Some((at, known));
         }
-        let names: Vec<String> = form.sources.iter().flat_map(|(_, names)| names.clone()).collect();
-        let values = names.iter().map(|name| layout.column(name)).collect::<Result<_, _>>()?;
-        Ok(Self { head, labels, stamps, said, values, names })
+        let columns = form.columns();
+        let values = columns.iter().map(|name| layout.column(name)).collect::<Result<_, _>>()?;
+        Ok(Self { head, labels, stamps, said, values })
     }
 
-    /// Reads all rows into their groups.
-    fn gather(
+    /// Reads all rows into their groups. `scratch` is a folder for rows that do not fit into memory.
+    fn gather<'s>(
         &self,
         path: &Path,
         form: &Form,
         lines: &mut Lines,
-        scratch: &Path,
-        gathered: &mut Gathered,
-    ) -> Result<(), String> {
+        scratch: &'s Path,
+    ) -> Result<Gathered<'s>, String> {
+        let mut gathered = Gathered::new(self.values.len(), self.stamps.is_some(), scratch);
         let of_name = match self.labels[0] {
             Some(_) => Default::default(),
             None => form.names.parts(&name_of(path)).ok_or_else(|| {
@@ -358,12 +354,12 @@ impl<'a> Table<'a> {
                     format!("line {line}, column `{name}`: `{cell}` {problem}")
                 })? as f32;
             }
-            gathered.push(at, time, &values, scratch).map_err(|error| error.to_string())?;
+            gathered.push(at, time, &values).map_err(|error| error.to_string())?;
             list = reused(cells);
         }
         match gathered.groups.is_empty() {
             true => Err("it holds no rows of numbers; expected a line for each sample".into()),
-            false => Ok(()),
+            false => Ok(gathered),
         }
     }
 

@@ -317,7 +317,7 @@ impl Array {
 pub(super) fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryError> {
     let fail = |problem: String| LibraryError::file(path, problem);
     let array = Array::open(path, form.variable.as_deref(), form.most_unpacked)?;
-    if form.clock_column().is_some() {
+    if form.rate_hz().is_none() {
         return Err(fail("an array has no column of times; give --rate HZ".into()));
     }
     let labels =
@@ -337,7 +337,7 @@ pub(super) fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, Lib
         return Err(fail(format!("{problem} `{}`; see --names, or give --labels", form.names.0)));
     }
     let [surface, user, number] = of_name.unwrap_or_default();
-    let names: Vec<String> = form.sources.iter().flat_map(|(_, names)| names.clone()).collect();
+    let names = form.columns();
     let places =
         names.iter().map(|name| name.parse::<usize>().ok().and_then(|at| at.checked_sub(1)));
     let places: Option<Vec<usize>> = places.collect();
@@ -373,8 +373,7 @@ pub(super) fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, Lib
             let rows = frames.chunks_exact(channels);
             let values = rows.flat_map(|frame| places.iter().map(|place| frame[*place])).collect();
             on(std::slice::from_ref(&key), None)?;
-            give(key, Rows { times: Vec::new(), values }, &names, form, None, &mut said, on)?
-                .map_err(fail)
+            give(path, key, Rows { times: Vec::new(), values }, form, None, &mut said, on)
         },
         path,
     )?;

@@ -202,16 +202,13 @@ fn exact(cell: &[u8], unit_ns: f64) -> Option<i64> {
     (!digits.is_empty()).then_some(sign * ns)
 }
 
-/// Days from 1970-01-01 to a date of the Gregorian calendar (Hinnant, "chrono-compatible low-level date
-/// algorithms").
+/// Days from 1970-01-01 to a date. Days beyond a month's end count on into the next month.
 fn days(year: i64, month: i64, day: i64) -> Option<i64> {
-    let known = (1..=12).contains(&month) && (1..=31).contains(&day);
-    (known && (1900..2200).contains(&year)).then(|| {
-        let year = if month <= 2 { year - 1 } else { year };
-        let (era, of_era) = (year.div_euclid(400), year.rem_euclid(400));
-        let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
-        era * 146_097 + of_era * 365 + of_era / 4 - of_era / 100 + of_year - 719_468
-    })
+    if !(1900..2200).contains(&year) || !(1..=31).contains(&day) {
+        return None;
+    }
+    let first = jiff::civil::Date::new(year as i16, i8::try_from(month).ok()?, 1).ok()?;
+    Some(first.duration_since(jiff::civil::date(1970, 1, 1)).as_hours() / 24 + day - 1)
 }
 
 /// A date with a time: `2024-01-31T12:00:00.5+01:00`, `31.01.2024 12:00:00,5`, `1/31/2024 1:00:00 PM`.
