@@ -45,7 +45,7 @@ impl Tally {
     fn answer(&mut self, answer: &Arc<Answer>) {
         self.answers.push(answer.clone());
         answer.spoiled().for_each(|why| say!("warning: scan {}: {why}", answer.scan));
-        told(&answer.doubts).filter(|doubt| is_repeated(doubt)).for_each(|doubt| {
+        told(&answer.doubts).filter(|doubt| doubt.is_remark()).for_each(|doubt| {
             let count = self.doubted.entry(doubt.source().cloned()).or_insert(0);
             *count += 1;
             if *count == 1 {
@@ -82,7 +82,7 @@ impl Tally {
         // Prints the reasons for doubt that no warning has printed. Other states explain themselves.
         if answer.state == AnswerState::Unsure {
             let reasons = answer.reasons().into_iter();
-            let news = reasons.filter(|why| !why.spoils() && !is_repeated(why));
+            let news = reasons.filter(|why| !why.spoils() && !why.is_remark());
             news.for_each(|why| say!("        {why}"));
         }
     }
@@ -175,11 +175,6 @@ impl Tally {
         }
         Ok(())
     }
-}
-
-/// Whether a doubt tends to come with each scan of a replay, so that it is printed once.
-fn is_repeated(doubt: &Doubt) -> bool {
-    doubt.is_sensor_fault() || matches!(doubt, Doubt::TooShort { .. })
 }
 
 /// Whether an answer is right. An answer without a surface (unknown) is right if the library lacks the

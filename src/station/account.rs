@@ -21,12 +21,8 @@ pub(crate) fn damage(doubts: &[Doubt]) -> Vec<&Doubt> {
     let mut damage: Vec<&Doubt> = doubts.iter().filter(|doubt| doubt.spoils()).collect();
     let spoiled = damage.len();
     for doubt in doubts.iter().filter(|doubt| doubt.is_sensor_fault()) {
-        let is_worse = |than: &Doubt| {
-            let ((dead, share), (was_dead, was)) = (doubt.severity(), than.severity());
-            (dead, share).partial_cmp(&(was_dead, was)).is_some_and(std::cmp::Ordering::is_gt)
-        };
         match damage[spoiled..].iter_mut().find(|other| other.source() == doubt.source()) {
-            Some(other) if is_worse(other) => *other = doubt,
+            Some(worst) if doubt.severity() > worst.severity() => *worst = doubt,
             Some(_) => {}
             None => damage.push(doubt),
         }
@@ -46,9 +42,7 @@ fn damage_entries(doubts: &[Doubt]) -> Vec<Damage<'_>> {
 
 /// The doubts that are a remark on an answer: faults of sensors, and a short drag.
 fn remarks(doubts: &[Doubt]) -> Vec<String> {
-    let is_remark =
-        |doubt: &&Doubt| doubt.is_sensor_fault() || matches!(doubt, Doubt::TooShort { .. });
-    lines(doubts.iter().filter(is_remark))
+    lines(doubts.iter().filter(|doubt| doubt.is_remark()))
 }
 
 /// The doubts that a list for people holds: of each sensor, only the worst fault.

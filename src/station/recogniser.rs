@@ -16,7 +16,7 @@ use crate::recognise::{
 };
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, Series, SeriesFlaws, Signal, TrialKey, is_plain};
+use crate::trial::{Doubt, Signal, TrialKey, flaws_of};
 
 /// The flaws of a scan's series.
 pub(super) type FlawsBySource = BTreeMap<SourceId, Vec<Doubt>>;
@@ -101,15 +101,9 @@ impl Recogniser {
     /// The flaws of a scan's signals, except of switches, which often rest; `known` flaws are reused.
     fn flaws(&self, scan: &Scan, mut known: FlawsBySource) -> Vec<Doubt> {
         let signals = scan.trial.signals.iter().filter(|(id, _)| !self.scene.is_switch(id));
-        let of = |(id, signal): (&SourceId, &Signal)| match signal {
-            Signal::Image(image) if is_plain(image) => {
-                vec![Doubt::OneColour { source: id.clone() }]
-            }
-            Signal::Image(_) => Vec::new(),
-            Signal::Series(series) => {
-                let known = known.remove(id);
-                known.unwrap_or_else(|| self.flaws_of(scan.truth.as_ref(), id, series))
-            }
+        let of = |(id, signal): (&SourceId, &Signal)| {
+            let known = known.remove(id);
+            known.unwrap_or_else(|| self.flaws_of(scan.truth.as_ref(), id, signal))
         };
         signals.flat_map(of).collect()
     }
@@ -119,11 +113,11 @@ impl Recogniser {
         &self,
         truth: Option<&TrialKey>,
         id: &SourceId,
-        series: &Series,
+        signal: &Signal,
     ) -> Vec<Doubt> {
         let embedding = self.model(truth).0.clone().embedding();
         let rests = embedding.as_ref().map_or(&[][..], |embedding| embedding.rests(id));
-        SeriesFlaws::of(series).doubts(id, rests)
+        flaws_of(id, signal, rests)
     }
 
     /// The flaws in the part of a scan that was followed.

@@ -103,7 +103,7 @@ pub(super) fn faults(
         // A switch may rest, so it is not judged.
         if scene.get(id.as_str()).is_some_and(|spec| !spec.is_switch()) {
             faults.extend(match by {
-                Some(by) => by.flaws_of(scan.truth.as_ref(), id, series),
+                Some(by) => by.flaws_of(scan.truth.as_ref(), id, signal),
                 // Without a library, any channel may rest, but none may be clipped.
                 None => clipped(id, series),
             });

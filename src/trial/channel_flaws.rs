@@ -8,7 +8,7 @@
 use std::collections::HashMap;
 
 use super::doubt::Doubt;
-use super::{Image, Series};
+use super::{Image, Series, Signal};
 use crate::scene::SourceId;
 
 /// A channel with fewer distinct values is a switch or a coarse converter, and may rest at its limits.
@@ -117,13 +117,31 @@ impl ChannelFlaws {
     }
 }
 
+/// The [`usual_rest`] of each channel, from the rests of all channels in each trial.
+pub(crate) fn usual_rests(trials: &[&[f32]]) -> Vec<f32> {
+    let channels = trials.iter().map(|rests| rests.len()).max().unwrap_or(0);
+    let of = |at: usize| trials.iter().filter_map(|rests| rests.get(at).copied()).collect();
+    (0..channels).map(|at| usual_rest(of(at))).collect()
+}
+
+/// The flaws of a signal of `source`; `rests` as in [`SeriesFlaws::doubts`].
+pub(crate) fn flaws_of(source: &SourceId, signal: &Signal, rests: &[f32]) -> Vec<Doubt> {
+    match signal {
+        Signal::Image(image) if is_plain(image) => {
+            vec![Doubt::OneColour { source: source.clone() }]
+        }
+        Signal::Image(_) => Vec::new(),
+        Signal::Series(series) => SeriesFlaws::of(series).doubts(source, rests),
+    }
+}
+
 /// Share of the time that a library's channel usually rests, from its rest in each trial
 /// ([`SeriesFlaws::rests`]); 0 if it moves all the time.
 ///
 /// It is the rest that some trials reach: one of five, or one of 20 for a channel that rests at times
 /// in most trials; always two, so that one broken trial hides no other. A channel that rests for half
 /// of a trial may rest for a whole one, so its rest is 1.
-pub(crate) fn usual_rest(mut of_trials: Vec<f32>) -> f32 {
+fn usual_rest(mut of_trials: Vec<f32>) -> f32 {
     let trials = of_trials.len();
     of_trials.sort_by(|a, b| b.total_cmp(a));
     let is_steady = of_trials.get(trials / 2).is_none_or(|median| *median < STEADY);

@@ -156,6 +156,12 @@ impl Doubt {
         matches!(self, Stuck { .. } | AtZero { .. } | Clipped { .. } | OneColour { .. })
     }
 
+    /// Whether it is a remark on an answer, which tends to come with each scan: a fault of a sensor, or
+    /// a short drag.
+    pub(crate) fn is_remark(&self) -> bool {
+        self.is_sensor_fault() || matches!(self, Self::TooShort { .. })
+    }
+
     /// Whether data are missing, so that the whole scan should not be trusted.
     pub fn spoils(&self) -> bool {
         use Doubt::*;
@@ -272,23 +278,15 @@ impl fmt::Display for Doubt {
 
 impl Serialize for Doubt {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        struct Numbers<'a>(&'a Doubt);
-
-        impl Serialize for Numbers<'_> {
-            fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-                // The derived form, without the text.
-                Doubt::serialize(self.0, to)
-            }
-        }
-
         #[derive(Serialize)]
         struct Written<'a> {
-            #[serde(flatten)]
-            doubt: Numbers<'a>,
+            // The derived form, without the text.
+            #[serde(flatten, serialize_with = "Doubt::serialize")]
+            doubt: &'a Doubt,
             text: String,
         }
 
-        Written { doubt: Numbers(self), text: self.text() }.serialize(to)
+        Written { doubt: self, text: self.text() }.serialize(to)
     }
 }
 

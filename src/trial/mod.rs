@@ -5,7 +5,7 @@ mod doubt;
 mod label;
 
 pub use channel_flaws::SeriesFlaws;
-pub(crate) use channel_flaws::{is_plain, usual_rest};
+pub(crate) use channel_flaws::{flaws_of, is_plain, usual_rests};
 pub use doubt::Doubt;
 pub(crate) use doubt::lines;
 pub(crate) use label::{checked_label, normal};

@@ -13,7 +13,7 @@ use crate::evaluate::loudness::level_of;
 use crate::library::{Entry, LibraryError, Unreadable};
 use crate::printable::quoted;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, is_plain, usual_rest};
+use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, is_plain, usual_rests};
 
 /// A trial is too loud or quiet if ln of its loudness is this far from its surface's median: 20 dB.
 const LOUD: f64 = std::f64::consts::LN_10;
@@ -369,15 +369,11 @@ fn copies(inspected: &[Inspected], audited: &Audited<'_>) -> Vec<Fault> {
 
 /// Forgets doubts about channels that rest no longer than they usually do in the library.
 fn forget_usual(inspected: &mut [Inspected]) {
-    let mut of_trials: BTreeMap<&SourceId, Vec<Vec<f32>>> = BTreeMap::new();
+    let mut of_trials: BTreeMap<&SourceId, Vec<&[f32]>> = BTreeMap::new();
     for (id, of) in inspected.iter().flat_map(|one| &one.series) {
-        let channels = of_trials.entry(id).or_default();
-        channels.resize(channels.len().max(of.rests.len()), Vec::new());
-        channels.iter_mut().zip(&of.rests).for_each(|(all, rest)| all.push(*rest));
+        of_trials.entry(id).or_default().push(&of.rests);
     }
-    let usual = |(id, channels): (&SourceId, Vec<Vec<f32>>)| {
-        (id.clone(), channels.into_iter().map(usual_rest).collect())
-    };
+    let usual = |(id, rests): (&SourceId, Vec<&[f32]>)| (id.clone(), usual_rests(&rests));
     let usual: BTreeMap<SourceId, Vec<f32>> = of_trials.into_iter().map(usual).collect();
     for one in inspected {
         one.doubts.retain(|doubt| {

@@ -2,7 +2,7 @@
 //! flaws.
 
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, is_plain};
+use crate::trial::{Doubt, Signal, Trial, flaws_of};
 
 /// Leaves out each source that has a stuck channel or a picture of one colour. Returns the query, and
 /// a doubt for each source left out. A channel may rest in the query as long as it does in the library.
@@ -16,13 +16,9 @@ pub fn without_flawed<'a>(
     scene: &Scene,
     rests: impl Fn(&SourceId) -> &'a [f32],
 ) -> (Trial, Vec<Doubt>) {
-    let doubt_of = |id: &SourceId, signal: &Signal| match signal {
-        Signal::Image(image) => is_plain(image).then(|| Doubt::OneColour { source: id.clone() }),
-        Signal::Series(series) => {
-            let doubts = SeriesFlaws::of(series).doubts(id, rests(id));
-            doubts.into_iter().find(|doubt| matches!(doubt, Doubt::Stuck { .. }))
-        }
-    };
+    let is_dead = |doubt: &Doubt| matches!(doubt, Doubt::Stuck { .. } | Doubt::OneColour { .. });
+    let doubt_of =
+        |id: &SourceId, signal: &Signal| flaws_of(id, signal, rests(id)).into_iter().find(is_dead);
     let sources = trial.signals.iter().map(|(id, signal)| (id, doubt_of(id, signal)));
     let left_out = left_out(scene, sources);
     trial.signals.retain(|id, _| !left_out.iter().any(|(other, _)| other == id));

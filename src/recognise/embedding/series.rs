@@ -14,7 +14,7 @@ use super::moments::{LOUDNESS, MOMENTS, Moments, Statistics};
 use super::packed::PackedFrames;
 use super::quantiles::QUANTILES;
 use crate::recognise::features::windowed_frames::FrameView;
-use crate::trial::usual_rest;
+use crate::trial::usual_rests;
 
 /// Lags in samples; the joint covariance is of the series shifted by each of them.
 const LAGS: [usize; 3] = [0, 1, 3];
@@ -45,7 +45,7 @@ pub(super) struct SeriesEmbedder {
     deviations: Vec<f64>,
     /// Whether the library's median trial is long enough for quantiles.
     ranked: bool,
-    /// Share of time that each channel rests in the library ([`usual_rest`]).
+    /// Share of time that each channel rests in the library ([`usual_rests`]).
     pub rests: Vec<f32>,
 }
 
@@ -65,15 +65,12 @@ impl SeriesEmbedder {
             .collect();
         let deviation = |c: usize| median(all.iter().map(|of_trial| of_trial[c]).collect());
         let length = median(trials.iter().map(|trial| trial.samples as f64).collect());
-        let rest = |c: usize| {
-            usual_rest(trials.iter().filter_map(|trial| trial.rests.get(c).copied()).collect())
-        };
-        let channels = 0..views.frames[0].channels;
+        let rests: Vec<&[f32]> = trials.iter().map(|trial| trial.rests.as_slice()).collect();
         Self {
             frames,
-            deviations: channels.clone().map(deviation).collect(),
+            deviations: (0..views.channels()).map(deviation).collect(),
             ranked: length >= FEWEST_RANKED,
-            rests: channels.map(rest).collect(),
+            rests: usual_rests(&rests),
             views,
         }
     }
