@@ -335,13 +335,11 @@ impl Work<'_> {
     }
 
     fn why_silent(&self) -> String {
-        let address = &self.config.address;
-        let why = self.intake.as_ref().and_then(LinesIntake::why_silent);
-        match &self.intake {
-            _ if why.is_some() => why.unwrap_or_default(),
+        let (address, intake) = (&self.config.address, self.intake.as_ref());
+        intake.and_then(LinesIntake::why_silent).unwrap_or_else(|| match intake {
             Some(intake) if intake.errors.0.contains_key(GARBAGE) => address.no_numbers(),
             _ => format!("no lines come from {address}; check that the device sends by itself"),
-        }
+        })
     }
 
     /// Warns if the rate of the lines differs from the configured or first measured one. Small
@@ -362,7 +360,7 @@ impl Work<'_> {
         let off = (seen_hz - rate_hz).abs() > (PACE * rate_hz).max(least_hz);
         self.measure_from(now);
         if off && !self.off_pace {
-            let seen_hz = intake::rounded(seen_hz);
+            let seen_hz = intake::rounded(seen_hz, 3);
             self.link.warn(format!(
                 "its rate is {seen_hz} Hz, but {rate_hz} Hz are expected, so scans are recorded at a \
                  wrong rate; say rate_hz = {seen_hz} in its [[lines]] of the configuration"

@@ -200,7 +200,7 @@ const LEAST_DRAG: u64 = 10;
 /// several hops, since a single value of any vibration may be near 0 or far from it.
 const LEAST_VALUES: f64 = 4.0;
 /// A gap in a drag that is longer than this ends it, in seconds.
-pub(super) const LONGEST_GAP_S: f64 = 3.0;
+const LONGEST_GAP_S: f64 = 3.0;
 /// Vibration below this share of full scale (about 6 steps of 16 bits) is noise of the converter.
 const LEAST_VIBRATION: f64 = 2e-4;
 /// Force above the floor at level 1, as a share of full scale.
@@ -212,6 +212,11 @@ const HIGH_PASS_HZ: f64 = 20.0;
 /// Number of frames in a hop of a stream at this rate in Hz.
 pub(super) fn hop_frames(rate_hz: f64) -> f64 {
     (rate_hz * HOP_S).max(1.0)
+}
+
+/// Length of a hop of a stream at this rate in Hz, in seconds.
+pub(super) fn hop_s(rate_hz: f64) -> f64 {
+    hop_frames(rate_hz) / rate_hz
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
@@ -256,7 +261,7 @@ impl StreamLevel {
         Self {
             kind,
             channels: channels.max(1),
-            hop_s: hop_frames(rate_hz) / rate_hz,
+            hop_s: hop_s(rate_hz),
             keep: (-turn).exp(),
             held_frames: (1.0 / turn).max(2.0) as u64,
             last: Vec::new(),
@@ -264,8 +269,12 @@ impl StreamLevel {
             missing: 0,
             silent: 0,
             recent: VecDeque::new(),
-            most_recent: (LEAST_VALUES / (hop_frames(rate_hz) * channels.max(1) as f64)).ceil()
-                as usize,
+            most_recent: match kind {
+                SensorKind::Force => 1,
+                SensorKind::Vibration => {
+                    (LEAST_VALUES / (hop_frames(rate_hz) * channels.max(1) as f64)).ceil() as usize
+                }
+            },
             hops: 0,
             smooth: 0.0,
             blocks: VecDeque::new(),
@@ -280,8 +289,8 @@ impl StreamLevel {
 
     /// Takes the interleaved frames of the next hop, and returns the hop's level; `None` if more than
     /// half of its frames are `missing` (ranges in order, counted from the hop's first frame), or if
-    /// there are none. Missing frames count for nothing. The noise floor is learnt unless `held` (during contact). A sample that is not
-    /// finite is replaced by the last finite one.
+    /// there are none. Missing frames count for nothing. The noise floor is learnt unless `held` (during
+    /// contact). A sample that is not finite is replaced by the last finite one.
     pub(super) fn hop(
         &mut self,
         samples: &[f32],
@@ -334,7 +343,7 @@ impl StreamLevel {
         if std::mem::take(&mut self.silent) > 0 {
             self.recent.clear();
         }
-        if self.recent.len() == self.most_recent || self.kind == SensorKind::Force {
+        if self.recent.len() == self.most_recent {
             self.recent.pop_front();
         }
         let mean = sum / real as f64;

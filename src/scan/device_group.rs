@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 
 use super::detect::{
-    Detector, DetectorConfig, DetectorEvent, SensorKind, StreamLevel, hop_frames, onset_in,
+    Detector, DetectorConfig, DetectorEvent, SensorKind, StreamLevel, hop_frames, hop_s, onset_in,
 };
 use super::recent_frames::{Stream, StreamBuffer};
 use crate::scene::SourceId;
@@ -47,7 +47,7 @@ impl DeviceGroup {
         Some(Self {
             channels: found.iter().map(level).collect(),
             rate_hz,
-            detector: Detector::new(config, hop_frames(rate_hz) / rate_hz),
+            detector: Detector::new(config, hop_s(rate_hz)),
             base: 0,
             next: 0,
             levels: VecDeque::new(),
@@ -75,7 +75,7 @@ impl DeviceGroup {
     }
 
     fn hop_s(&self) -> f64 {
-        hop_frames(self.rate_hz) / self.rate_hz
+        hop_s(self.rate_hz)
     }
 
     /// Measures the group's offset by a tap that another device sensed at index `frame`, by the clock

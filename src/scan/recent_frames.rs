@@ -164,8 +164,12 @@ impl SeriesHistory {
     }
 
     pub(super) fn missing_in(&self, span: Range<u64>) -> impl Iterator<Item = Range<u64>> + '_ {
+        // The gaps are in order, and there may be many.
+        let first = self.missing.partition_point(|gap| gap.end <= span.start);
+        let end = span.end;
         self.missing
-            .iter()
+            .range(first..)
+            .take_while(move |gap| gap.start < end)
             .map(move |gap| gap.start.max(span.start)..gap.end.min(span.end))
             .filter(|gap| gap.start < gap.end)
     }

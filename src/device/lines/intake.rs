@@ -537,9 +537,9 @@ impl LinesIntake {
     }
 }
 
-/// A rate to three digits.
-pub(super) fn rounded(rate_hz: f64) -> f64 {
-    let unit = 10_f64.powi(2 - rate_hz.max(1e-3).log10().floor() as i32);
+/// A rate to this many digits.
+pub(super) fn rounded(rate_hz: f64, digits: i32) -> f64 {
+    let unit = 10_f64.powi(digits - 1 - rate_hz.max(1e-3).log10().floor() as i32);
     (rate_hz * unit).round() / unit
 }
 

@@ -2,7 +2,7 @@
 //! columns count rows, tell the time or never change. Does no I/O and has no clock.
 
 use super::clocks::{FEWEST, MICROS, ROWS, Steps};
-use super::intake::{Column, Count, LinesStream, shown};
+use super::intake::{Column, Count, LinesStream, rounded, shown};
 use super::parser::{Line, LineParser};
 use crate::scene::SourceId;
 
@@ -346,13 +346,9 @@ fn power_of_ten(exponent: i32) -> f64 {
 
 /// Rounds a rate to two digits if the error is at most 0.5 %, otherwise to three; no decimals.
 fn round_rate(rate_hz: f64) -> f64 {
-    let digits = |n: i32| {
-        let unit = 10_f64.powi(rate_hz.log10().floor() as i32 + 1 - n);
-        (rate_hz / unit).round() * unit
-    };
-    let coarse = digits(2);
+    let coarse = rounded(rate_hz, 2);
     let near = (coarse - rate_hz).abs() <= 5e-3 * rate_hz;
-    (if near { coarse } else { digits(3) }).round().max(1.0)
+    (if near { coarse } else { rounded(rate_hz, 3) }).round().max(1.0)
 }
 
 impl ColumnSurvey {

@@ -12,7 +12,7 @@ fn detector() -> Detector {
 }
 
 fn detector_at(rate_hz: f64) -> Detector {
-    let hop_s = hop_frames(rate_hz) / rate_hz;
+    let hop_s = hop_s(rate_hz);
     Detector::new(StationConfig::embedded().detection.detector, hop_s)
 }
 
