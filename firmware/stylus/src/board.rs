@@ -162,11 +162,11 @@ pub fn acknowledge_tick() -> u32 {
     now.wrapping_sub(LAST.swap(now, Ordering::Relaxed))
 }
 
-/// The emulated processor may be too slow for real time. A late tick then delays the recording's
-/// next sample and does not skip it, so no tick is ever missed.
+/// The emulated processor may be too slow for real time. A tick then waits until the main loop has
+/// kept up, so that the recording's next sample is late, and none is missed.
 #[cfg(feature = "qemu")]
 pub fn acknowledge_tick() -> u32 {
-    1
+    u32::from(crate::recording::is_ready())
 }
 
 /// Measures all channels; called by the sampling interrupt.

@@ -17,6 +17,11 @@ static ENDED: AtomicBool = AtomicBool::new(false);
 const ROOM: usize = 1024;
 const BLOCK: usize = 256;
 
+/// Whether the next sample is there, and room for it.
+pub fn is_ready() -> bool {
+    crate::SAMPLING.has_room() && (READ.free() < ROOM || ENDED.load(Ordering::Relaxed))
+}
+
 /// The recording's next sample; called by the sampling interrupt.
 pub fn next() -> Option<[i16; STYLUS_CHANNELS]> {
     let sample = READ.pop()?;

@@ -128,6 +128,11 @@ impl Sampling {
         }
     }
 
+    /// Whether another sample fits before the main loop takes one.
+    pub fn has_room(&self) -> bool {
+        self.ring.free() > 0
+    }
+
     /// Whether sampling is on.
     pub fn is_on(&self) -> bool {
         self.on.load(Ordering::Acquire)
