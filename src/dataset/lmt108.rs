@@ -1,4 +1,4 @@
-//! Reads the surface materials database LMT108 (Strese et al. 2017; method.md §7).
+//! Reads the surface materials database LMT108 (Strese et al. 2017; `src/recognise/README.md` §1).
 //!
 //! Training trials are by the expert; Testing trial u is by `user{u}`. Any part of the database can
 //! be opened; a remark says which one.
@@ -278,9 +278,10 @@ const WORDS: [&str; 12] = [
     "fsr2",
 ];
 
-/// Parses the path of a file. Some of the database's names are inferred (method.md §7), so parsing is
-/// lenient: case does not matter, and a name need not repeat its folders' names. `folders` holds the folders from the database's root down to the file, in
-/// lower case, `stem` the name without its extension. The error says why no trial has the file.
+/// Parses the path of a file. Some of the database's names are inferred, so parsing is lenient: case
+/// does not matter, and a name need not repeat its folders' names. `folders` holds the folders from the
+/// database's root down to the file, in lower case, `stem` the name without its extension. The error
+/// says why no trial has the file.
 fn parse_name(folders: &[String], stem: &str) -> Result<NamePart, &'static str> {
     let in_folder = |name: &str| folders.iter().any(|folder| folder == name);
     let said = is_training(folders);

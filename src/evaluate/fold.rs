@@ -1,4 +1,4 @@
-//! Splits trials into queries and library, fold by fold (method.md §3).
+//! Splits trials into queries and library, fold by fold (`src/recognise/README.md` §3).
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -214,7 +214,7 @@ pub enum SampleView {
     /// Equidistant in time.
     Time,
     /// Equidistant in time in the first 48,000 frames: whole 10 kHz series, but 1.1 s of a drag
-    /// sound (a quirk of the paper's test without DFT, method.md §2).
+    /// sound (a quirk of the paper's test without DFT, `src/recognise/README.md` §2).
     TimeOfSerial,
     /// Bins of the amplitude spectrum: in the source's band or, if it has none, from 0 to 1000 Hz.
     Spectrum,

@@ -2,8 +2,8 @@
 //! at another place, or with a worse sensor.
 //!
 //! Each trial has three excerpts of 40 % and one *twin*: the whole trial with the disturbances of a
-//! worse sensor (method §11). Two of the excerpts are noisy, since a clean library has never met noise
-//! (method §12). The gain of copies varies like the force of a hand, so that training learns how much
+//! worse sensor (README §5). Two of the excerpts are noisy, since a clean library has never met noise
+//! (README §5). The gain of copies varies like the force of a hand, so that training learns how much
 //! to trust level. Place and gain are drawn once for each copy; stretch, noise and loss once for each
 //! source of a copy. All draws depend only on the trial's samples and the seed, never on its name.
 

@@ -2,7 +2,7 @@
 //! short frames) and moments; each picture has tiles. Each series of a library trial also has
 //! augmented copies.
 //!
-//! The length of frames depends on samples as well as on time (method §9). A long frame has the power
+//! The length of frames depends on samples as well as on time (README §4). A long frame has the power
 //! of two nearest to 46 ms or 64 samples, whichever is longer, so that slow sensors have a spectrum
 //! too. It has at most a quarter of the library's median trial. A short frame is a quarter of a long
 //! one. The shape of the library sets the frames of its trials and of all queries.

@@ -1,4 +1,4 @@
-//! The method `embedding` (method §11 and §12): puts all sources of a trial into one vector (`joint`),
+//! The method `embedding` (`src/recognise/README.md` §4 and §5): puts all sources of a trial into one vector (`joint`),
 //! and tells surfaces apart with many small shrinkage discriminants (`ensemble`).
 //!
 //! The vector holds Fourier features of log-band frames (`band_sums`): kernel mean embeddings, with

@@ -1,4 +1,4 @@
-//! Turns a picture, or a quarter of it, into a vector (method §11): Fourier features of its tiles,
+//! Turns a picture, or a quarter of it, into a vector (README §4): Fourier features of its tiles,
 //! means and moments of its channels, and the covariance of pixels with displaced pixels.
 
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! Turns a series, a copy or a beginning into a vector (method §11 and §12): Fourier features of its
+//! Turns a series, a copy or a beginning into a vector (README §4): Fourier features of its
 //! log-band frames, moments, quantiles and lag covariance. Features that depend on loudness occur in
 //! shape (relative to the series' own level) and in level. The means of channels join them, except
 //! where a source is compared in only part of its spectrum ([`super::passed`]).

@@ -1,4 +1,4 @@
-//! Treats a picture as a series in two dimensions, with tiles as frames (method §11).
+//! Treats a picture as a series in two dimensions, with tiles as frames (README §4).
 //!
 //! The channels are brightness (R+G+B)/3, R − G and (R+G)/2 − B, for values from 0 to 1. Tiles are 64
 //! × 64 pixels, half a tile apart. The mean of each tile is subtracted; the tile is windowed

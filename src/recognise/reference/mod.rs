@@ -1,4 +1,4 @@
-//! The paper's method, exactly (method §2): raw samples, n·MMD²_b for each source, the product over
+//! The paper's method, exactly (README §2): raw samples, n·MMD²_b for each source, the product over
 //! sources, and the nearest neighbour.
 //!
 //! [`ReferenceOptions`] has shortcuts that keep the result exact or within a stated bound. Positions

@@ -1,4 +1,4 @@
-//! Draws the samples of a source (method §2, step 1; the paper's Fig. 4) in its domain: time, spectrum
+//! Draws the samples of a source (README §2, step 1; the paper's Fig. 4) in its domain: time, spectrum
 //! or pixels.
 
 use ndarray::Array2;
