@@ -167,11 +167,10 @@ def the_camera_shows_its_region_and_its_light(browser, shots):
     text = lambda: browser.text(f"{camera} div") or ""
     until(browser, "a picture", lambda: browser.run(
         "return document.querySelector(arguments[0] + ' img')?.naturalWidth === 320", camera))
-    assert "all of it is compared" in text(), text()
+    until(browser, "what is compared", lambda: "all of it is compared" in text())
     view = {"source": "ca1", "region": {"left": 0.25, "top": 0, "width": 0.5, "height": 1}, "flash": "on"}
     browser.run("import('/camera.js').then(({ view }) => view(arguments[0]))", view)
-    until(browser, "the light", lambda: "flash on" in text())
-    assert "inside the frame" in text(), text()
+    until(browser, "the light", lambda: "flash on" in text() and "inside the frame" in text())
     left, width, whole = browser.run(
         "const [region, view] = ['.region', '.view'].map(s => document.querySelector(arguments[0] + ' ' + s).getBoundingClientRect());"
         "return [(region.left - view.left) / view.width, region.width / view.width, view.width]", camera)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.io import wavfile
 
 import quant
-from data import folds, load
+from data import Trial, folds, load
 from evaluation import interval, wilson
 from hydra import Hydra, transform_plainly
 from mmd import Mmd, amplitudes, sigma_of
@@ -104,9 +104,13 @@ def a_recorded_library_is_read() -> None:
     assert [(f.library, f.queries) for f in folds(data.trials)] == [
         ([1, 2, 4], [0, 3]), ([0, 2, 3], [1, 4]), ([0, 1, 3, 4], [2]),
     ]
-    for protocol in ("expert-vs-users", "all-vs-one-user"):
-        (fold,) = folds(data.trials, protocol)
-        assert (fold.name, fold.library, fold.queries) == ("user1", [0, 1, 2, 3, 4], [5])
+    (fold,) = folds(data.trials, "expert-vs-users")
+    assert (fold.name, fold.library, fold.queries) == ("user1", [0, 1, 2, 3, 4], [5])
+    pairs = [(user, surface) for user in ("expert", "user1") for surface in ("cork", "felt")]
+    trials = [Trial(surface, user, 1, Path(), []) for user, surface in pairs]
+    assert [(f.name, f.library, f.queries) for f in folds(trials, "all-vs-one-user")] == [
+        ("expert", [2, 3], [0, 1]), ("user1", [0, 1], [2, 3]),
+    ]
 
 
 def wilson_interval_is_the_known_one() -> None:

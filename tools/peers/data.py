@@ -176,8 +176,8 @@ def _splits(trials: list[Trial], protocol: str):
                 lambda t, k=k: t.user == EXPERT and t.number == k,
             )
         return
-    for user in sorted({trial.user for trial in trials} - {EXPERT}):
-        if protocol == EXPERT_VS_USERS:
-            yield user, lambda t: t.user == EXPERT, lambda t, u=user: t.user == u
-        else:
+    for user in sorted({trial.user for trial in trials}):
+        if protocol != EXPERT_VS_USERS:
             yield user, lambda t, u=user: t.user != u, lambda t, u=user: t.user == u
+        elif user != EXPERT:
+            yield user, lambda t: t.user == EXPERT, lambda t, u=user: t.user == u

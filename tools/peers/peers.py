@@ -154,6 +154,9 @@ def read_chart(path: Path, protocol: str) -> dict:
 def join(chart: dict, results: list[dict]) -> None:
     """Puts the results among the chart's points, in place of earlier ones of the same name."""
     points = [point_of(result) for result in results]
+    asked = {point["queries"] for point in [*chart["points"], *points] if "queries" in point}
+    if len(asked) > 1:
+        raise DataError(f"chart and peers do not ask the same queries: {sorted(asked)} of them")
     new = {identity(point) for point in points}
     points = [p for p in chart["points"] if not (p.get("peer") and identity(p) in new)] + points
     chart["points"] = points
