@@ -7,6 +7,9 @@ import { opened, route } from "./route.js";
 
 const dialog = $("scan");
 let open = null;
+// How often a scan was asked for, and corrected.
+let loads = 0;
+let corrections = 0;
 
 const digits = (p) => (p === null ? "none" : p.toFixed(p < 0.1 ? 3 : 2));
 
@@ -172,10 +175,13 @@ function showHead(scan) {
 }
 
 async function load(id) {
-  const wanted = location.hash;
-  const scan = await ask(`scans/${encodeURIComponent(id)}`);
-  // Stops if the dialogue was closed in the meantime, or now shows another scan.
-  if (!scan || location.hash !== wanted) return;
+  loads += 1;
+  const [own, before, wanted] = [loads, corrections, location.hash];
+  const found = await ask(`scans/${encodeURIComponent(id)}`);
+  // Stops if the dialogue was closed in the meantime, or shows another scan or this one anew.
+  if (!found || own !== loads || location.hash !== wanted) return;
+  // A correction that was made in the meantime is newer than what was found.
+  const scan = before !== corrections && open?.id === found.id ? open : found;
   if (open?.id !== scan.id) $("was").value = "";
   open = scan;
   showHead(scan);
@@ -187,7 +193,7 @@ async function load(id) {
     return;
   }
   const notes = await ask(`scans/${scan.id}/why`);
-  if (open !== scan) return;
+  if (own !== loads || open?.id !== scan.id) return;
   // Scans just before the station's end, or in quick succession, have no explanation.
   if (!notes) {
     body.append(ranking(scan));
@@ -200,6 +206,7 @@ async function load(id) {
 async function correct(was, step = "correct") {
   const scan = await ask(`scans/${open.id}/${step}`, was);
   if (!scan) return;
+  corrections += 1;
   open = scan;
   showHead(scan);
 }
