@@ -1,7 +1,6 @@
 //! `surfaced import csv`: turns tables into a library.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use super::show::{self, counted, quoted};
@@ -10,9 +9,9 @@ use crate::dataset::tables::{
     self, Clock, Form, Gaps, Head, NamePattern, Read, Said, columns, npy,
 };
 use crate::library::{LibraryError, files};
+use crate::record::importing::Importing;
 use crate::record::{TrialOptions, check_writable, write_library_toml, write_trial};
 use crate::scene::{LibraryToml, Scene, SourceId};
-use crate::system::Locked;
 use crate::trial::{Series, Signal, Trial, TrialKey};
 
 /// Extensions of the tables that are looked for in folders.
@@ -146,7 +145,7 @@ pub(super) fn run(args: &CsvArgs) -> Done {
         say!("nothing is written; leave --dry-run out to write {}", args.out.display());
         return Ok(());
     };
-    staging.finish(&args.out)?;
+    staging.importing.finish(&args.out)?;
     say!("wrote {} to {}", counted(import.keys.len(), "trial"), args.out.display());
     show::next(&format!("surfaced check {}", quoted(&args.out)));
     Ok(())
@@ -280,7 +279,7 @@ impl Import<'_> {
         bad: &mut Vec<LibraryError>,
     ) -> Result<(), LibraryError> {
         let scratch = match staging {
-            Some(staging) => staging.folder.clone(),
+            Some(staging) => staging.importing.folder.clone(),
             None => std::env::temp_dir(),
         };
         let mut twice = Vec::new();
@@ -305,7 +304,7 @@ impl Import<'_> {
                 self.summary.add(&trial);
                 let Some(staging) = staging else { return Ok(()) };
                 let options = TrialOptions { durable: false, about };
-                write_trial(&staging.folder, &trial, &staging.scene, &options).map(drop)
+                write_trial(&staging.importing.folder, &trial, &staging.scene, &options).map(drop)
             }
         })?;
         let problems = said.bad.iter().chain(&twice);
@@ -315,12 +314,10 @@ impl Import<'_> {
     }
 }
 
-/// Folder beside the library in which an import writes it, so that no half of it looks whole.
+/// The library that an import writes, and its sources.
 struct Staging {
-    folder: PathBuf,
+    importing: Importing,
     scene: Scene,
-    /// Locked while the import runs.
-    _lock: Locked,
 }
 
 impl Staging {
@@ -331,52 +328,12 @@ impl Staging {
             text += &format!("[sources.{id}]\ndomain = \"time\"\nchannels = {channels}\n");
         }
         let scene = LibraryToml::parse(&text, &Scene::lmt108())?.sources;
-        let Some(name) = out.file_name().map(|name| name.to_string_lossy().into_owned()) else {
-            return Err(Failure::usage_at(out, "not the name of a folder to make"));
-        };
-        let folder = out.with_file_name(format!(".{name}.importing"));
-        let fail = |error| Failure::from(LibraryError::io(&folder, error));
-        if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
-            std::fs::create_dir_all(parent).map_err(fail)?;
-        }
-        let lock = File::create(lock_of(&folder)).map_err(fail)?;
-        let Some(lock) = Locked::now(lock) else {
-            return Err(Failure::usage_at(
-                out,
-                "another import is writing this library; wait for it",
-            ));
-        };
-        if folder.exists() {
-            say!("an import into {} was interrupted before; it starts over", out.display());
-            std::fs::remove_dir_all(&folder).map_err(fail)?;
-        }
-        check_writable(&folder)?;
-        write_library_toml(&folder, &scene, &name, false)?;
-        Ok(Self { folder, scene, _lock: lock })
+        let importing = Importing::begin(out)?;
+        check_writable(&importing.folder)?;
+        let name = out.file_name().unwrap_or_default().to_string_lossy();
+        write_library_toml(&importing.folder, &scene, &name, false)?;
+        Ok(Self { importing, scene })
     }
-
-    /// Gives the finished library its name.
-    fn finish(self, out: &Path) -> Done {
-        // An empty folder of the name may be there; the library takes its place.
-        if out.exists() {
-            std::fs::remove_dir(out).map_err(|error| LibraryError::io(out, error))?;
-        }
-        std::fs::rename(&self.folder, out).map_err(|error| LibraryError::io(out, error))?;
-        Ok(())
-    }
-}
-
-impl Drop for Staging {
-    fn drop(&mut self) {
-        // After `finish`, the folder has another name. A crash leaves both, and the next import says so.
-        let _ = std::fs::remove_dir_all(&self.folder);
-        let _ = std::fs::remove_file(lock_of(&self.folder));
-    }
-}
-
-/// The lock beside a folder `.NAME.importing`.
-fn lock_of(folder: &Path) -> PathBuf {
-    folder.with_extension("importing.lock")
 }
 
 /// What people see of an import.

@@ -9,7 +9,7 @@ pub(crate) mod tables;
 use std::path::{Path, PathBuf};
 
 use crate::library::files::{self, Listed};
-use crate::library::recording::{self, DESCRIPTION};
+use crate::library::recording::{self, DESCRIPTION, IMPORTING};
 use crate::library::{Library, LibraryError, Opened};
 use crate::scene::Scene;
 
@@ -64,6 +64,11 @@ pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
 pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
     if path.is_file() && Listed::file(path).is_some_and(|item| item.is_series()) {
         return recording::open_file(path, defaults);
+    }
+    if path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(IMPORTING)) {
+        let problem = "an import is still writing this library, or was interrupted; let it end, or \
+                       run it again";
+        return Err(LibraryError::file(path, problem));
     }
     match copies(path, files::list(path)?).as_slice() {
         [] => recording::open_usable(path, defaults),

@@ -32,6 +32,9 @@ pub(crate) const DESCRIPTION: &str = "library.toml";
 /// Suffix of a trial's folder while the trial is still being written.
 pub(crate) const UNFINISHED: &str = ".unfinished";
 
+/// Suffix of a library's folder while an import is still writing it.
+pub(crate) const IMPORTING: &str = ".importing";
+
 /// Opens a library in the recording format. Samples are read when an entry is loaded.
 ///
 /// The sources are those of `defaults` and of `library.toml`; `library.toml` wins if both describe

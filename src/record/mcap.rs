@@ -19,14 +19,14 @@ use mcap::records::MessageHeader;
 use mcap::{Attachment, Compression, Summary, WriteOptions, Writer};
 use serde_json::json;
 
-use super::{failed, unfinished, write_file};
+use super::importing::Importing;
+use super::{failed, write_file};
 use crate::dataset;
 use crate::jpeg;
 use crate::library::files::{self, Listed};
 use crate::library::recording::{self, DESCRIPTION};
 use crate::library::{Library, LibraryError};
 use crate::scene::Scene;
-use crate::system;
 use crate::trial::{Image, Series, Signal, Trial};
 
 /// Opens a recording for an export: a library of any layout, or a single trial of a library in the
@@ -273,17 +273,14 @@ pub fn import(mcap: &Path, dir: &Path) -> Result<usize, LibraryError> {
     if dir.symlink_metadata().is_ok() {
         return Err(failed(dir, std::io::ErrorKind::AlreadyExists.into()));
     }
-    let parent = dir.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."));
-    let mut builder = unfinished(".");
-    system::usual_permissions(&mut builder);
-    let unfinished = builder.tempdir_in(parent).map_err(|error| failed(dir, error))?;
+    let importing = Importing::begin(dir)?;
     for (path, data) in &attached {
-        let path = unfinished.path().join(path);
+        let path = importing.folder.join(path);
         let folder = path.parent().unwrap_or(dir);
         fs::create_dir_all(folder).map_err(|error| failed(folder, error))?;
         write_file(&path, data, true)?;
     }
-    fs::rename(unfinished.path(), dir).map_err(|error| failed(dir, error))?;
+    importing.finish(dir)?;
     let folders = attached.iter().filter_map(|(path, _)| path.parent());
     let trials: BTreeSet<_> = folders.filter(|folder| folder.iter().count() == 2).collect();
     Ok(trials.len())

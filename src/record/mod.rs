@@ -5,6 +5,7 @@
 
 pub mod edit;
 pub(crate) mod folder_name;
+pub(crate) mod importing;
 #[cfg(feature = "mcap")]
 pub mod mcap;
 

@@ -21,6 +21,7 @@ mod forms;
 mod golden;
 mod hostile_numbers;
 mod hsic_golden;
+mod interrupted_import;
 mod invariance;
 mod library;
 mod line_forms;

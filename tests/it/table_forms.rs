@@ -2,7 +2,7 @@
 //! rate, the sources and their channels.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Output;
 
 use crate::common::{open, says, temp, write_file};
@@ -571,25 +571,6 @@ fn arrays_of_numpy_are_trials() {
     }
     let few = import("oak/1.npz", &file(true), &["--rate", "9", "--labels", "X"]);
     says(&few.said(), &["labels have the shape"]);
-}
-
-#[test]
-fn an_interrupted_import_leaves_no_library_and_the_next_starts_over() {
-    let (dir, path) = temp();
-    let out = dir.path().join("out");
-    write_file(
-        &path.join("oak/1.csv"),
-        table("t,ax\n", |i, [x, ..]| format!("{:.2},{x}", i as f64 / 100.0)),
-    );
-    // What an import leaves that was killed: its folder beside the library, and a part of the trials.
-    let left: &Path = &dir.path().join(".out.importing");
-    write_file(&left.join("oak/expert-07/ax.wav"), "x");
-    let again = surfaced(&["import", "csv", text(&path), "--out", text(&out)]);
-    says(&said(&again), &["was interrupted before; it starts over", "wrote 1 trial"]);
-    assert_eq!(open(&out).unwrap().entries.len(), 1);
-    let beside: Vec<_> =
-        std::fs::read_dir(dir.path()).unwrap().map(|item| item.unwrap().file_name()).collect();
-    assert_eq!(beside.len(), 2, "{beside:?}");
 }
 
 proptest::proptest! {
