@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use super::choose::choose;
+use super::condition::WhereArgs;
 use super::figure::{FigureArgs, is_earlier};
 use super::method::{at_least_one, options_of};
 use super::show::quoted;
@@ -28,6 +29,8 @@ pub(super) struct Args {
     /// Use this many surfaces at most, evenly spread over their names
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     surfaces: Option<usize>,
+    #[command(flatten)]
+    only: WhereArgs,
     /// Measure only one setting of each method, on whole drags with all sources
     #[arg(long)]
     brief: bool,
@@ -39,7 +42,8 @@ pub(super) fn run(args: &Args) -> Done {
         let problem = "expected recordings; earlier charts are drawn by `tools/peers/run --draw`";
         return Err(Failure::usage_at(&args.lib, problem));
     }
-    let library = super::open(&args.lib)?;
+    let mut library = super::open(&args.lib)?;
+    args.only.keep(&args.lib, &mut library)?;
     let chart = bad_files::work(&args.lib, library, |library| measured(args, library))?;
     show::wrote(&args.figure.keep(&figure(&chart)?, &chart)?);
     let lib = quoted(&args.lib);

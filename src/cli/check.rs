@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::condition::WhereArgs;
 use super::method::{Comparing, ComparingArgs};
 use super::{Done, Failure, say, show};
 use crate::dataset;
@@ -22,6 +23,8 @@ pub(super) struct Args {
     library: PathBuf,
     #[command(flatten)]
     comparing: ComparingArgs,
+    #[command(flatten)]
+    only: WhereArgs,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -29,7 +32,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
-    let report = audit(&args.library, &how, &say::progress)?;
+    let report = audit(&args.library, &how, &args.only, &say::progress)?;
     show::result(args.json, &report, print);
     match report.findings.len() {
         0 => Ok(()),
@@ -40,10 +43,12 @@ pub(super) fn run(args: &Args) -> Done {
 pub(super) fn audit(
     library: &Path,
     how: &Comparing,
+    only: &WhereArgs,
     progress: ProgressFn<'_>,
 ) -> Result<CheckReport, Failure> {
     let _lock = LibraryLock::for_reading(library);
-    let opened = dataset::open_usable(library, &Scene::lmt108())?;
+    let mut opened = dataset::open_usable(library, &Scene::lmt108())?;
+    only.keep(library, &mut opened.library)?;
     let scene = how.narrow(opened.library.scene.clone())?;
     let method = how.method.build(&scene);
     let cache = how.cache_in(library);

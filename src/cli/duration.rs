@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+use super::condition::WhereArgs;
 use super::figure::write;
 use super::method::{at_least_one, honoured};
 use super::{Done, Failure, bad_files, say, share, show};
@@ -46,6 +47,8 @@ pub(super) struct Args {
     /// surface)
     #[arg(long, value_name = "NAME")]
     user: Option<String>,
+    #[command(flatten)]
+    only: WhereArgs,
     /// Let a published rule treat the named sources as time series, whatever their domain is
     /// (`pooled` always does)
     #[arg(long, requires = "source")]
@@ -178,7 +181,8 @@ impl Algorithm1Args {
 
 pub(super) fn run(args: &Args) -> Done {
     let question = args.question()?;
-    let library = super::open(&args.lib)?;
+    let mut library = super::open(&args.lib)?;
+    args.only.keep(&args.lib, &mut library)?;
     let (found, by_time) = bad_files::work(&args.lib, library, |library| {
         let found = report(library, &question, |done, of| say::progress("surfaces", done, of));
         let found = found.map_err(|error| args.failure(error))?;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use super::bad_files;
 use super::choose::{split, within};
+use super::condition::WhereArgs;
 use super::method::{AnswerArgs, MethodArgs};
 use super::show::{listed, quoted};
 use super::{Done, Failure, SourceArgs, paper, parsed, say, show};
@@ -68,6 +69,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "GROUPS", conflicts_with = "paper", value_parser = groups)]
     leave_surfaces_out: Option<usize>,
     #[command(flatten)]
+    only: WhereArgs,
+    #[command(flatten)]
     answers: AnswerArgs,
     /// Print one JSON document on stdout
     #[arg(long)]
@@ -94,7 +97,8 @@ pub(super) fn run(args: &Args) -> Done {
     let mut report = match feature_tables::open(data)? {
         Some(tables) => on_tables(args, &tables)?,
         None => {
-            let library = super::open_held(data)?;
+            let mut library = super::open_held(data)?;
+            args.only.keep(data, &mut library)?;
             if args.paper {
                 return bad_files::work(data, library, |library| {
                     paper::run(library, &args.method, args.shard, args.out.as_deref(), args.json)

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use serde::Serialize;
 
+use super::condition::WhereArgs;
+use super::live::session;
 use super::method::ComparingArgs;
 use super::{Done, Failure, bad_files, check, say, show};
 use crate::dataset;
@@ -14,7 +16,7 @@ use crate::record::edit::{self, Editor, LibraryLock, ListedTrial, Step};
 use crate::scene::Scene;
 use crate::trial::{TrialKey, normal};
 
-/// List the trials of a library, rename, move, remove and restore them
+/// List the trials of a library, rename, move, remove and restore them, and set their session
 ///
 /// A trial is given by its folder, SURFACE/TRIAL, or its file, SURFACE/FILE.wav, as `list` shows
 /// it; a SURFACE alone means all its trials. Removed trials are kept in LIBRARY/.removed, and every
@@ -23,6 +25,7 @@ use crate::trial::{TrialKey, normal};
 #[command(after_help = "Examples:\n  surfaced library list my-library\n  \
                         surfaced library rename my-library oak oak-sanded\n  \
                         surfaced library remove my-library oak/anna-03\n  \
+                        surfaced library session my-library oak --to monday\n  \
                         surfaced library undo my-library\n\nTime: edits take a moment; list \
                         without --quick takes as long as surfaced check")]
 pub(super) struct Args {
@@ -32,7 +35,7 @@ pub(super) struct Args {
 
 #[derive(Subcommand)]
 enum Edit {
-    /// List the trials: date, user, flaws, and the name that each gets when it is left out
+    /// List the trials: date, user, session, flaws, and the name that each gets when it is left out
     List(ListArgs),
     /// Give all trials of a surface another label
     Rename {
@@ -53,6 +56,18 @@ enum Edit {
         /// The new label
         #[arg(long, value_name = "LABEL")]
         to: String,
+    },
+    /// Give some trials another session, or none: one sitting of one person at one place
+    #[command(group = clap::ArgGroup::new("session").required(true))]
+    Session {
+        #[command(flatten)]
+        of: TrialsArgs,
+        /// The new session
+        #[arg(long, value_name = "NAME", group = "session", value_parser = session)]
+        to: Option<String>,
+        /// Take the session away
+        #[arg(long, group = "session")]
+        none: bool,
     },
     /// Remove trials; `restore` brings them back
     Remove(TrialsArgs),
@@ -103,6 +118,9 @@ pub(super) fn run(args: &Args) -> Done {
         }
         Edit::Move { of: TrialsArgs { library, trials }, to } => {
             (library, editor(library)?.move_to(&all_normal(trials), &named(to)?)?)
+        }
+        Edit::Session { of: TrialsArgs { library, trials }, to, none: _ } => {
+            (library, editor(library)?.set_session(&all_normal(trials), to.as_deref())?)
         }
         Edit::Remove(TrialsArgs { library, trials }) => {
             (library, editor(library)?.remove(&all_normal(trials))?)
@@ -156,7 +174,8 @@ fn editor(library: &Path) -> Result<Editor, Failure> {
 }
 
 fn moved(step: &Step) {
-    for one in &step.moves {
+    // A trial that only gets another session stays where it is.
+    for one in step.moves.iter().filter(|one| one.from != one.to) {
         say!("{} → {}", one.from, one.to);
     }
 }
@@ -185,7 +204,7 @@ fn list(args: &ListArgs) -> Done {
     let mut checked: BTreeMap<TrialKey, TrialCheck> = BTreeMap::new();
     if !args.quick && !args.removed {
         let how = args.comparing.resolve(None)?;
-        let report = check::audit(&args.library, &how, &say::progress)?;
+        let report = check::audit(&args.library, &how, &WhereArgs::default(), &say::progress)?;
         checked.extend(report.each.into_iter().map(|trial| (trial.key.clone(), trial)));
     }
     drop(lock);
@@ -197,7 +216,7 @@ fn list(args: &ListArgs) -> Done {
         LibraryRow { listed, verdict, named, margin, flaws }
     };
     let rows: Vec<LibraryRow> = listed.into_iter().map(row).collect();
-    let head = ["trial", "surface", "user", "recorded", ">length", "left out", "flaws"];
+    let head = ["trial", "surface", "user", "session", "recorded", ">length", "left out", "flaws"];
     show::result(args.json, &rows, |rows| show::table(&head, rows.iter().map(cells)));
     Ok(())
 }
@@ -213,6 +232,7 @@ fn cells(row: &LibraryRow) -> Vec<String> {
     };
     let started_at = started_at.clone().unwrap_or_else(|| "-".into());
     let (surface, user) = (key.surface.clone(), key.user.clone());
+    let session = key.session.clone().unwrap_or_else(|| "-".into());
     let length = format!("{seconds:.1} s");
-    vec![trial.clone(), surface, user, started_at, length, verdict, row.flaws.join("; ")]
+    vec![trial.clone(), surface, user, session, started_at, length, verdict, row.flaws.join("; ")]
 }

@@ -8,6 +8,7 @@ use std::time::Duration;
 use crossbeam_channel::Sender;
 
 use super::choose::within;
+use super::condition::WhereArgs;
 use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_signals};
@@ -32,6 +33,7 @@ use crate::station::{
     ScanStore, Station, StationEvent, assemble,
 };
 use crate::system;
+use crate::trial::checked_session;
 
 /// Name of the folder, inside the library, that holds answers not sent yet.
 const OUTBOX: &str = ".outbox";
@@ -51,6 +53,10 @@ pub(super) struct StationArgs {
     /// udp://HOST:PORT, or - for standard input. With --config, it replaces the port of its [[lines]]
     #[arg(long, value_name = "PORT", allow_hyphen_values = true)]
     lines: Option<LinesAddress>,
+    /// The session that new trials belong to, a sitting of one person at one place (default: the time
+    /// of this start, such as 2026-11-25T10:42)
+    #[arg(long, value_name = "NAME", value_parser = session)]
+    session: Option<String>,
     /// Print lines of JSON on stdout
     #[arg(long)]
     json: bool,
@@ -58,7 +64,17 @@ pub(super) struct StationArgs {
     serve: ServeArgs,
 }
 
+pub(super) fn session(name: &str) -> Result<String, String> {
+    checked_session(name).map_err(|problem| format!("the name {problem}"))
+}
+
 impl StationArgs {
+    /// The session that was named, or else one that is called by the local time.
+    fn session(&self) -> String {
+        let now = || jiff::Zoned::now().strftime("%Y-%m-%dT%H:%M").to_string();
+        self.session.clone().unwrap_or_else(now)
+    }
+
     /// The options that describe the station, as the user types them in a suggested command.
     pub(super) fn typed(&self) -> String {
         let config = self.config.as_ref().map(|path| format!(" --config {}", quoted(path)));
@@ -168,7 +184,10 @@ pub(super) fn load(
 /// Returns a function that audits the library each time it is called.
 pub(super) fn check(path: &Path, how: &Comparing) -> Audit {
     let (path, how) = (path.to_path_buf(), how.clone());
-    Arc::new(move || super::check::audit(&path, &how, &|_, _, _| {}).map_err(Failure::text))
+    Arc::new(move || {
+        let all = WhereArgs::default();
+        super::check::audit(&path, &how, &all, &|_, _, _| {}).map_err(Failure::text)
+    })
 }
 
 /// The message when the station and its library have no source in common.
@@ -224,10 +243,11 @@ pub(super) fn work(
         folder: work.store,
         scene: config.scene.clone(),
         devices: assembled.device_of,
+        session: Some(args.session()),
         by_t_star: config.by_t_star.clone(),
     };
     let library = LibraryFolder { folder: store.folder.clone(), scene: store.scene.clone() };
-    let devices = store.devices.clone();
+    let (devices, session) = (store.devices.clone(), store.session.clone());
     let mut station = Station::new(assembled.devices, options);
     station.store = Some(store);
     let commands = station.commands();
@@ -243,7 +263,7 @@ pub(super) fn work(
     };
     let page = Page::default();
     if let Some(load) = work.load {
-        let sources = (&library.scene, devices);
+        let sources = (&library.scene, devices, session);
         station = keep_and_send(station, config, &library.folder, sources, (&mut settings, &page))?;
         station.load = Some(load);
     }
@@ -272,12 +292,13 @@ pub(super) fn work(
 
 /// Keeps the scans of a station, and sends its answers to the configured outputs. Scans and unsent
 /// answers lie in `folder`. If scans cannot be kept, a warning gives the reason, and answers stay in
-/// memory until the program ends. `sources` holds the scene, and the device of each source.
+/// memory until the program ends. The third argument holds the scene, the device of each source, and the
+/// session.
 pub(super) fn keep_and_send<'a>(
     mut station: Station<'a>,
     config: &StationConfig,
     folder: &Path,
-    (scene, devices): (&Scene, BTreeMap<String, String>),
+    (scene, devices, session): (&Scene, BTreeMap<String, String>, Option<String>),
     (settings, page): (&mut Settings, &Page),
 ) -> Result<Station<'a>, Failure> {
     if config.keep_mb > 0 {
@@ -287,8 +308,8 @@ pub(super) fn keep_and_send<'a>(
                 settings.history = Arc::new(history);
                 // The scene states no rate, so that scans are kept at whatever rate they have.
                 let scene = scene.clone().changed(|spec| spec.rate_hz = None);
-                station =
-                    station.listener(Keeper::start(settings.history.clone(), scene, devices)?);
+                let history = settings.history.clone();
+                station = station.listener(Keeper::start(history, scene, devices, session)?);
             }
             Err(error) => say!("warning: scans are not kept: {error}"),
         }

@@ -10,6 +10,7 @@ mod chart;
 mod check;
 mod choose;
 mod compare;
+mod condition;
 mod devices;
 mod duration;
 mod enroll;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::choose::{Choice, choose, within};
+use super::condition::WhereArgs;
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
 use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs};
@@ -15,7 +16,7 @@ use super::{Done, Failure, bad_files, live, say};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds, in_libraries};
-use crate::library::Entry;
+use crate::library::{Entry, Library};
 use crate::recognise::{
     LOOK_S, Method, MethodName, Model, ReadyModel, RecogniseError, ready_model,
 };
@@ -50,6 +51,8 @@ pub(super) struct Args {
     protocol: Option<Protocol>,
     #[command(flatten)]
     comparing: ComparingArgs,
+    #[command(flatten)]
+    only: WhereArgs,
     #[command(flatten)]
     answers: AnswerArgs,
     #[command(flatten)]
@@ -87,8 +90,8 @@ pub(super) fn run(args: &Args) -> Done {
     let library = args.library.as_deref().map(LibraryLock::for_reading);
     let stage = match (&args.data, &args.library) {
         (None, _) => demonstration(&how)?,
-        (Some(data), None) => by_protocol(&how, data, args.protocol)?,
-        (Some(data), Some(library)) => against(&how, data, library)?,
+        (Some(data), None) => by_protocol(&how, played(args, data)?, data, args.protocol)?,
+        (Some(data), Some(library)) => against(args, &how, data, library)?,
     };
     play(args, &how, stage, library)?;
     if !args.json {
@@ -126,13 +129,19 @@ fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
     Ok(ReplayStage { name: library.name, scene, entries, folds, synthetic: true, cache: None })
 }
 
+/// The recordings to play. Those that cannot be read are left out here, since all are played.
+fn played(args: &Args, data: &Path) -> Result<Library, Failure> {
+    let (mut library, _) = bad_files::readable(data, super::open_held(data)?)?;
+    args.only.keep(data, &mut library)?;
+    Ok(library)
+}
+
 fn by_protocol(
     how: &Comparing,
+    data: Library,
     folder: &Path,
     protocol: Option<Protocol>,
 ) -> Result<ReplayStage, Failure> {
-    // All recordings are played, so those that cannot be read are left out here.
-    let (data, _) = bad_files::readable(folder, super::open_held(folder)?)?;
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();
     let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
@@ -143,7 +152,12 @@ fn by_protocol(
     Ok(ReplayStage { name, scene, entries, folds, synthetic, cache })
 }
 
-fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, Failure> {
+fn against(
+    args: &Args,
+    how: &Comparing,
+    data: &Path,
+    library: &Path,
+) -> Result<ReplayStage, Failure> {
     let same = |path: &Path| path.canonicalize().ok();
     if same(data).is_some() && same(data) == same(library) {
         let problem = "data and library are one folder, so each trial would meet itself; leave \
@@ -151,8 +165,8 @@ fn against(how: &Comparing, data: &Path, library: &Path) -> Result<ReplayStage, 
         return Err(Failure::usage_at(data, problem));
     }
     let cache = how.cache_in(library);
-    // Data to play that cannot be read are left out here. For the library, the cache may be enough.
-    let (data, _) = bad_files::readable(data, super::open_held(data)?)?;
+    // Of the library, unreadable data may stay, since the cache may be enough.
+    let data = played(args, data)?;
     let library = super::open_held(library)?;
     let synthetic = data.synthetic || library.synthetic;
     let (scene, of_data) = (how.narrow(library.scene.clone())?, how.narrow(data.scene.clone())?);
@@ -210,7 +224,7 @@ fn play(
         config.keep_mb = 0;
     }
     let (page, folder) = (Page::default(), args.library.as_deref().unwrap_or(until_end.path()));
-    let sources = (&stage.scene, BTreeMap::new());
+    let sources = (&stage.scene, BTreeMap::new(), None);
     station = live::keep_and_send(station, &config, folder, sources, (&mut settings, &page))?;
     let (mut station, server) = args.serve.start(station, settings, &page)?;
     // The page can be seen while the models are made; a signal then ends the program at once.

@@ -35,6 +35,8 @@ struct Work {
     history: Arc<History>,
     scene: Scene,
     devices: BTreeMap<String, String>,
+    /// The session of the scans, which trials made of them get.
+    session: Option<String>,
     /// Ids of scans that have their signals on disk, but not their notes yet. The thread that removes
     /// an id reports that scan as kept.
     without_notes: Mutex<BTreeSet<String>>,
@@ -59,8 +61,8 @@ struct NearestView {
 type Written = (Arc<AnsweredScan>, PathBuf);
 
 impl Keeper {
-    /// Starts the threads that write scans into a history. `scene` describes the sources, and `devices`
-    /// names the device of each source.
+    /// Starts the threads that write scans into a history. `scene` describes the sources, `devices`
+    /// names the device of each source, and `session` is the session of all scans.
     ///
     /// # Errors
     /// If a thread cannot be started.
@@ -68,10 +70,12 @@ impl Keeper {
         history: Arc<History>,
         scene: Scene,
         devices: BTreeMap<String, String>,
+        session: Option<String>,
     ) -> std::io::Result<Self> {
         let ((scans, to_keep), (notes, to_note)) = (bounded(QUEUE), bounded(QUEUE));
         let (working, ended) = bounded::<Infallible>(0);
-        let work = Arc::new(Work { history, scene, devices, without_notes: Mutex::default() });
+        let without_notes = Mutex::default();
+        let work = Arc::new(Work { history, scene, devices, session, without_notes });
         let (writer, annotator) = (work.clone(), work.clone());
         let thread = |name: &str| std::thread::Builder::new().name(name.into());
         thread("history").spawn(move || writer.write_all(&to_keep, &notes))?;
@@ -151,7 +155,7 @@ impl Work {
         // The trial is not `durable`, since waiting for the disk takes long and power failures are rare.
         let options = TrialOptions { about, durable: false };
         let user = answer.id.rsplit_once('-').map_or(answer.id.as_str(), |(moment, _)| moment);
-        let key = TrialKey::new(SCANS, user, answer.scan);
+        let key = TrialKey::new(SCANS, user, answer.scan).with_session(self.session.clone());
         let trial = Trial { key, signals: scan.trial.signals.clone() };
         Ok(Some(write_trial(&root, &trial, &self.scene, &options)?))
     }

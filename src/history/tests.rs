@@ -77,7 +77,8 @@ fn what_was_answered_kept_and_corrected_is_there_after_a_restart() {
 fn a_scan_without_a_name_is_kept_with_its_reason_and_its_signals() {
     let dir = tempfile::tempdir().unwrap();
     let history = Arc::new(History::open(dir.path(), 1 << 20).unwrap());
-    let mut keeper = Keeper::start(history.clone(), Scene::lmt108(), BTreeMap::new()).unwrap();
+    let mut keeper =
+        Keeper::start(history.clone(), Scene::lmt108(), BTreeMap::new(), None).unwrap();
     let silence = Signal::Series(Series::new(10_000.0, 1, vec![0.0; 100]).unwrap());
     for (number, signals) in
         [(1, BTreeMap::from([(SourceId::new("ir").unwrap(), silence)])), (2, BTreeMap::new())]

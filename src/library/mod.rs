@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Signal, Trial, TrialKey, checked_label, normal};
+use crate::trial::{Signal, Trial, TrialKey, checked_session, normal};
 
 #[derive(Debug, thiserror::Error)]
 pub enum LibraryError {
@@ -238,6 +238,15 @@ impl Entry {
         self.loader.places()
     }
 
+    /// What the trial's `trial.toml` says; nothing for a trial without a folder.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or is wrong.
+    pub(crate) fn about(&self) -> Result<About, LibraryError> {
+        let folder = self.places().into_iter().find(|place| place.is_dir());
+        folder.map_or_else(|| Ok(About::default()), About::read)
+    }
+
     pub(crate) fn cache_name(&self) -> String {
         let TrialKey { surface, user, number, session } = &self.key;
         let session = session.as_ref().map(|session| format!("\n{session}")).unwrap_or_default();
@@ -290,7 +299,7 @@ pub(crate) fn unreadable(entries: &[Entry]) -> Vec<Unreadable> {
 pub(crate) const ABOUT_FILE: &str = "trial.toml";
 
 /// The content of `trial.toml`: surface, user, session, start, notes and devices of one recorded trial.
-/// Every key is optional; unknown keys are refused.
+/// Every key is optional; unknown keys are refused, except in the table `[meta]`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct About {
@@ -318,7 +327,14 @@ pub struct About {
     /// Frames that `import csv` filled in, by source: their count, and which they are.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub interpolated: BTreeMap<String, String>,
+    /// Keys of one's own, such as a force or a tool: text, numbers and truth values. They are kept,
+    /// and trials are chosen by them.
+    #[serde(skip_serializing_if = "toml::Table::is_empty")]
+    pub meta: toml::Table,
 }
+
+/// Keys of `trial.toml` that a trial is chosen by, which `[meta]` may not hold as well.
+const NOT_META: [&str; 6] = ["surface", "user", "trial", "session", "synthetic", "incomplete"];
 
 fn date_or_text<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<String>, D::Error> {
     match toml::Value::deserialize(from)? {
@@ -352,8 +368,13 @@ impl About {
     }
 
     fn from_toml(text: &str) -> Result<Self, String> {
-        let mut about: Self =
-            toml::from_str(text).map_err(|error| error.to_string().trim_end().to_string())?;
+        let mut about: Self = toml::from_str(text).map_err(|error| {
+            let advice = match error.message().starts_with("unknown field") {
+                true => "\nput keys of your own under a line `[meta]`, at the end of the file",
+                false => "",
+            };
+            format!("{}{advice}", error.to_string().trim_end())
+        })?;
         for name in [&mut about.surface, &mut about.user].into_iter().flatten() {
             *name = normal(name);
         }
@@ -361,9 +382,27 @@ impl About {
         if let Some((key, _)) = names.iter().find(|(_, name)| name.as_deref() == Some("")) {
             return Err(format!("{key} = \"\"; write a name, or remove the line"));
         }
-        about.session = (about.session.as_deref().map(checked_label).transpose())
+        about.session = (about.session.as_deref().map(checked_session).transpose())
             .map_err(|problem| format!("session {problem}"))?;
+        about.meta.iter().try_for_each(|(key, value)| check_meta(key, value))?;
         Ok(about)
+    }
+}
+
+/// Refuses a key of `[meta]` that would be overlooked, or that no condition can compare.
+fn check_meta(key: &str, value: &toml::Value) -> Result<(), String> {
+    if NOT_META.contains(&key) {
+        return Err(format!("{key} stands under [meta]; move it above the line `[meta]`"));
+    }
+    match value {
+        toml::Value::String(_)
+        | toml::Value::Integer(_)
+        | toml::Value::Float(_)
+        | toml::Value::Boolean(_) => Ok(()),
+        other => Err(format!(
+            "{key} under [meta] is of the type {}; expected text in quotes, a number, true or false",
+            other.type_str()
+        )),
     }
 }
 
@@ -385,15 +424,44 @@ mod tests {
             scan: Some(toml::toml! { drag_s = [0.5, 5.3] }),
             devices: BTreeMap::from([("mi2".into(), "hw:1".into())]),
             interpolated: BTreeMap::from([("acc".into(), "2 of 100: 7-8".into())]),
+            meta: toml::toml! { force_n = 1.5
+            passes = 3
+            tool = "steel tip"
+            wet = false },
         };
         assert_eq!(About::from_toml(&about.to_toml()), Ok(about));
         assert_eq!(About::from_toml(""), Ok(About::default()));
     }
 
     #[test]
-    fn a_session_is_a_label() {
+    fn an_unknown_key_is_refused_with_the_advice_to_put_it_under_meta() {
+        let error = About::from_toml("user = \"anna\"\nforce_n = 2\n").unwrap_err();
+        assert!(error.contains("line 2") && error.contains("force_n"), "{error}");
+        assert!(error.contains("`[meta]`"), "{error}");
+        let other = About::from_toml("trial = \"x\"").unwrap_err();
+        assert!(!other.contains("[meta]"), "{other}");
+    }
+
+    #[test]
+    fn meta_holds_text_numbers_and_truth_values_and_no_key_of_the_trial() {
+        let meta = |text: &str| About::from_toml(&format!("[meta]\n{text}"));
+        assert!(meta("tool = \"tip\"\nforce_n = 1\nspeed = 0.5\nwet = true").is_ok());
+        for (text, expected) in [
+            ("user = \"anna\"", "above the line"),
+            ("forces = [1, 2]", "type array"),
+            ("at = 2026-01-31", "type datetime"),
+        ] {
+            let error = meta(text).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_session_is_a_label_and_may_be_a_moment() {
         let session = |text: &str| About::from_toml(text).map(|about| about.session);
         assert_eq!(session("session = \" day 2 \""), Ok(Some("day 2".into())));
+        let moment = "2026-11-25T10:42";
+        assert_eq!(session(&format!("session = \"{moment}\"")), Ok(Some(moment.into())));
         let error = session("session = \"a/b\"").unwrap_err();
         assert!(error.starts_with("session holds '/'"), "{error}");
         assert!(session("session = \"\"").unwrap_err().contains("is empty"));

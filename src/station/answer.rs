@@ -27,9 +27,11 @@ pub struct Answer {
     pub state: AnswerState,
     /// The surface named; `None` if the scan fits no surface or could not be compared.
     pub surface: Option<String>,
-    /// The true surface, if a recording states it; `user` and `trial` also come from the recording.
+    /// The true surface, if a recording states it; `user`, `session` and `trial` also come from the
+    /// recording.
     pub truth: Option<String>,
     pub user: Option<String>,
+    pub session: Option<String>,
     pub trial: Option<u32>,
     /// Whether the scan was generated, not measured.
     pub synthetic: bool,
@@ -111,6 +113,7 @@ impl Answer {
             scan: scan.number,
             truth: truth.and_then(|key| key.label().map(String::from)),
             user: truth.map(|key| key.user.clone()),
+            session: truth.and_then(|key| key.session.clone()),
             trial: truth.map(|key| key.number),
             synthetic: scan.synthetic,
             latency_ms,

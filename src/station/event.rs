@@ -57,6 +57,8 @@ pub struct Enrolled {
     pub scan: u32,
     pub surface: String,
     pub user: String,
+    /// Session of the new trial; `None` if it has none, or the scan was not kept.
+    pub session: Option<String>,
     pub outcome: EnrolledOutcome,
     /// Number of the new trial; `None` if the scan was not kept.
     pub trial: Option<u32>,

@@ -33,13 +33,16 @@ pub struct ScanStore {
     pub folder: PathBuf,
     pub scene: Scene,
     pub devices: BTreeMap<String, String>,
+    /// The session of the trials: the sitting in which they are recorded.
+    pub session: Option<String>,
     /// A good trial must hold enough independent samples of each of these sources, judged by T*.
     pub by_t_star: Vec<SourceId>,
 }
 
 impl ScanStore {
     pub fn new(folder: PathBuf, scene: Scene) -> Self {
-        Self { folder, scene, devices: BTreeMap::new(), by_t_star: Vec::new() }
+        let (devices, session, by_t_star) = (BTreeMap::new(), None, Vec::new());
+        Self { folder, scene, devices, session, by_t_star }
     }
 }
 
@@ -242,7 +245,7 @@ impl StoreWriter {
             devices: self.store.devices.clone(),
             ..About::default()
         };
-        let key = TrialKey::new(&of.0, &of.1, number);
+        let key = TrialKey::new(&of.0, &of.1, number).with_session(self.store.session.clone());
         let trial = Trial { key, signals: scan.trial.signals.clone() };
         let options = TrialOptions { about, durable: true };
         let stored = append_trial(&self.store.folder, &trial, &self.store.scene, &options)?;
@@ -260,7 +263,8 @@ impl StoreWriter {
     fn kept(&self, of: WaitingScan, (trial, folder): (u32, PathBuf)) {
         let WaitingScan { scan, enrolment, by, doubts } = of;
         let enrolled = enrolled(scan.number, &enrolment, EnrolledOutcome::Kept, doubts);
-        let enrolled = Enrolled { trial: Some(trial), folder: Some(folder), ..enrolled };
+        let session = self.store.session.clone();
+        let enrolled = Enrolled { session, trial: Some(trial), folder: Some(folder), ..enrolled };
         // Sending fails only if the station has panicked or has stopped waiting, as in `report`.
         let _ = self.send.send(StoredScan { enrolment, enrolled, kept: by.map(|by| (scan, by)) });
     }
@@ -287,7 +291,7 @@ impl StoreWriter {
     }
 }
 
-/// Makes the outcome of a scan. The number and folder of its trial are added later.
+/// Makes the outcome of a scan. Session, number and folder of its trial are added later.
 pub(super) fn enrolled(
     scan: u32,
     of: &Enrolment,
@@ -298,6 +302,7 @@ pub(super) fn enrolled(
         scan,
         surface: of.keep.surface.clone(),
         user: of.keep.user.clone(),
+        session: None,
         outcome,
         trial: None,
         folder: None,

@@ -13,8 +13,18 @@ pub(crate) fn normal(label: &str) -> String {
 /// Returns a label in normal form, without outer spaces. Refuses labels that are unsafe in file names,
 /// pages or terminals; the message continues a sentence that begins with the field.
 pub(crate) fn checked_label(label: &str) -> Result<String, String> {
+    checked(label, MARKS)
+}
+
+/// Like [`checked_label`], for the name of a session. It may be a moment, such as `2026-11-25T10:42`,
+/// since no file is named after it.
+pub(crate) fn checked_session(name: &str) -> Result<String, String> {
+    checked(name, &format!("{MARKS}:"))
+}
+
+fn checked(label: &str, marks: &str) -> Result<String, String> {
     let label = normal(label.trim());
-    let odd = label.chars().find(|&c| !(c.is_alphanumeric() || c == ' ' || MARKS.contains(c)));
+    let odd = label.chars().find(|&c| !(c.is_alphanumeric() || c == ' ' || marks.contains(c)));
     if label.is_empty() {
         Err("is empty; give it a name, such as \"oak\"".into())
     } else if label.chars().count() > LONGEST {
@@ -22,7 +32,7 @@ pub(crate) fn checked_label(label: &str) -> Result<String, String> {
     } else if label.starts_with('.') {
         Err("begins with a dot; begin it with a letter or digit".into())
     } else if let Some(odd) = odd {
-        let marks = MARKS.chars().map(String::from).collect::<Vec<_>>().join(" ");
+        let marks = marks.chars().map(String::from).collect::<Vec<_>>().join(" ");
         Err(format!("holds {odd:?}; use letters, digits, spaces and {marks}"))
     } else {
         Ok(label)

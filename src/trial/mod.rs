@@ -8,7 +8,7 @@ pub use channel_flaws::SeriesFlaws;
 pub(crate) use channel_flaws::{flaws_of, is_plain, usual_rests};
 pub use doubt::Doubt;
 pub(crate) use doubt::lines;
-pub(crate) use label::{checked_label, normal};
+pub(crate) use label::{checked_label, checked_session, normal};
 
 use std::collections::BTreeMap;
 

@@ -222,6 +222,7 @@ pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
         state: if known { AnswerState::Named } else { AnswerState::Unknown },
         truth: None,
         user: None,
+        session: None,
         trial: None,
         synthetic: false,
         ranked: vec![score("oak", if known { 0.5 } else { 9.5 }), score("beech", 10.0)],

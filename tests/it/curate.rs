@@ -197,3 +197,49 @@ fn eval_and_replay_wait_for_an_edit_under_way() {
         assert!(child.wait().unwrap().success(), "{reader:?}");
     }
 }
+
+#[test]
+fn sessions_and_keys_of_ones_own_are_set_listed_and_chosen_by() {
+    let dir = tempfile::tempdir().unwrap();
+    let library = library(dir.path());
+    let surface = trials(&library)[0].1.clone();
+    done(&["library", "session", &library, &surface, "--to", "2026-11-25T10:42"]);
+    let listed = done(&["library", "list", &library, "--quick"]);
+    assert!(listed.contains("session") && listed.contains("2026-11-25T10:42"), "{listed}");
+    for (at, (trial, _)) in trials(&library).iter().enumerate() {
+        let path = Path::new(&library).join(trial).join("trial.toml");
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, format!("{text}[meta]\nforce_n = {}\n", at % 4)).unwrap();
+    }
+    let evaluated = |wheres: &[&str]| {
+        let wheres = wheres.iter().flat_map(|one| ["--where", one]);
+        let first = ["eval", &library, "--no-cache", "--json"].into_iter();
+        surfaced(&first.chain(wheres).collect::<Vec<_>>())
+    };
+    let queries = |wheres: &[&str]| {
+        let output = evaluated(wheres);
+        assert!(output.status.success(), "{}", said(&output));
+        serde_json::from_slice::<Value>(&output.stdout).unwrap()["queries"].clone()
+    };
+    assert_eq!(queries(&[]), 12);
+    assert_eq!(queries(&["force_n>=1"]), 9);
+    assert_eq!(queries(&["force_n>=1", "force_n!=3"]), 6);
+    for (condition, expected) in [
+        ("forse_n>=1", "no trial has the key `forse_n`"),
+        ("force_n>9", "no trial fits force_n>9"),
+        ("force_n=hard", "cannot be compared with hard"),
+    ] {
+        let output = evaluated(&[condition]);
+        assert_eq!(output.status.code(), Some(2), "{condition}");
+        assert!(said(&output).contains(expected), "{}", said(&output));
+    }
+    for command in [&["check"][..], &["duration"], &["replay"], &["chart", "--out", "x.svg"]] {
+        let wrong = [command, &[&library, "--where", "forse_n=1"]].concat();
+        assert!(said(&surfaced(&wrong)).contains("no trial has the key"), "{command:?}");
+    }
+    let alone = ["library", "session", &library, &surface, "--none"];
+    done(&alone);
+    assert!(!done(&["library", "list", &library, "--quick"]).contains("10:42"));
+    done(&["library", "undo", &library]);
+    assert!(done(&["library", "list", &library, "--quick"]).contains("10:42"));
+}

@@ -242,7 +242,7 @@ fn of_a_station_that_keeps_scans_and_cannot_say_what_they_are_like() {
 fn of_a_station_whose_history_cannot_say_why() {
     let folder = tempfile::tempdir().unwrap();
     let history = Arc::new(History::open(folder.path(), 1 << 30).unwrap());
-    let keeper = Keeper::start(history, Scene::lmt108(), BTreeMap::new()).unwrap();
+    let keeper = Keeper::start(history, Scene::lmt108(), BTreeMap::new(), None).unwrap();
     let station = |station: Station<'static>| named_by(station, "explain").listener(keeper);
     assert_eq!(unnamed(station), Vec::<u32>::new());
     // As it is on disk, with the signals of every scan.
@@ -284,7 +284,7 @@ fn of_a_station_in_which_everything_hangs_at_once() {
     };
     let shown = (&history, &Arc::default());
     let outputs = Output::start(&outputs, &folder.path().join(".outbox"), shown).unwrap();
-    let keeper = Keeper::start(history.clone(), Scene::lmt108(), BTreeMap::new()).unwrap();
+    let keeper = Keeper::start(history.clone(), Scene::lmt108(), BTreeMap::new(), None).unwrap();
     let library = LibraryFolder { folder: folder.path().to_path_buf(), scene: Scene::lmt108() };
     let settings = Settings {
         address: "127.0.0.1:0".parse().unwrap(),

@@ -203,6 +203,7 @@ fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
             scan: 4,
             surface: "ash".into(),
             user: "anna".into(),
+            session: None,
             outcome: EnrolledOutcome::Kept,
             trial: Some(1),
             folder: None,

@@ -82,7 +82,7 @@ fn reviewed(dir: &Path, scans: u32) -> Served {
     let trial = Trial { key: TrialKey::new("oak", "anna", 1), signals: signals() };
     write_trial(&library, &trial, &scene, &TrialOptions::default()).unwrap();
     let history = Arc::new(History::open(&library.join(".history"), 1 << 24).unwrap());
-    let mut keeper = Keeper::start(history.clone(), scene.clone(), BTreeMap::new()).unwrap();
+    let mut keeper = Keeper::start(history.clone(), scene.clone(), BTreeMap::new(), None).unwrap();
     for number in 1..=scans {
         let scan = Box::new(Scan { scan_s: 0.2, ..Scan::of_signals(number, signals()) });
         let answer = Arc::new(answer(number, Some("oak")));

@@ -94,15 +94,13 @@ pub(super) fn places(root: &Path) -> Vec<(String, String)> {
 }
 
 fn listed(root: &Path, entry: &Entry) -> ListedTrial {
-    let folder = entry.places().into_iter().find(|place| place.is_dir());
     // Unreadable sources are left out here; `surfaced check` reports them.
     let seconds = entry.outlines().unwrap_or_default();
     let seconds = seconds.values().map(|of| of.frames as f64 / of.rate_hz);
-    let started_at = |folder| About::read(folder).ok()?.started_at;
     ListedTrial {
         trial: entry.name_in(root),
         key: entry.key.clone(),
-        started_at: folder.and_then(started_at),
+        started_at: entry.about().ok().and_then(|about| about.started_at),
         sources: entry.sources.clone(),
         seconds: seconds.fold(0.0, f64::max),
     }

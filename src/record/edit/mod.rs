@@ -149,6 +149,32 @@ impl Editor {
         self.take(what, plan.moves)
     }
 
+    /// Gives trials another session, or none. In `names`, a surface stands for all of its trials.
+    ///
+    /// # Errors
+    /// If there is no such trial, a trial has no folder and so no `trial.toml`, or the file system
+    /// refuses (see [`Editor::rename`]).
+    pub fn set_session(
+        &mut self,
+        names: &[String],
+        session: Option<&str>,
+    ) -> Result<Step, LibraryError> {
+        let entries = trials(&self.root, &self.scene)?;
+        let gone = removed(&self.root, &self.scene)?;
+        let mut chosen = self.choose(&self.root, &entries, names)?;
+        chosen.retain(|entry| entry.key.session.as_deref() != session);
+        let leaving = chosen.iter().flat_map(|entry| entry.places()).map(Path::to_path_buf);
+        let mut plan = Plan::new(&self.root, [&entries, &gone], &leaving.collect());
+        for entry in chosen {
+            let wanted = entry.key.clone().with_session(session.map(String::from));
+            for place in entry.places() {
+                plan.stay(place, &entry.key, &wanted)?;
+            }
+        }
+        let to = session.map_or("none".to_string(), |session| format!("`{session}`"));
+        self.take(format!("set the session of {} to {to}", names.join(", ")), plan.moves)
+    }
+
     /// Removes trials. In `names`, a surface stands for all of its trials.
     ///
     /// # Errors

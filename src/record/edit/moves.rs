@@ -54,6 +54,24 @@ impl<'a> Plan<'a> {
         Ok(())
     }
 
+    /// Plans to give a folder's trial the name `wanted`, with another number if that one is taken, but
+    /// to leave the folder where it is. Fails for a file, which has no `trial.toml`.
+    pub(super) fn stay(
+        &mut self,
+        folder: &Path,
+        was: &TrialKey,
+        wanted: &TrialKey,
+    ) -> Result<(), LibraryError> {
+        if folder.is_file() {
+            let problem = "this trial has no folder, and so no trial.toml that could say more of it; \
+                           put it into a folder SURFACE/TRIAL of its own";
+            return Err(LibraryError::file(folder, problem));
+        }
+        let is = self.free_key(wanted);
+        self.add(folder, folder.to_path_buf(), Some(was.clone()), Some(is));
+        Ok(())
+    }
+
     /// The folder for a label: an existing folder, as it is spelt on disk, or else a new one.
     fn folder_of_label(&self, file: &Path, label: &str) -> Result<PathBuf, LibraryError> {
         let there = files::list(self.root)?.into_iter();
@@ -87,7 +105,8 @@ impl<'a> Plan<'a> {
             true => was.clone(),
             false => self.free_key(was),
         });
-        if let Some(key) = was.as_ref().filter(|key| Some(*key) != one.was.as_ref()) {
+        let moves = one.from != one.to;
+        if let Some(key) = was.as_ref().filter(|key| moves && Some(*key) != one.was.as_ref()) {
             to = trial_folder(self.root, key);
         }
         self.add(&from, to, one.is.clone(), was);
@@ -104,7 +123,8 @@ impl<'a> Plan<'a> {
         key
     }
 
-    /// Adds a move of a trial to a path or, if it is taken, to a free path beside it, as `NAME-2`.
+    /// Adds a move of a trial to a path or, if it is taken, to a free path beside it, as `NAME-2`. A
+    /// trial that gets another name may also stay where it is.
     pub(super) fn add(
         &mut self,
         from: &Path,
@@ -117,7 +137,7 @@ impl<'a> Plan<'a> {
         let (stem, end) = name.split_at(dot.unwrap_or(name.len()));
         let mut free = to;
         for n in 2.. {
-            if identity(&free).is_none() && !self.folders.contains(&free) {
+            if free == from || identity(&free).is_none() && !self.folders.contains(&free) {
                 break;
             }
             free.set_file_name(format!("{stem}-{n}{end}"));
@@ -132,6 +152,7 @@ impl<'a> Plan<'a> {
 /// path, where another trial may lie.
 fn is_moved(from: &Path, to: &Path, one: &Move) -> Option<bool> {
     match (identity(from), identity(to)) {
+        (there, _) if from == to => there.map(|_| true),
         (before, _) if before.is_some() && before == one.inode => Some(false),
         (_, after) if after.is_some() && after == one.inode => Some(true),
         // The inode differs, for example in a copy of the library. Then the existing path decides.

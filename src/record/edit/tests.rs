@@ -9,6 +9,7 @@ use std::fs;
 use super::disk::stops::refusing;
 use super::edited::{copy_trial, held, library, one};
 use super::*;
+use crate::library::About;
 
 #[test]
 fn a_trial_that_undo_put_elsewhere_is_found_there_by_the_next_undo() {
@@ -80,6 +81,46 @@ fn steps_of_version_0_2_are_known_and_many_are_halved() {
 }
 
 #[test]
+fn a_session_is_set_in_place_and_edits_keep_it_and_keys_of_ones_own() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    let path = root.join("oak/anna-01/trial.toml");
+    let text = fs::read_to_string(&path).unwrap();
+    let meta = "[meta]\nforce_n = 1.5\ntool = \"steel\"\nwet = true\n";
+    fs::write(&path, text + meta).unwrap();
+    let mut edit = Editor::open(root, &scene).unwrap();
+    let about = |name: &str| About::read(&root.join(name)).unwrap();
+    let step = edit.set_session(&one("oak/anna-01"), Some("monday")).unwrap();
+    assert_eq!((&*step.moves[0].from, &*step.moves[0].to), ("oak/anna-01", "oak/anna-01"));
+    assert_eq!(about("oak/anna-01").session.as_deref(), Some("monday"));
+    assert_eq!(about("oak/anna-02").session, None);
+    // What is so already is no step.
+    assert!(edit.set_session(&one("oak/anna-01"), Some("monday")).unwrap().moves.is_empty());
+    edit.rename("oak", "elm").unwrap();
+    let moved = about("elm/anna-01");
+    assert_eq!(moved.session.as_deref(), Some("monday"));
+    assert_eq!(
+        moved.meta,
+        toml::from_str::<toml::Table>(meta).unwrap()["meta"].clone().try_into().unwrap()
+    );
+    (0..2).for_each(|_| drop(edit.undo().unwrap()));
+    assert_eq!(about("oak/anna-01").session, None);
+    assert_eq!(held(root, &scene), ["ash/1", "oak/1", "oak/2"]);
+}
+
+#[test]
+fn a_trial_without_a_folder_gets_no_session() {
+    let (dir, scene) = library();
+    let root = dir.path();
+    fs::create_dir(root.join("elm")).unwrap();
+    fs::copy(root.join("oak/anna-01/ir.wav"), root.join("elm/scan 1.wav")).unwrap();
+    let mut edit = Editor::open(root, &scene).unwrap();
+    let error = edit.set_session(&one("elm"), Some("monday")).unwrap_err().to_string();
+    assert!(error.contains("no trial.toml"), "{error}");
+    assert_eq!(last_step(root).unwrap(), None);
+}
+
+#[test]
 fn a_letter_is_the_same_in_both_of_its_forms() {
     let (dir, scene) = library();
     let root = dir.path();
@@ -127,13 +168,22 @@ fn copy(from: &Path, to: &Path) {
 type Edit = fn(&mut Editor) -> Result<(), LibraryError>;
 
 /// The test cases: name, preparation of the library, and the edit that is cut short.
-const EDITS: [(&str, Edit, Edit); 9] = [
+const EDITS: [(&str, Edit, Edit); 11] = [
     ("rename", |_| Ok(()), |e| e.rename("oak", "ash").map(drop)),
     ("move", |_| Ok(()), |e| e.move_to(&["oak/anna-02".into(), "ash".into()], "elm").map(drop)),
     ("move all", |_| Ok(()), |e| e.move_to(&["oak".into(), "ash".into()], "elm").map(drop)),
     (
         "undo a move",
         |e| e.move_to(&["oak".into(), "ash".into()], "elm").map(drop),
+        |e| e.undo().map(drop),
+    ),
+    ("session", |_| Ok(()), |e| e.set_session(&["oak".into()], Some("monday")).map(drop)),
+    (
+        "undo a session",
+        |e| {
+            e.set_session(&["oak".into()], Some("monday"))?;
+            e.set_session(&["oak/anna-02".into()], None).map(drop)
+        },
         |e| e.undo().map(drop),
     ),
     ("remove", |_| Ok(()), |e| e.remove(&["oak".into()]).map(drop)),

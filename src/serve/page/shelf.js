@@ -32,7 +32,7 @@ async function edit(what, body) {
 
 // The results of the check, by trial.
 function found() {
-  const key = ({ surface, user, number }) => [surface, user, number].join("\n");
+  const key = ({ surface, user, number, session }) => [surface, user, number, session].join("\n");
   const by = new Map((check.report?.each ?? []).map((trial) => [key(trial), trial]));
   return (trial) => by.get(key(trial)) ?? null;
 }

@@ -32,6 +32,20 @@ fn enrolment() -> Enrolment {
 }
 
 #[test]
+fn a_trial_belongs_to_the_session_of_its_station() {
+    let dir = tempfile::tempdir().unwrap();
+    let session = Some("2026-11-25T10:42".to_string());
+    let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
+    let mut thread =
+        RecordingThread::start(ScanStore { session: session.clone(), ..store }).unwrap();
+    thread.store(scan(1), enrolment(), None);
+    let enrolled = thread.stored.recv().unwrap().enrolled;
+    assert_eq!((enrolled.outcome, &enrolled.session), (EnrolledOutcome::Kept, &session));
+    let library = dataset::open(dir.path(), &Scene::lmt108()).unwrap();
+    assert_eq!(library.entries[0].key.session, session);
+}
+
+#[test]
 fn a_scan_that_cannot_be_written_waits_and_is_written_once_it_can_be() {
     let dir = tempfile::tempdir().unwrap();
     // A file lies where the library's folder should be.
