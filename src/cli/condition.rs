@@ -11,8 +11,10 @@ use super::{Failure, show};
 use crate::library::{Entry, Library};
 use crate::trial::normal;
 
+type IsMet = fn(Ordering) -> bool;
+
 /// The comparisons, the longer ones first, so that `<=` is not read as `<`.
-const OPERATORS: [(&str, fn(Ordering) -> bool); 6] = [
+const OPERATORS: [(&str, IsMet); 6] = [
     ("!=", Ordering::is_ne),
     ("<=", Ordering::is_le),
     (">=", Ordering::is_ge),
@@ -33,7 +35,7 @@ pub(super) struct WhereArgs {
 #[derive(Clone, Debug)]
 struct Condition {
     key: String,
-    is_met: fn(Ordering) -> bool,
+    is_met: IsMet,
     value: String,
     /// The condition as it was typed.
     text: String,

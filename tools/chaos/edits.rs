@@ -149,7 +149,7 @@ impl Edited<'_> {
     fn review_scans(&self) -> Result<Served, Failure> {
         let history = Arc::new(History::open(&self.root.join(".history"), 1 << 24)?);
         let scene = self.scene.clone();
-        let mut keeper = Keeper::start(history.clone(), scene.clone(), BTreeMap::new())?;
+        let mut keeper = Keeper::start(history.clone(), scene.clone(), BTreeMap::new(), None)?;
         for number in 1..=SCANS {
             let scan = Scan { scan_s: 0.05, ..Scan::of_signals(number, self.signals()?.1) };
             let answer = Arc::new(Answer { doubts: Vec::new(), ..answer(number, Some("oak")) });
