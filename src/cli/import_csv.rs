@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::show::{self, counted, quoted};
 use super::{Done, Failure, bad_files, parsed};
 use crate::dataset::tables::{
-    self, Clock, Form, Gaps, Head, NamePattern, Read, Said, columns, npy,
+    self, Clock, Form, Gaps, Head, NamePattern, Read, Said, SessionOf, columns, npy,
 };
 use crate::library::{LibraryError, files};
 use crate::record::importing::Importing;
@@ -61,6 +61,10 @@ pub(super) struct CsvArgs {
     /// Column with the number of the trial
     #[arg(long, value_name = "COLUMN")]
     trial: Option<String>,
+    /// What names the session, one sitting of one person: a column, a pattern of the file names with
+    /// {session}, `file` (each file is a session), or `none` (default: {session} in --names, else none)
+    #[arg(long, value_name = "COLUMN|PATTERN|file|none")]
+    session: Option<String>,
     /// Pattern of the file names without extension; * matches any text
     #[arg(long, value_name = "PATTERN", default_value = "{surface}/{trial}", value_parser = pattern)]
     names: NamePattern,
@@ -102,6 +106,21 @@ fn pattern(text: &str) -> Result<NamePattern, String> {
     }
 }
 
+impl CsvArgs {
+    /// What names the session of a file's trials; `None` if a column does.
+    fn session_of(&self) -> Option<SessionOf> {
+        match self.session.as_deref() {
+            None => Some(SessionOf::Names),
+            Some("none") => Some(SessionOf::Nothing),
+            Some("file") => Some(SessionOf::File(self.tables.clone())),
+            Some(pattern) if pattern.contains("{session}") => {
+                Some(SessionOf::Pattern(NamePattern(pattern.into())))
+            }
+            Some(_) => None,
+        }
+    }
+}
+
 pub(super) fn run(args: &CsvArgs) -> Done {
     let (mut tables, mut bad) = (Vec::new(), Vec::new());
     args.tables.iter().try_for_each(|path| find(path, &mut tables, &mut bad))?;
@@ -118,6 +137,7 @@ pub(super) fn run(args: &CsvArgs) -> Done {
     let mut import = Import {
         form: &form,
         keys: BTreeSet::new(),
+        folders: BTreeSet::new(),
         taken: BTreeMap::new(),
         summary: Summary::default(),
     };
@@ -140,6 +160,9 @@ pub(super) fn run(args: &CsvArgs) -> Done {
             .map_or_else(|| Failure::Failed("no trial was found".into()), Failure::from));
     }
     import.summary.print(&form);
+    if args.session.is_none() && import.keys.iter().all(|key| key.session.is_none()) {
+        import.summary.propose_sessions(tables.len());
+    }
     bad_files::skip(&args.out, bad)?;
     let Some(staging) = staging else {
         say!("nothing is written; leave --dry-run out to write {}", args.out.display());
@@ -201,7 +224,8 @@ fn understood(
         return Err(LibraryError::of_all(unread).map_or_else(none, Failure::from));
     };
     let fail = |problem: String| Failure::from(LibraryError::file(path, problem));
-    let labels = [&args.surface, &args.user, &args.trial].map(Clone::clone);
+    let session = args.session.as_ref().filter(|_| args.session_of().is_none());
+    let labels = [&args.surface, &args.user, &args.trial, &session.cloned()].map(Clone::clone);
     let clock = match (args.rate, &args.time) {
         (Some(rate_hz), _) => Clock::Rate(rate_hz),
         (None, Some(column)) => Clock::Times { column: column.clone(), unit_s: args.time_unit },
@@ -231,6 +255,11 @@ fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Result<Form, F
     let Some(rate_hz) = args.rate else {
         return Err(Failure::Usage("the rate is not known: give --rate HZ".into()));
     };
+    if args.session_of().is_none() {
+        let problem =
+            "an array has no columns; give --session a pattern with {session}, file or none";
+        return Err(Failure::Usage(problem.into()));
+    }
     let mut sources = args.source.clone();
     if sources.is_empty() {
         let array = npy::Array::open(path, args.variable.as_deref(), most_unpacked)?;
@@ -246,7 +275,9 @@ fn form(args: &CsvArgs, most_unpacked: u64) -> Form {
     Form {
         sources: Vec::new(),
         clock: Clock::Rate(1.0),
-        labels: [None, None, None],
+        labels: [None, None, None, None],
+        // A column then stands among the labels.
+        session: args.session_of().unwrap_or(SessionOf::Nothing),
         names: args.names.clone(),
         variable: args.variable.clone(),
         array_labels: args.labels.clone(),
@@ -260,6 +291,8 @@ fn form(args: &CsvArgs, most_unpacked: u64) -> Form {
 struct Import<'a> {
     form: &'a Form,
     keys: BTreeSet<TrialKey>,
+    /// Surface, user and number of each trial, which name its folder.
+    folders: BTreeSet<TrialKey>,
     /// The highest number of the trials of each surface and user.
     taken: BTreeMap<(String, String), u32>,
     summary: Summary,
@@ -269,6 +302,14 @@ impl Import<'_> {
     fn count(&mut self, key: &TrialKey) {
         let taken = self.taken.entry((key.surface.clone(), key.user.clone())).or_default();
         *taken = key.number.max(*taken);
+    }
+
+    /// The number after those of all trials of the surface and user.
+    fn next_number(&mut self, key: &TrialKey) -> u32 {
+        let of = (key.surface.clone(), key.user.clone());
+        let most = self.taken.entry(of).or_default();
+        *most = most.saturating_add(1);
+        *most
     }
 
     /// Reads a table, and writes its trials.
@@ -282,7 +323,7 @@ impl Import<'_> {
             Some(staging) => staging.importing.folder.clone(),
             None => std::env::temp_dir(),
         };
-        let mut twice = Vec::new();
+        let (mut twice, mut trials) = (Vec::new(), 0);
         let said = tables::read(path, self.form, &scratch, &mut |keys, read| match read {
             None => {
                 keys.iter().for_each(|key| self.count(key));
@@ -290,9 +331,7 @@ impl Import<'_> {
             }
             Some(Read { mut trial, about, is_further }) => {
                 if is_further {
-                    let of = (trial.key.surface.clone(), trial.key.user.clone());
-                    trial.key.number = self.taken.get(&of).map_or(1, |most| most.saturating_add(1));
-                    self.count(&trial.key);
+                    trial.key.number = self.next_number(&trial.key);
                 }
                 if !self.keys.insert(trial.key.clone()) {
                     twice.push(format!(
@@ -301,6 +340,12 @@ impl Import<'_> {
                     ));
                     return Ok(());
                 }
+                // Each session may count its trials from 1.
+                if !self.folders.insert(trial.key.clone().with_session(None)) {
+                    trial.key.number = self.next_number(&trial.key);
+                    self.folders.insert(trial.key.clone().with_session(None));
+                }
+                trials += 1;
                 self.summary.add(&trial);
                 let Some(staging) = staging else { return Ok(()) };
                 let options = TrialOptions { durable: false, about };
@@ -310,6 +355,7 @@ impl Import<'_> {
         let problems = said.bad.iter().chain(&twice);
         bad.extend(problems.map(|problem| LibraryError::file(path, problem)));
         self.summary.said(said);
+        self.summary.of_several += usize::from(trials > 1);
         Ok(())
     }
 }
@@ -345,9 +391,22 @@ struct Summary {
     /// For each source and channel: its value if it never changes within a trial, by trial.
     constant: BTreeMap<(SourceId, usize), Option<BTreeSet<u32>>>,
     said: Said,
+    /// Tables that were cut into several trials.
+    of_several: usize,
 }
 
 impl Summary {
+    /// Where several of the tables were cut into trials, says that each may be a session.
+    fn propose_sessions(&self, tables: usize) {
+        if self.of_several > 0 && tables > 1 {
+            say!(
+                "{} of {tables} tables hold several trials; trials of one sitting resemble each other: \
+                 --session file makes each table a session, which `eval` leaves out as a whole",
+                self.of_several
+            );
+        }
+    }
+
     fn add(&mut self, trial: &Trial) {
         for (id, signal) in &trial.signals {
             if let Signal::Series(series) = signal {

@@ -605,3 +605,49 @@ proptest::proptest! {
         files::read(&[&[kind], &bytes[..]].concat());
     }
 }
+
+/// The trials that an import of two long tables makes: surface, number and session; and what it said.
+fn sessions(args: &[&str], of_runs: [[u32; 2]; 2]) -> (Vec<(u32, Option<String>)>, String) {
+    let (dir, _) = temp();
+    for (name, runs) in ["monday_1", "tuesday_1"].into_iter().zip(of_runs) {
+        let row = |at: usize, [x, ..]: [String; 3]| {
+            let (run, day) = (runs[usize::from(at >= ROWS / 2)], at / (ROWS / 2));
+            format!("oak,{run},day {day},{x}")
+        };
+        let text = table("material,run,day,f\n", row);
+        write_file(&dir.path().join(format!("in/{name}.csv")), text.as_bytes());
+    }
+    let (input, out) = (dir.path().join("in"), dir.path().join("out"));
+    let given = ["import", "csv", text(&input), "--out", text(&out), "--rate", "100"];
+    let labels = ["--surface", "material", "--trial", "run", "--source", "force=f"];
+    let output = surfaced(&[&given[..], &labels, args].concat());
+    assert!(output.status.success(), "{}", said(&output));
+    let key = |entry: surfaced::library::Entry| (entry.key.number, entry.key.session);
+    (open(&out).unwrap().entries.into_iter().map(key).collect(), said(&output))
+}
+
+#[test]
+fn an_import_names_sessions_by_a_column_a_pattern_or_the_file_and_proposes_the_file() {
+    let apart = [[1, 2], [3, 4]];
+    let named = |args: &[&str]| {
+        let (trials, said) = sessions(args, apart);
+        assert!(!said.contains("--session file"), "{said}");
+        let names = trials.into_iter().map(|(_, session)| session.unwrap_or_default());
+        names.collect::<Vec<_>>().join(", ")
+    };
+    assert_eq!(named(&["--session", "day"]), "day 0, day 1, day 0, day 1");
+    assert_eq!(named(&["--session", "{session}_*"]), "monday, monday, tuesday, tuesday");
+    assert_eq!(named(&["--session", "file"]), "monday_1, monday_1, tuesday_1, tuesday_1");
+    assert_eq!(named(&["--session", "none"]), ", , , ");
+    let (trials, said) = sessions(&[], apart);
+    assert!(trials.iter().all(|(_, session)| session.is_none()));
+    assert!(said.contains("2 of 2 tables hold several trials") && said.contains("--session file"));
+}
+
+#[test]
+fn sessions_that_each_count_their_trials_from_1_lose_none() {
+    let (trials, _) = sessions(&["--session", "file"], [[1, 2], [1, 2]]);
+    let of = |number: u32, session: &str| (number, Some(session.to_string()));
+    let expected = [of(1, "monday_1"), of(2, "monday_1"), of(3, "tuesday_1"), of(4, "tuesday_1")];
+    assert_eq!(trials, expected);
+}

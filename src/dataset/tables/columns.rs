@@ -206,7 +206,7 @@ pub(crate) type Wanted = (SourceId, Vec<String>);
 pub(crate) fn sources(
     head: &Head,
     clock: &Clock,
-    labels: &[Option<String>; 3],
+    labels: &[Option<String>; 4],
 ) -> Result<(Vec<Wanted>, Vec<String>), String> {
     let layout = &head.layout;
     let mut taken: BTreeSet<usize> = BTreeSet::new();

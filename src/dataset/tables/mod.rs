@@ -19,7 +19,7 @@ mod text;
 mod zip;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use cell::Numbers;
 use gather::{Gathered, Rows};
@@ -34,7 +34,7 @@ use crate::library::files::number_in;
 use crate::library::{About, LibraryError};
 use crate::record::utc;
 use crate::scene::SourceId;
-use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, normal};
+use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, checked_session, normal};
 
 /// Lines and bytes that decide how a table is understood.
 const HEAD_LINES: usize = 2000;
@@ -51,14 +51,26 @@ pub(crate) enum Clock {
     },
 }
 
+/// What names the session of the trials of a table, if no column does.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum SessionOf {
+    /// The pattern of the file's path that also names the surface, if it has the field.
+    Names,
+    Pattern(NamePattern),
+    /// The file's path, without the one of these folders that it lies in.
+    File(Vec<PathBuf>),
+    Nothing,
+}
+
 /// How to read the tables of one import.
 #[derive(Clone, Debug)]
 pub(crate) struct Form {
     /// Each source, with the names of the columns that are its channels.
     pub sources: Vec<(SourceId, Vec<String>)>,
     pub clock: Clock,
-    /// The columns with the names of surface, user and trial; `None` if there is no such column.
-    pub labels: [Option<String>; 3],
+    /// The columns with the names of surface, user, trial and session; `None` if there is no such column.
+    pub labels: [Option<String>; 4],
+    pub session: SessionOf,
     /// Pattern of the file's path, which names the trial if no column names the surface.
     pub names: NamePattern,
     /// The array of an `.npz` that holds the trials, and the labels of the trials: an array of the `.npz`,
@@ -206,6 +218,10 @@ fn give(
     Ok(())
 }
 
+fn session_name(text: &str) -> Result<String, String> {
+    checked_session(text).map_err(|problem| format!("the session `{text}` {problem}"))
+}
+
 /// The path of a file without its extensions, with `/` on every system: what a [`NamePattern`] fits.
 fn name_of(path: &Path) -> String {
     let name = path.to_string_lossy().replace('\\', "/");
@@ -220,6 +236,27 @@ impl Form {
             Clock::Rate(rate_hz) => Some(rate_hz),
             Clock::Times { .. } => None,
         }
+    }
+
+    /// The session of the trials of a file, unless a column tells it.
+    fn session_of(&self, path: &Path) -> Result<Option<String>, String> {
+        let session = match &self.session {
+            SessionOf::Nothing => None,
+            SessionOf::Names => self.names.parts(&name_of(path)).and_then(|[.., session]| session),
+            SessionOf::Pattern(pattern) => {
+                let parts = pattern.parts(&name_of(path)).ok_or_else(|| {
+                    format!("its name does not fit the pattern `{}`; see --session", pattern.0)
+                })?;
+                parts.into_iter().next_back().flatten()
+            }
+            SessionOf::File(folders) => {
+                let within = folders.iter().find_map(|folder| path.strip_prefix(folder).ok());
+                let within = within.filter(|within| !within.as_os_str().is_empty());
+                let name = path.file_name().unwrap_or_default();
+                Some(name_of(within.unwrap_or(Path::new(name))).replace('/', " "))
+            }
+        };
+        session.as_deref().map(session_name).transpose()
     }
 
     /// The names of the columns of all sources, in their order.
@@ -242,7 +279,7 @@ impl Said {
 /// The places of a table's columns, by a [`Form`].
 struct Table<'a> {
     head: &'a Head,
-    labels: [Option<usize>; 3],
+    labels: [Option<usize>; 4],
     stamps: Option<(usize, Stamps)>,
     said: Option<String>,
     /// The columns of all sources, in their order.
@@ -252,7 +289,7 @@ struct Table<'a> {
 impl<'a> Table<'a> {
     fn new(head: &'a Head, form: &Form) -> Result<Self, String> {
         let layout = &head.layout;
-        let mut labels = [None; 3];
+        let mut labels = [None; 4];
         for (column, label) in labels.iter_mut().zip(&form.labels) {
             *column = label.as_ref().map(|label| layout.column(label)).transpose()?;
         }
@@ -280,12 +317,13 @@ impl<'a> Table<'a> {
         scratch: &'s Path,
     ) -> Result<Gathered<'s>, String> {
         let mut gathered = Gathered::new(self.values.len(), self.stamps.is_some(), scratch);
-        let of_name = match self.labels[0] {
+        let mut of_name = match self.labels[0] {
             Some(_) => Default::default(),
             None => form.names.parts(&name_of(path)).ok_or_else(|| {
                 format!("its name does not fit the pattern `{}`; see --names", form.names.0)
             })?,
         };
+        of_name[3] = form.session_of(path)?;
         let widest = form.sources.iter().map(|(_, columns)| columns.len()).max().unwrap_or(1);
         let layout = &self.head.layout;
         let mut numbers = Numbers::new(layout.delimiter);
@@ -363,7 +401,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    fn key(&self, cells: &[&[u8]], of_name: &[Option<String>; 3]) -> Result<TrialKey, String> {
+    fn key(&self, cells: &[&[u8]], of_name: &[Option<String>; 4]) -> Result<TrialKey, String> {
         let cell = |at: usize| match self.labels[at] {
             Some(column) => Some(shown(cells[column]).into_owned()),
             None => of_name[at].clone(),
@@ -376,7 +414,10 @@ impl<'a> Table<'a> {
         if surface.is_empty() || user.is_empty() {
             return Err("no surface or no user is named".into());
         }
-        Ok(TrialKey::new(normal(&surface), normal(&user), number.transpose()?.unwrap_or(1)))
+        let session = cell(3).filter(|text| !text.is_empty());
+        let session = session.as_deref().map(session_name).transpose()?;
+        let number = number.transpose()?.unwrap_or(1);
+        Ok(TrialKey::new(normal(&surface), normal(&user), number).with_session(session))
     }
 }
 
@@ -494,7 +535,7 @@ fn marks(filled: &[usize], frames: usize) -> String {
 /// The surface, user and number that the names of files give, before any is read.
 pub(crate) fn named(paths: &[std::path::PathBuf], names: &NamePattern) -> BTreeSet<TrialKey> {
     let key = |path: &std::path::PathBuf| {
-        let [surface, user, number] = names.parts(&name_of(path))?;
+        let [surface, user, number, _] = names.parts(&name_of(path))?;
         let number = number.and_then(|text| trial_number(&text)).unwrap_or(1);
         let user = user.unwrap_or_else(|| EXPERT.into());
         Some(TrialKey::new(normal(&surface?), normal(&user), number))
@@ -508,7 +549,8 @@ pub(crate) fn try_read(path: &Path) -> Result<usize, LibraryError> {
     let mut form = Form {
         sources: Vec::new(),
         clock: Clock::Rate(100.0),
-        labels: [None, None, None],
+        labels: [None, None, None, None],
+        session: SessionOf::Names,
         names: NamePattern("{surface}-{trial}".into()),
         variable: None,
         array_labels: None,

@@ -336,7 +336,8 @@ pub(super) fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, Lib
         let problem = "its name does not fit the pattern";
         return Err(fail(format!("{problem} `{}`; see --names, or give --labels", form.names.0)));
     }
-    let [surface, user, number] = of_name.unwrap_or_default();
+    let [surface, user, number, _] = of_name.unwrap_or_default();
+    let session = form.session_of(path).map_err(fail)?;
     let names = form.columns();
     let places =
         names.iter().map(|name| name.parse::<usize>().ok().and_then(|at| at.checked_sub(1)));
@@ -360,7 +361,8 @@ pub(super) fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, Lib
             *next += 1;
             let of_file = number.as_deref().and_then(trial_number).filter(|_| count == 1);
             let user = user.clone().unwrap_or_else(|| EXPERT.into());
-            let key = TrialKey::new(normal(&surface), normal(&user), of_file.unwrap_or(*next));
+            let key = TrialKey::new(normal(&surface), normal(&user), of_file.unwrap_or(*next))
+                .with_session(session.clone());
             if key.surface.is_empty() {
                 return Err(fail(format!("trial {} has no label", at + 1)));
             }
