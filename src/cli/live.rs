@@ -293,7 +293,7 @@ pub(super) fn work(
 /// Keeps the scans of a station, and sends its answers to the configured outputs. Scans and unsent
 /// answers lie in `folder`. If scans cannot be kept, a warning gives the reason, and answers stay in
 /// memory until the program ends. The third argument holds the scene, the device of each source, and the
-/// session.
+/// session. Settings of the page come from `config`.
 pub(super) fn keep_and_send<'a>(
     mut station: Station<'a>,
     config: &StationConfig,
@@ -301,6 +301,7 @@ pub(super) fn keep_and_send<'a>(
     (scene, devices, session): (&Scene, BTreeMap<String, String>, Option<String>),
     (settings, page): (&mut Settings, &Page),
 ) -> Result<Station<'a>, Failure> {
+    settings.stale_after_s = config.stale_after_s;
     if config.keep_mb > 0 {
         let most_bytes = u64::from(config.keep_mb) * 1_000_000;
         match History::open(&folder.join(history::FOLDER), most_bytes) {

@@ -15,10 +15,10 @@ use serde_json::{Value, json};
 use super::Fleet;
 use super::cache::Snapshot;
 use crate::history::{STATION_COLUMNS, write_csv};
-use crate::serve::Settings;
 use crate::serve::api::{FILES, file, guarded};
 use crate::serve::request::{CSV, JSON_LINES, Problem, aside, exported};
 use crate::serve::scans::{MOST, USUAL};
+use crate::serve::{Settings, unix_ms};
 
 /// The files that only this page has; the other files are shared with a station's page.
 const OWN: [(&str, &str, &str); 3] = [
@@ -26,7 +26,7 @@ const OWN: [(&str, &str, &str); 3] = [
     ("/fleet.css", "text/css; charset=utf-8", include_str!("page/fleet.css")),
     ("/fleet.js", "text/javascript; charset=utf-8", include_str!("page/fleet.js")),
 ];
-const SHARED: [&str; 4] = ["/style.css", "/review.css", "/dom.js", "/favicon.svg"];
+const SHARED: [&str; 5] = ["/style.css", "/review.css", "/dom.js", "/link.js", "/favicon.svg"];
 
 type Shared = State<Arc<Fleet>>;
 
@@ -53,6 +53,8 @@ async fn state(State(fleet): Shared) -> Json<Value> {
         "version": env!("CARGO_PKG_VERSION"),
         "broker": { "address": inner.broker, "problem": inner.problem },
         "scans": inner.cache.len(),
+        "stale_after_s": inner.stale_after_s,
+        "now_unix_ms": unix_ms(),
         "stations": inner.stations.view(&inner.cache),
     }))
 }

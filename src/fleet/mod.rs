@@ -42,6 +42,7 @@ struct Inner {
     broker: String,
     /// The reason why the broker is not connected; `None` while it is connected.
     problem: Option<String>,
+    stale_after_s: f64,
 }
 
 impl Inner {
@@ -79,7 +80,8 @@ pub(crate) fn start(
     options.set_max_packet_size(LARGEST_OF_MQTT, LARGEST_MESSAGE);
     let stations = Stations::of(&cache);
     let problem = Some("connecting".into());
-    let inner = Mutex::new(Inner { cache, stations, broker: address.to_string(), problem });
+    let (broker, stale_after_s) = (address.to_string(), serve.stale_after_s);
+    let inner = Mutex::new(Inner { cache, stations, broker, problem, stale_after_s });
     let fleet = Arc::new(Fleet { inner, traffic: Arc::default() });
     let served = (api::router(fleet.clone(), serve), fleet.traffic.clone());
     let work = |mut stopped: tokio::sync::watch::Receiver<bool>| async move {

@@ -164,12 +164,13 @@ async fn ready(State(hub): Shared) -> Response {
 }
 
 /// The files of the page: path, content type and text of each.
-pub(crate) const FILES: [(&str, &str, &str); 16] = [
+pub(crate) const FILES: [(&str, &str, &str); 17] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
     ("/review.css", "text/css; charset=utf-8", include_str!("page/review.css")),
     ("/dom.js", "text/javascript; charset=utf-8", include_str!("page/dom.js")),
+    ("/link.js", "text/javascript; charset=utf-8", include_str!("page/link.js")),
     ("/answer.js", "text/javascript; charset=utf-8", include_str!("page/answer.js")),
     ("/history.js", "text/javascript; charset=utf-8", include_str!("page/history.js")),
     ("/now.js", "text/javascript; charset=utf-8", include_str!("page/now.js")),

@@ -18,7 +18,7 @@ use super::guard::Traffic;
 use super::metrics::{Histogram, LATENCY_BOUNDS_S, Metrics, SCAN_BOUNDS_S};
 use super::request::Problem;
 use super::settings::Settings;
-use super::state::State;
+use super::state::{State, unix_ms};
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::{self, Tracer};
 use crate::device::camera::{CameraView, Viewfinder};
@@ -32,8 +32,9 @@ use crate::trial::Image;
 
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
 const SPECTRA_EVERY: Duration = Duration::from_millis(200);
-/// Interval at which an empty comment is sent on a silent connection, so that it stays open.
-const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(10);
+/// Interval at which an empty comment is sent on every connection. It is the heartbeat of subscribers that
+/// do not get `streams`, so it reveals a dead connection within seconds.
+const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(1);
 
 /// The hub, as axum passes it to the handlers of requests.
 pub(super) type Shared = axum::extract::State<Arc<Hub>>;
@@ -56,6 +57,7 @@ pub(crate) struct HubState {
     pub pictures: BTreeMap<SourceId, Arc<Image>>,
     meters: Vec<StreamMeter>,
     enrolls: bool,
+    stale_after_s: f64,
     pub viewfinder: Option<Viewfinder>,
     published_camera: Option<CameraView>,
     outputs: Vec<OutputHealth>,
@@ -68,6 +70,8 @@ impl HubState {
         StateDocument {
             state: &self.state,
             enrolls: self.enrolls,
+            stale_after_s: self.stale_after_s,
+            now_unix_ms: unix_ms(),
             camera: self.viewfinder.as_ref().map(Viewfinder::view),
             streams: self.streams(),
             outputs: self.outputs(),
@@ -193,6 +197,7 @@ impl Hub {
             scan_s: Histogram::new(&SCAN_BOUNDS_S),
             latency_s: Histogram::new(&LATENCY_BOUNDS_S),
             enrolls: settings.enrolls,
+            stale_after_s: settings.stale_after_s,
             viewfinder: settings.viewfinder.clone(),
             outputs: settings.outputs.clone(),
             check: CheckView { state: "none", ..CheckView::default() },
@@ -329,6 +334,9 @@ pub(crate) struct StateDocument<'a> {
     #[serde(flatten)]
     state: &'a State,
     enrolls: bool,
+    stale_after_s: f64,
+    /// The time of this clock, by which a page corrects its own.
+    now_unix_ms: u64,
     camera: Option<CameraView>,
     streams: Vec<StreamView>,
     outputs: Vec<OutputView>,

@@ -35,6 +35,8 @@ pub struct Settings {
     pub history: Arc<History>,
     pub viewfinder: Option<Viewfinder>,
     pub outputs: Vec<OutputHealth>,
+    /// Age from which the page no longer shows an answer as the present one, in seconds.
+    pub stale_after_s: f64,
 }
 
 /// Audits a library each time it is called; returns a message if the audit fails.
@@ -60,6 +62,7 @@ impl Default for Settings {
             history: Arc::default(),
             viewfinder: None,
             outputs: Vec::new(),
+            stale_after_s: 30.0,
         }
     }
 }

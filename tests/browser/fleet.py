@@ -11,6 +11,8 @@ Needs mosquitto, chromium and chromedriver (Debian: mosquitto chromium chromium-
 import importlib.machinery
 import importlib.util
 import json
+import re
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -51,8 +53,24 @@ def check(browser, fleet, stations, shots):
     shown = json.loads(browser.run("""return JSON.stringify([...document.querySelectorAll('#sums div')].map(
         group => [group.querySelector('dt').innerText, group.querySelector('dd').innerText]))"""))
     assert ["offline", "1"] in shown and ["online", "2"] in shown, shown
+    silent(browser, fleet, shots)
     errors = [entry for entry in browser.log("browser") if entry["level"] == "SEVERE"]
     assert not errors, errors
+
+
+def silent(browser, fleet, shots):
+    """A fleet's program that is suspended leaves no answer on the screen, and says since when."""
+    browser.click("#trouble-only")
+    fleet.process.send_signal(signal.SIGSTOP)
+    try:
+        browser.wait("grey cards", lambda: all(state == "lost" for _, state, _ in cards(browser)), 3)
+        assert re.fullmatch(r"Not connected since \d\d:\d\d", browser.text("#link")), browser.text("#link")
+        answers = [last for _, _, last in cards(browser)]
+        assert all(last.startswith("last scan, ") for last in answers), answers
+        shots_of(browser, shots, "fleet-silent")
+    finally:
+        fleet.process.send_signal(signal.SIGCONT)
+    browser.wait("live cards again", lambda: any(state != "lost" for _, state, _ in cards(browser)))
 
 
 def main():

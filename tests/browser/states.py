@@ -24,6 +24,8 @@ from webdriver import Browser
 ESCAPE = "\ue00c"
 TOKEN = "0123456789abcdef"
 STATION = """format = 1
+[page]
+stale_after_s = 600
 [microphone]
 present = false
 [camera]
@@ -180,7 +182,7 @@ def kiosk(stage, trial, surface):
     browser.resize(1280, 1000)
     shown = browser.run("return [...document.querySelectorAll('body *')].filter(e => e.checkVisibility() && e.innerText?.trim()"
                         " && !e.children.length && !e.closest('.hidden, header')).map(e => e.id)")
-    assert set(shown) <= {"word", "name", "sure", ""}, shown
+    assert set(shown) <= {"word", "name", "sure", "at", ""}, shown
     stage.seen("kiosk")
     browser.keys(ESCAPE)
     browser.wait("the page", lambda: browser.run("return !document.body?.dataset.view && location.search === ''"))
@@ -258,6 +260,22 @@ def empty(surfaced, browser, folder, shots):
         station.end()
 
 
+def prepared(surfaced, folder):
+    """A library, its surfaces, and recordings to play: two of each surface and of one that it lacks, the last."""
+    made, library = folder / "made", folder / "library"
+    run(surfaced, "synth", made, "--surfaces", "4", "--trials", "12", "--users", "0", "--seconds", "1.5")
+    *surfaces, strange = sorted(path.name for path in made.iterdir() if path.is_dir())
+    played = {surface: sorted((made / surface).glob("expert-*"))[-2:] for surface in [*surfaces, strange]}
+    library.mkdir()
+    shutil.copy(made / "library.toml", library)
+    for surface in surfaces:
+        for trial in sorted((made / surface).glob("expert-*"))[:-2]:
+            for source in ("ac", "fr", "ir", "me"):
+                (library / surface / trial.name).mkdir(parents=True, exist_ok=True)
+                shutil.copy(trial / f"{source}.wav", library / surface / trial.name)
+    return library, surfaces, strange, played
+
+
 def main():
     surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
@@ -265,17 +283,7 @@ def main():
         empty(surfaced, browser, folder, shots)
         # A refused token is in the console.
         browser.log("browser")
-        made, library = folder / "made", folder / "library"
-        run(surfaced, "synth", made, "--surfaces", "4", "--trials", "12", "--users", "0", "--seconds", "1.5")
-        *surfaces, strange = sorted(path.name for path in made.iterdir() if path.is_dir())
-        played = {surface: sorted((made / surface).glob("expert-*"))[-2:] for surface in [*surfaces, strange]}
-        library.mkdir()
-        shutil.copy(made / "library.toml", library)
-        for surface in surfaces:
-            for trial in sorted((made / surface).glob("expert-*"))[:-2]:
-                for source in ("ac", "fr", "ir", "me"):
-                    (library / surface / trial.name).mkdir(parents=True, exist_ok=True)
-                    shutil.copy(trial / f"{source}.wav", library / surface / trial.name)
+        library, surfaces, strange, played = prepared(surfaced, folder)
         (folder / "station.toml").write_text(STATION)
         stylus = Stylus(folder / "stylus", noise=3)
         station = Live(surfaced, "--library", library, "--config", folder / "station.toml", "--stylus", folder / "stylus")

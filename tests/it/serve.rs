@@ -265,6 +265,7 @@ fn the_page_and_its_files_ask_for_nothing_from_elsewhere() {
         ("/draw.js", "text/javascript"),
         ("/camera.js", "text/javascript"),
         ("/dom.js", "text/javascript"),
+        ("/link.js", "text/javascript"),
         ("/answer.js", "text/javascript"),
         ("/history.js", "text/javascript"),
         ("/now.js", "text/javascript"),

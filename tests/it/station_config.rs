@@ -30,8 +30,9 @@ fn what_a_file_leaves_out_is_the_default_and_what_it_says_holds() {
 }
 
 #[test]
-fn the_page_has_one_default_address() {
-    assert_eq!(StationConfig::embedded().serve, surfaced::serve::Settings::default().address);
+fn the_page_has_one_default_address_and_one_age_of_stale_answers() {
+    let (config, page) = (StationConfig::embedded(), surfaced::serve::Settings::default());
+    assert_eq!((config.serve, config.stale_after_s), (page.address, page.stale_after_s));
 }
 
 #[test]
@@ -47,6 +48,7 @@ fn mistakes_are_reported_with_their_line() {
     refused("[stylus]\nrate_hz = 0", &["line 3", "rate_hz = 0; expected more than 0"]);
     refused("[stylus.sources]\nac = [\"acc_x\"]", &["line 3", "channels: 1", "has 3"]);
     refused("[stylus.sources]\npac = [\"acc_x\"]", &["line 3", "`pac`", "[sources.pac]"]);
+    refused("[page]\nstale_after_s = 0.0", &["line 3", "stale_after_s = 0; expected more than 0"]);
     refused("[camera]\nturn = 45", &["line 3", "0, 90, 180 or 270"]);
     refused("[microphone]\nchannel = 0", &["line 3", "counted from 1"]);
     refused("[microphone]\nsources = [\"mi9\"]", &["line 3", "`mi9`", "mi1, mi2"]);

@@ -1,10 +1,14 @@
-// The page of a fleet: the state of all stations, requested every two seconds.
+// The page of a fleet: the state of all stations, requested every second.
 
-import { $, clock, fill, hide, make, many, percent, printable, say } from "./dom.js";
+import { $, clock, dated, fill, hide, make, many, percent, printable, say, zone } from "./dom.js";
+import { heard, isLost, lostText, now, watch } from "./link.js";
 
-const EVERY_MS = 2000;
+const EVERY_MS = 1000;
+// A request that takes longer is given up, so that the next one is tried.
+const ANSWER_WITHIN_MS = 2000;
 const DOWN = ["absent", "stalled", "lost"];
 let stations = [];
+let stale_after_s = 0;
 
 // The name of an answer, in plain words.
 const nameOf = ({ state, surface }) => (state === "unknown" ? "unknown" : surface ?? "not named");
@@ -29,22 +33,31 @@ function title(station) {
     heading.append(link);
   } else heading.append(printable(station.station));
   const since = station.since_unix_ms ? ` since ${clock(station.since_unix_ms)}` : "";
-  heading.append(make("span", `${station.state ?? "not connected"}${station.state === "offline" ? since : ""}`));
+  if (isLost()) heading.append(make("span", lostText()));
+  else heading.append(make("span", `${station.state ?? "not connected"}${station.state === "offline" ? since : ""}`));
   return heading;
+}
+
+// The last answer of a station; faded if it is old, or if nothing newer could have been heard.
+function lastLine(station, last) {
+  const sure = last.confidence === null || last.state === "unknown" ? "" : `${percent(last.confidence)} · `;
+  if (isLost() || station.state !== "online" || now() - last.unix_ms > stale_after_s * 1000) {
+    return make("p", `last scan, ${dated(last.unix_ms).slice(0, -3)}: ${nameOf(last)}`, "last stale");
+  }
+  const line = make("p", nameOf(last), "last");
+  line.dataset.state = last.state;
+  line.append(" ", make("small", `${sure}${clock(last.unix_ms)}`, "soft"));
+  return line;
 }
 
 function card(station) {
   const item = make("li");
   const lines = troubles(station);
-  item.dataset.state = station.state === "online" ? (lines.length > 0 ? "trouble" : "online") : "offline";
+  item.dataset.state = isLost() ? "lost" : station.state === "online" ? (lines.length > 0 ? "trouble" : "online") : "offline";
   item.append(title(station));
   const [last, ...before] = station.answers;
   if (last) {
-    const line = make("p", nameOf(last), "last");
-    line.dataset.state = last.state;
-    const sure = last.confidence === null || last.state === "unknown" ? "" : `${percent(last.confidence)} · `;
-    line.append(" ", make("small", `${sure}${clock(last.unix_ms)}`, "soft"));
-    item.append(line, make("p", before.length > 0 ? `before: ${before.map(nameOf).join(", ")}` : "", "before"));
+    item.append(lastLine(station, last), make("p", before.length > 0 ? `before: ${before.map(nameOf).join(", ")}` : "", "before"));
   }
   const unknown = station.unknown_10_min > 0 ? `, ${station.unknown_10_min} unknown` : "";
   item.append(make("p", `${many(station.scans_10_min, "scan")} in 10 min${unknown}`, "facts"));
@@ -81,26 +94,36 @@ function show() {
 }
 
 // A problem of the whole fleet; empty if there is none.
-function problemOf(state) {
-  if (!state) return "This page's program does not answer; is it still running?";
-  return state.broker.problem ? `The broker is not connected: ${state.broker.problem}. It is tried again.` : "";
+function problemOf({ broker }) {
+  return broker.problem ? `The broker is not connected: ${broker.problem}. It is tried again.` : "";
 }
 
-async function load() {
-  const state = await fetch("/api/v1/state").then((answer) => (answer.ok ? answer.json() : null)).catch(() => null);
-  const problem = problemOf(state);
+function showProblem(problem) {
   hide("problem", problem === "");
   say("problem", problem);
   $("link").dataset.state = problem === "" ? "connected" : "lost";
-  say("link", problem === "" ? "connected" : "disconnected");
+  say("link", isLost() ? lostText() : problem === "" ? "connected" : "disconnected");
+}
+
+async function load() {
+  const began = performance.now();
+  const asked = fetch("/api/v1/state", { signal: AbortSignal.timeout(ANSWER_WITHIN_MS) });
+  const state = await asked.then((answer) => (answer.ok ? answer.json() : null)).catch(() => null);
   if (state) {
-    stations = state.stations;
+    heard(state.now_unix_ms);
+    ({ stations, stale_after_s } = state);
+    showProblem(problemOf(state));
     say("about", `${state.broker.address} · ${many(state.scans, "answer")} kept`);
     say("version", state.version);
+    say("zone", zone());
     show();
   }
-  setTimeout(load, EVERY_MS);
+  setTimeout(load, Math.max(0, EVERY_MS - (performance.now() - began)));
 }
 
 $("trouble-only").addEventListener("change", show);
+watch((lost) => {
+  if (lost) showProblem(`${lostText()}: this page's program does not answer. The page tries again.`);
+  show();
+});
 load();

@@ -6,6 +6,8 @@ import { make, plain, sourceName } from "./dom.js";
 const STALLED_MS = 3500;
 // The shortest time between two pictures: at most two a second are shown.
 const LEAST_MS = 500;
+// A picture that has not come after this long never comes: the network swallowed the request.
+const GIVEN_UP_MS = 15_000;
 const cameras = new Map();
 // The station's own camera: its source, the compared region, its light. Null if there is none.
 let own = null;
@@ -59,7 +61,8 @@ export function picture(place, source) {
   camera.arrived = performance.now();
   delete camera.figure.dataset.stalled;
   describe(camera);
-  if (camera.busy || camera.arrived - camera.asked < LEAST_MS || document.hidden) return;
+  const least_ms = camera.busy ? GIVEN_UP_MS : LEAST_MS;
+  if (camera.arrived - camera.asked < least_ms || document.hidden) return;
   [camera.busy, camera.asked] = [true, camera.arrived];
   camera.image.src = `/api/v1/pictures/${isWhole(camera) ? "whole-" : ""}${source}.jpg?at=${Math.round(camera.arrived)}`;
 }

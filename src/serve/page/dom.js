@@ -30,6 +30,21 @@ export const percent = (share) =>
 export const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
 export const clock = (ms) => new Date(ms).toLocaleTimeString("en-GB");
 
+// The time of day; before today, with its date.
+export function dated(ms) {
+  const today = new Date().toDateString() === new Date(ms).toDateString();
+  return today ? clock(ms) : `${new Date(ms).toLocaleDateString("en-GB", { day: "numeric", month: "short" })} ${clock(ms)}`;
+}
+
+// Every time of the page is in this zone, which its foot names.
+export const zone = () => {
+  const { timeZone } = Intl.DateTimeFormat().resolvedOptions();
+  const offset = -new Date().getTimezoneOffset();
+  const sign = offset < 0 ? "−" : "+";
+  const [hours, minutes] = [Math.floor(Math.abs(offset) / 60), Math.abs(offset) % 60].map((part) => String(part).padStart(2, "0"));
+  return `times: ${timeZone}, UTC${sign}${hours}:${minutes}`;
+};
+
 // Shows a list of elements in a place; does nothing if the place shows the same already.
 export function fill(id, elements) {
   const place = $(id);
@@ -77,12 +92,17 @@ export function button(text, act, className) {
   return element;
 }
 
+// Longer than the station takes for any answer; a network that swallows a request never ends it.
+const ANSWER_WITHIN_MS = 15_000;
+
 // Sends a request and returns the station's answer; if it is refused, shows why and returns null.
 export async function ask(path, body) {
   let problem = "";
   let said = null;
+  const signal = AbortSignal.timeout(ANSWER_WITHIN_MS);
   try {
-    const request = body === undefined ? {} : {
+    const request = body === undefined ? { signal } : {
+      signal,
       method: "POST",
       headers: { "Content-Type": "application/json" },
       body: JSON.stringify(body),

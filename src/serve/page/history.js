@@ -1,7 +1,7 @@
 // The list of past scans, the newest first, and the share of reviewed answers that were right.
 
 import { corrected, damageOf, isFault, isShort, nameOf, sureness } from "./answer.js";
-import { $, ask, button, clock, hide, make, many, percent, printable, say } from "./dom.js";
+import { $, ask, button, dated, hide, make, many, percent, printable, say } from "./dom.js";
 import { go } from "./route.js";
 
 // How many scans are loaded at a time.
@@ -58,11 +58,6 @@ function badge(text, kind, title) {
   return element;
 }
 
-function day(ms) {
-  const today = new Date().toDateString() === new Date(ms).toDateString();
-  return today ? clock(ms) : `${new Date(ms).toLocaleDateString("en-GB", { day: "numeric", month: "short" })} ${clock(ms)}`;
-}
-
 function row(scan) {
   const line = make("tr", undefined, scan.state);
   line.dataset.id = scan.id;
@@ -77,7 +72,7 @@ function row(scan) {
   if (isShort(scan)) name.append(badge("too short", ""));
   if (scan.correction) name.append(badge(corrected(scan), corrected(scan).startsWith("right") ? "good" : ""));
   if (scan.became) name.append(badge("in the library", "good", scan.became));
-  line.append(make("td", scan.scan), make("td", day(scan.unix_ms)), name, make("td", sureness(scan)),
+  line.append(make("td", scan.scan), make("td", dated(scan.unix_ms)), name, make("td", sureness(scan)),
     make("td", `${scan.scan_s.toFixed(1)} s`, "wide"), make("td", `${scan.latency_ms.toFixed(0)} ms`, "wide"),
     make("td", scan.lost_samples));
   return line;

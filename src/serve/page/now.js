@@ -1,14 +1,15 @@
 // The state of the station, readable from three metres: colour, word and sign; below them the name,
 // its probability, and any damage.
 
-import { certainty, damageOf, isFault, isShort, probabilities } from "./answer.js";
-import { $, clock, doubtLines, fill, hide, make, many, parts, percent, printable, say, times } from "./dom.js";
+import { certainty, damageOf, isFault, isShort, nameOf, probabilities } from "./answer.js";
+import { $, clock, dated, doubtLines, fill, hide, make, many, parts, percent, printable, say, times } from "./dom.js";
+import { lostText, now as time } from "./link.js";
 
 const WORDS = { named: "Named", nearest: "Nearest surface", unsure: "Unsure", unnamed: "No answer" };
 
 function disconnected({ advice, devices }) {
-  const since = devices.find(({ device }) => device === advice.device)?.since_unix_ms ?? Date.now();
-  const seconds = Math.max(0, Math.round((Date.now() - since) / 1000));
+  const since = devices.find(({ device }) => device === advice.device)?.since_unix_ms ?? time();
+  const seconds = Math.max(0, Math.round((time() - since) / 1000));
   const lasts = seconds < 60 ? `${seconds} s` : many(Math.floor(seconds / 60), "minute");
   return { kind: "disconnected", word: advice.text, sure: `for ${lasts}, since ${clock(since)}` };
 }
@@ -47,7 +48,13 @@ function answered(answer, surfaces) {
   const word = short && kind === "unsure" ? "Too short" : words[kind];
   const name = unknown ? "unknown" : answer.surface ?? "not named";
   const label = `scan ${answer.scan}${answer.synthetic ? " · synthetic" : ""} · answered in ${answer.latency_ms.toFixed(0)} ms`;
-  return { kind, word, name, label, damage, sure: certainty(answer), id: answer.id, runners: unknown ? [] : runners(answer) };
+  return { kind, word, name, label, damage, sure: certainty(answer), at: `at ${clock(answer.unix_ms)}`, id: answer.id, runners: unknown ? [] : runners(answer) };
+}
+
+// An answer that is too old to be read as the present one.
+function lastScan(answer) {
+  const said = answer.state === "unnamed" ? "not named" : `${nameOf(answer)}, ${certainty(answer)}`;
+  return { at: `last scan, ${dated(answer.unix_ms).slice(0, -3)}`, label: `it was scan ${answer.scan}: ${said}`, id: answer.id };
 }
 
 function idle({ advice, reading }) {
@@ -83,7 +90,9 @@ function stateOf(state, answer) {
     if (state.advice.device) return disconnected(state);
     if (state.enrolling) return { ...idle(state), word: "Tap, then drag", name: state.enrolling.surface };
   }
-  return answer ? answered(answer, state.library?.surfaces.length ?? 0) : idle(state);
+  if (!answer) return idle(state);
+  const isStale = time() - answer.unix_ms > state.stale_after_s * 1000;
+  return isStale ? { ...idle(state), ...lastScan(answer) } : answered(answer, state.library?.surfaces.length ?? 0);
 }
 
 function runner([name, share, text]) {
@@ -100,7 +109,18 @@ function runner([name, share, text]) {
 const longest = (name) => Math.max(4, ...parts(name).flatMap((part) => part.split(/[\s-]/)).map((word) => word.length));
 
 export function showNow(state, answer) {
-  const { kind, word, name = "", sure = "", label = "", damage = [], done, id, steps, ...now } = stateOf(state, answer);
+  show(stateOf(state, answer));
+  $("start").disabled = state.finished || state.phase !== null || state.advice.do === "wait";
+  $("stop").disabled = state.finished || state.phase === null;
+}
+
+// A station that is not heard: what it last said may be wrong by now.
+export function showOffline(answer) {
+  show({ ...(answer ? lastScan(answer) : {}), kind: "offline", word: lostText(), sure: "The station does not answer. The page tries again." });
+  [$("start").disabled, $("stop").disabled] = [true, true];
+}
+
+function show({ kind, word, name = "", sure = "", at = "", label = "", damage = [], done, id, steps, ...now }) {
   $("now").dataset.state = kind;
   document.body.dataset.state = kind;
   $("sign").firstElementChild.setAttribute("href", `#sign-${kind}`);
@@ -110,6 +130,7 @@ export function showNow(state, answer) {
   // Chooses the font size so that the longest word fits on one line.
   $("name").style.setProperty("--longest", Math.min(longest(name), 24));
   say("sure", sure);
+  say("at", at);
   say("answer-label", label);
   hide("why", !id);
   if (id) $("why").href = `#scan=${id}`;
@@ -119,8 +140,6 @@ export function showNow(state, answer) {
   fill("runners", (now.runners ?? []).slice(0, 4).map(runner));
   hide("steps", !steps);
   if (steps) $("step-plug").dataset.done = String(steps.plugged);
-  $("start").disabled = state.finished || state.phase !== null || state.advice.do === "wait";
-  $("stop").disabled = state.finished || state.phase === null;
 }
 
 // In view `kiosk`, keeps the screen awake while the page is visible.

@@ -3,11 +3,12 @@
 
 import { certainty, nameOf } from "./answer.js";
 import * as camera from "./camera.js";
-import { $, ask, clock, fill, hide, make, many, printable, say } from "./dom.js";
+import { $, ask, clock, fill, hide, make, many, printable, say, zone } from "./dom.js";
 import { devices, losses, show, spectrum, trace } from "./draw.js";
 import * as enrol from "./enrol.js";
 import * as history from "./history.js";
-import { isEmpty, showNow } from "./now.js";
+import * as link from "./link.js";
+import { isEmpty, showNow, showOffline } from "./now.js";
 import { follow as followAddress } from "./route.js";
 import "./scan.js";
 import * as shelf from "./shelf.js";
@@ -81,11 +82,20 @@ function showWarnings() {
   }));
 }
 
+function showLink() {
+  const lost = link.isLost();
+  $("link").dataset.state = lost ? "lost" : state ? "connected" : "";
+  say("link", lost ? link.lostText() : state ? "connected" : "connecting");
+}
+
 function render() {
-  if (due || !state) return;
+  if (due) return;
   due = true;
   requestAnimationFrame(() => {
     due = false;
+    showLink();
+    if (link.isLost()) return showOffline(state && lastAnswer());
+    if (!state) return;
     showNow(state, lastAnswer());
     showDevices();
     history.render(state.counts);
@@ -93,6 +103,7 @@ function render() {
     enrol.show(state);
     showWarnings();
     say("version", `surfaced ${state.version}`);
+    say("zone", zone());
   });
 }
 
@@ -108,6 +119,7 @@ function answered(answer) {
 const changes = {
   state: (whole) => {
     state = whole;
+    link.heard(state.now_unix_ms);
     camera.view(state.camera);
     devices(state.devices);
     history.load();
@@ -145,25 +157,27 @@ const changes = {
   },
 };
 
+// While nothing is heard, a new connection is tried this often: a browser gives up one that is refused,
+// and never gives up one that is merely silent.
+const RETRY_MS = 5000;
+let events = null;
+
 function follow() {
-  const events = new EventSource("/api/v1/events");
-  const link = (how, text) => {
-    $("link").dataset.state = how;
-    say("link", text);
-  };
-  events.onopen = () => link("connected", "connected");
-  events.onerror = () => link("lost", "reconnecting");
+  events?.close();
+  events = new EventSource("/api/v1/events");
+  const on = (type, act) => events.addEventListener(type, ({ data }) => {
+    link.heard();
+    act(JSON.parse(data));
+  });
   for (const [type, change] of Object.entries(changes)) {
-    events.addEventListener(type, ({ data }) => {
+    on(type, (data) => {
       if (!state && type !== "state") return;
-      change(JSON.parse(data));
+      change(data);
       render();
     });
   }
-  // A browser allows only six connections to a station, so a page closes its own when it is left.
-  window.addEventListener("pagehide", () => events.close(), { once: true });
-  events.addEventListener("trace", ({ data }) => trace(JSON.parse(data)));
-  events.addEventListener("spectrum", ({ data }) => spectrum(JSON.parse(data)));
+  on("trace", trace);
+  on("spectrum", spectrum);
 }
 
 function toggleView() {
@@ -202,8 +216,15 @@ document.addEventListener("keydown", (event) => {
   keys[event.key]();
 });
 
+// A browser allows only six connections to a station, so a page closes its own when it is left.
+window.addEventListener("pagehide", () => {
+  events.close();
+  events = null;
+});
 window.addEventListener("pageshow", ({ persisted }) => persisted && follow());
 follow();
 followAddress();
-// Updates the time since which a device has been disconnected.
-setInterval(() => state?.advice.device && render(), 1000);
+link.watch(render);
+setInterval(() => events && link.isLost() && follow(), RETRY_MS);
+// Answers grow old, and so does the time since which a device has been disconnected.
+setInterval(render, 1000);

@@ -1,6 +1,6 @@
 // The dialogue of the library: its trials, their names when left out, and edits that can be undone.
 
-import { $, ask, button, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
+import { $, ask, button, dated, fill, hide, make, many, percent, printable, say, times } from "./dom.js";
 import { go, opened, route } from "./route.js";
 
 const dialog = $("shelf");
@@ -66,7 +66,8 @@ function row(trial, of) {
   move.setAttribute("aria-label", `move ${trial.trial} to another surface`);
   remove.setAttribute("aria-label", `remove ${trial.trial}`);
   act.append(move, remove);
-  const date = (trial.started_at ?? "").replace("T", " ").replace("Z", "");
+  const began = Date.parse(trial.started_at ?? "");
+  const date = Number.isNaN(began) ? "" : dated(began);
   line.append(make("th", `${trial.user}, ${trial.number}`), make("td", date), quality(trial, of), verdict(of), act);
   return line;
 }

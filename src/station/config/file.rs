@@ -29,6 +29,7 @@ pub(super) struct StationFile {
     #[serde(default)]
     pub lines: Vec<LinesBlock>,
     pub enroll: EnrollBlock,
+    pub page: PageBlock,
     pub history: HistoryBlock,
     #[serde(default)]
     pub outputs: OutputsBlock,
@@ -108,6 +109,12 @@ pub(super) struct DetectionBlock {
 pub(super) struct EnrollBlock {
     pub t_star: Vec<Spanned<String>>,
     pub trials: Spanned<u32>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PageBlock {
+    pub stale_after_s: Spanned<f64>,
 }
 
 #[derive(Deserialize)]

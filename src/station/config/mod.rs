@@ -43,6 +43,8 @@ pub struct StationConfig {
     /// A good trial must hold enough independent samples of each of these sources, judged by T*.
     pub by_t_star: Vec<SourceId>,
     pub trials: u32,
+    /// Age from which the page no longer shows an answer as the present one, in seconds.
+    pub stale_after_s: f64,
     /// Disk space for past scans, in millions of bytes; with 0, no scans are kept.
     pub keep_mb: u32,
     pub outputs: OutputsConfig,

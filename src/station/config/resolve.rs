@@ -97,6 +97,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         detection: Detection { detector, groups: Vec::new(), cuts },
         by_t_star,
         trials,
+        stale_after_s: positive("stale_after_s", &file.page.stale_after_s)?,
         keep_mb: file.history.keep_mb,
         outputs: outputs(file.outputs, folder)?,
     };
