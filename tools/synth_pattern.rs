@@ -76,7 +76,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let ours = 100.0 * outcome.accuracy_mean;
         println!(
             "| {shown} | {ours:.1} ± {:.1} | {:.1} | {:+.1} |",
-            100.0 * outcome.accuracy_std,
+            100.0 * outcome.accuracy_std.unwrap_or(f64::NAN),
             published.accuracy,
             ours - published.accuracy
         );

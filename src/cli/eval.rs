@@ -12,8 +12,8 @@ use super::{Done, Failure, SourceArgs, paper, parsed, say, show};
 use crate::dataset::feature_tables::{self, FeatureTables};
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
-    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Outcome, Prediction, Protocol,
-    SettledOutcome, UnknownOutcome, better_plain, enrol,
+    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Leaks, Outcome, Prediction,
+    Protocol, SettledOutcome, UnknownOutcome, better_plain, enrol,
 };
 use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{MethodName, RecogniseError};
@@ -110,7 +110,10 @@ pub(super) fn run(args: &Args) -> Done {
                 let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
                 let cache = (!args.method.no_cache).then_some(data.as_path());
                 let on = Evaluation { cache, ..Evaluation::new(&scene, &entries, &[]) };
-                evaluated(args, (&library.name, library.synthetic), on, &keys)
+                let leaks = Leaks::of(&entries, &say::progress);
+                let found = leaks.text(&keys, |trial| entries[trial].name_in(data));
+                let leaks = found.map(|found| (&leaks, found));
+                evaluated(args, (&library.name, library.synthetic), on, &keys, leaks)
             })?
         }
     };
@@ -138,7 +141,7 @@ fn on_tables(args: &Args, tables: &FeatureTables) -> Result<EvalReport, Failure>
     let keys: Vec<TrialKey> = trials.iter().map(|trial| trial.key.clone()).collect();
     let (scene, trials) = (Scene::lmt108(), EvaluatedTrials::Features(&trials));
     let on = Evaluation { trials, ..Evaluation::new(&scene, &[], &[]) };
-    evaluated(args, (&tables.name, false), on, &keys)
+    evaluated(args, (&tables.name, false), on, &keys, None)
 }
 
 /// The trials, with the features of the chosen tables. If no table is chosen, all are used.
@@ -167,6 +170,7 @@ fn evaluated(
     (data, synthetic): (&str, bool),
     on: Evaluation<'_>,
     keys: &[TrialKey],
+    leaks: Option<(&Leaks, String)>,
 ) -> Result<EvalReport, Failure> {
     let (protocol, before) = split(keys, args.protocol)?;
     if args.enrolled > 0 && !protocol.folds_are_users() {
@@ -176,6 +180,7 @@ fn evaluated(
         )));
     }
     let folds = enrol(&before, keys, args.enrolled)?;
+    let (before, folds, leak) = kept_apart(before, folds, keys, leaks);
     let method = args.method.spec()?.build(on.scene);
     let query_seconds = args.query_seconds;
     let on = Evaluation { folds: &folds, query_seconds, progress: &say::progress, ..on };
@@ -188,11 +193,12 @@ fn evaluated(
         let unknown = args.leave_surfaces_out.map(|groups| UnknownOutcome::of(&run, groups, rate));
         let unknown = unknown.transpose()?;
         let measured = run.measure()?;
-        let mut warnings = show::left_out(&measured.left_out);
-        warnings.iter().for_each(|line| say!("warning: {line}"));
+        let mut warnings: Vec<String> = leak.iter().cloned().collect();
+        warnings.extend(show::left_out(&measured.left_out));
         if args.method.is_default() {
             warnings.extend(better_plain(on, &measured.predictions));
         }
+        warnings.iter().for_each(|line| say!("warning: {line}"));
         let enrolled = match args.enrolled {
             0 => None,
             count => Some(EnrolmentOutcome::of(&run, &measured, &before, count)?),
@@ -226,6 +232,38 @@ fn evaluated(
         })
     };
     measured().map_err(mended)
+}
+
+/// Takes trials that share samples with a query out of the library of its fold, from the folds without
+/// and with enrolled trials. Also returns a warning, which says if that cannot be done.
+fn kept_apart(
+    before: Vec<Fold>,
+    folds: Vec<Fold>,
+    keys: &[TrialKey],
+    leaks: Option<(&Leaks, String)>,
+) -> (Vec<Fold>, Vec<Fold>, Option<String>) {
+    let Some((leaks, found)) = leaks else { return (before, folds, None) };
+    match (leaks.apart(&before, keys), leaks.apart(&folds, keys)) {
+        (Some(before), Some(apart)) => {
+            let queries = |folds: &[Fold]| folds.iter().map(|fold| fold.queries.len()).sum();
+            let (all, asked): (usize, usize) = (queries(&folds), queries(&apart));
+            let lost = match all - asked {
+                0 => String::new(),
+                lost => format!(
+                    "; {} not asked, since nothing else of their surface is left",
+                    show::counted(lost, "trial")
+                ),
+            };
+            let kept = "kept together: none is named by the samples that it shares";
+            (before, apart, Some(format!("{found}; {kept}{lost}")))
+        }
+        _ => {
+            let why = "without these trials no library has two surfaces";
+            let warning =
+                format!("{found}; they cannot be kept together ({why}): the accuracy is too high");
+            (before, folds, Some(warning))
+        }
+    }
 }
 
 /// Adds the option that avoids the failure to its message.
@@ -293,8 +331,9 @@ impl EvalReport {
         result!("           {}", self.protocol.left_out());
         if self.protocol.folds_are_users() {
             let users = show::counted(self.outcome.folds.len(), "user");
-            let (mean, std) = (self.outcome.accuracy_mean, self.outcome.accuracy_std);
-            result!("           mean over {users}: {} ± {}", percent(mean), percent(std));
+            let std = self.outcome.accuracy_std.map(|std| format!(" ± {}", percent(std)));
+            let mean = percent(self.outcome.accuracy_mean);
+            result!("           mean over {users}: {mean}{}", std.unwrap_or_default());
         }
         self.enrolled.iter().for_each(print_enrolled);
         let surfaces = show::counted(*classes, "surface");

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::EvaluateError;
-use crate::trial::{EXPERT, TrialKey};
+use crate::trial::{EXPERT, TrialKey, sessions_count};
 
 /// How trials are split into queries and library.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
@@ -73,8 +73,8 @@ impl Protocol {
                 others.map(limited).collect()
             }
             Self::AllVsOneUser => by_user(keys),
-            Self::LeaveOneSessionOut if !sessions_count(keys) => Vec::new(),
-            Self::LeaveOneSessionOut => by_group(keys, session_of),
+            Self::LeaveOneSessionOut if !sessions_count(keys.iter()) => Vec::new(),
+            Self::LeaveOneSessionOut => by_group(keys, TrialKey::of_session, session_name),
             Self::LeaveOneTrialOut => by_trial(keys),
         };
         groups.into_iter().filter_map(|fold| known_only(fold, keys)).collect()
@@ -146,41 +146,32 @@ fn natural(name: &str) -> (&str, u64) {
     (stem, number.parse().unwrap_or(0))
 }
 
-/// Whether sessions tell more than trials: at least two surfaces have trials in at least two sessions
-/// each, and some session has several trials. If not, the data count as one session.
-fn sessions_count(keys: &[TrialKey]) -> bool {
-    let mut of_surface: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
-    let mut trials: BTreeMap<String, usize> = BTreeMap::new();
-    for key in keys.iter().filter(|key| key.session.is_some()) {
-        of_surface.entry(&key.surface).or_default().insert(session_of(key));
-        *trials.entry(session_of(key)).or_default() += 1;
-    }
-    of_surface.values().filter(|sessions| sessions.len() > 1).count() > 1
-        && trials.values().any(|&count| count > 1)
-}
-
-/// The name of a trial's session. Two people never share one.
-fn session_of(key: &TrialKey) -> String {
-    let user = if key.user == EXPERT { String::new() } else { format!("{} ", key.user) };
-    format!("{user}{}", key.session.as_deref().unwrap_or("without session"))
+/// The name of a trial's session.
+fn session_name((user, session): (&str, Option<&str>)) -> String {
+    let user = if user == EXPERT { String::new() } else { format!("{user} ") };
+    format!("{user}{}", session.unwrap_or("without session"))
 }
 
 /// One fold for each person.
 pub(super) fn by_user(keys: &[TrialKey]) -> Vec<Fold> {
-    by_group(keys, |key| key.user.clone())
+    by_group(keys, |key| key.user.as_str(), str::to_string)
 }
 
 /// One fold for each group, which names the group's trials by all others.
-fn by_group(keys: &[TrialKey], group: impl Fn(&TrialKey) -> String) -> Vec<Fold> {
-    let groups: Vec<String> = keys.iter().map(group).collect();
-    let names: BTreeSet<&String> = groups.iter().collect();
-    let mut names: Vec<&String> = names.into_iter().collect();
-    names.sort_by_key(|name| natural(name));
-    let fold = |name: &String| {
-        let (queries, library) = (0..keys.len()).partition(|&i| groups[i] == *name);
-        Fold { name: name.clone(), library, queries }
+fn by_group<'k, G: Ord + Copy>(
+    keys: &'k [TrialKey],
+    group: impl Fn(&'k TrialKey) -> G,
+    name: impl Fn(G) -> String,
+) -> Vec<Fold> {
+    let mut groups: BTreeMap<G, Vec<usize>> = BTreeMap::new();
+    keys.iter().enumerate().for_each(|(i, key)| groups.entry(group(key)).or_default().push(i));
+    let fold = |(of, queries): (G, Vec<usize>)| {
+        let library = (0..keys.len()).filter(|&i| group(&keys[i]) != of).collect();
+        Fold { name: name(of), library, queries }
     };
-    names.into_iter().map(fold).collect()
+    let mut folds: Vec<Fold> = groups.into_iter().map(fold).collect();
+    folds.sort_by(|a, b| natural(&a.name).cmp(&natural(&b.name)));
+    folds
 }
 
 /// One fold for each person and trial number; its library is the same person's other trials.
@@ -319,7 +310,7 @@ mod tests {
         let mut two = days.clone();
         two.extend(days.into_iter().map(|key| TrialKey { user: "anna".into(), ..key }));
         assert_eq!(folds(Protocol::LeaveOneSessionOut, &two).unwrap().len(), 4);
-        assert!(!sessions_count(&sessions(&["monday"])));
+        assert!(!sessions_count(sessions(&["monday"]).iter()));
         // A session for each trial tells nothing of sessions.
         let mut single = sessions(&["1", "2"]);
         for (at, key) in single.iter_mut().enumerate() {
@@ -327,6 +318,19 @@ mod tests {
         }
         let error = folds(Protocol::LeaveOneSessionOut, &single).unwrap_err().to_string();
         assert!(error.contains("several trials") && error.contains("trial-out fits"), "{error}");
+    }
+
+    #[test]
+    fn people_and_sessions_whose_names_run_together_are_not_one_session() {
+        let of = |(user, session): (&str, &str)| {
+            let user = user.to_string();
+            sessions(&[session]).into_iter().map(move |key| TrialKey { user: user.clone(), ..key })
+        };
+        let keys: Vec<TrialKey> =
+            [("anna", "b c"), ("anna b", "c")].into_iter().flat_map(of).collect();
+        let folds = folds(Protocol::LeaveOneSessionOut, &keys).unwrap();
+        assert_eq!(folds.len(), 2);
+        assert!(folds.iter().all(|fold| fold.queries.len() == 4 && fold.library.len() == 4));
     }
 
     #[test]

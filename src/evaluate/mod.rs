@@ -11,6 +11,7 @@ mod check;
 mod enrolled;
 mod evaluation;
 mod fold;
+mod leak;
 mod loudness;
 mod outcome;
 #[doc(hidden)]
@@ -30,6 +31,7 @@ pub use evaluation::{
 };
 pub(crate) use evaluation::{first_seconds, in_libraries, within};
 pub use fold::{Fold, Protocol, folds};
+pub(crate) use leak::Leaks;
 pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, Share};
 pub(crate) use outcome::{interval_over_users, is_over_users, percentile};
 pub(crate) use plain::better_plain;

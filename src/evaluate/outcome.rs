@@ -131,8 +131,8 @@ pub struct Outcome {
     pub share: Share,
     /// Mean over folds of the share of queries named correctly.
     pub accuracy_mean: f64,
-    /// Sample standard deviation (n − 1) of the folds' accuracies; 0 for a single fold.
-    pub accuracy_std: f64,
+    /// Sample standard deviation (n − 1) of the folds' accuracies; `None` for a single fold.
+    pub accuracy_std: Option<f64>,
     /// Mean over classes of the precision TP/(TP+FP), taken as 0 for a class that is never the answer.
     pub precision_mean: f64,
     /// Mean over queries of −ln of the probability of the true surface, which counts as at least
@@ -181,7 +181,7 @@ impl Outcome {
         Some(Self {
             share: Share::count(predictions.iter().map(Prediction::is_correct)),
             accuracy_mean: accuracies.mean()?,
-            accuracy_std: if folds.len() > 1 { accuracies.std(1.0) } else { 0.0 },
+            accuracy_std: (folds.len() > 1).then(|| accuracies.std(1.0)),
             precision_mean: confusion.precision_mean(),
             log_loss: log_loss(predictions, confusion.labels.len()),
             classes: confusion.labels.len(),
@@ -317,10 +317,15 @@ mod tests {
         let outcome =
             outcome(&[prediction("a", "a", 0), prediction("b", "a", 0), prediction("c", "c", 1)]);
         assert_eq!(outcome.accuracy_mean, 0.75);
-        assert!((outcome.accuracy_std - 0.125f64.sqrt()).abs() < 1e-15);
+        assert!((outcome.accuracy_std.unwrap() - 0.125f64.sqrt()).abs() < 1e-15);
         // Precision: 1 of 2 answers for a, no answer for b, 1 of 1 answer for c.
         assert_eq!(outcome.precision_mean, 0.5);
         assert_eq!(outcome.confusion.counts[1], [1, 0, 0]);
+    }
+
+    #[test]
+    fn one_fold_has_no_deviation() {
+        assert_eq!(outcome(&[prediction("a", "a", 0)]).accuracy_std, None);
     }
 
     #[test]

@@ -10,7 +10,7 @@ pub use doubt::Doubt;
 pub(crate) use doubt::lines;
 pub(crate) use label::{checked_label, checked_session, normal};
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use image::RgbImage;
 use image::imageops::rotate90;
@@ -79,10 +79,28 @@ impl TrialKey {
         Self { session, ..self }
     }
 
+    /// The trial's session: two people never share one.
+    pub(crate) fn of_session(&self) -> (&str, Option<&str>) {
+        (&self.user, self.session.as_deref())
+    }
+
     /// The surface; `None` if it is [`UNLABELLED`].
     pub fn label(&self) -> Option<&str> {
         (self.surface != UNLABELLED).then_some(self.surface.as_str())
     }
+}
+
+/// Whether sessions tell more than trials: at least two surfaces have trials in at least two sessions
+/// each, and some session has several trials. If not, the data count as one session.
+pub(crate) fn sessions_count<'k>(keys: impl Iterator<Item = &'k TrialKey>) -> bool {
+    let mut of_surface: BTreeMap<&str, BTreeSet<_>> = BTreeMap::new();
+    let mut trials: BTreeMap<_, usize> = BTreeMap::new();
+    for key in keys.filter(|key| key.session.is_some()) {
+        of_surface.entry(&key.surface).or_default().insert(key.of_session());
+        *trials.entry(key.of_session()).or_default() += 1;
+    }
+    of_surface.values().filter(|sessions| sessions.len() > 1).count() > 1
+        && trials.values().any(|&count| count > 1)
 }
 
 impl std::fmt::Display for TrialKey {

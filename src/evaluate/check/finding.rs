@@ -9,11 +9,12 @@ use rayon::prelude::*;
 
 use super::Audited;
 use crate::evaluate::ProgressFn;
+use crate::evaluate::leak::{Leaks, Shared};
 use crate::evaluate::loudness::level_of;
 use crate::library::{Entry, LibraryError, Unreadable};
 use crate::printable::quoted;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, is_plain, usual_rests};
+use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, TrialKey, is_plain, usual_rests};
 
 /// A trial is too loud or quiet if ln of its loudness is this far from its surface's median: 20 dB.
 const LOUD: f64 = std::f64::consts::LN_10;
@@ -33,7 +34,7 @@ const MOST_KEPT: usize = 1 << 30;
 #[serde(rename_all = "lowercase")]
 pub enum FaultKind {
     Unreadable,
-    /// A series has the same samples as in another trial.
+    /// A series or picture has the same samples as in another trial.
     Copy,
     /// A series never changes, or is 40 dB below the other trials.
     Silent,
@@ -46,6 +47,8 @@ pub enum FaultKind {
     Mislabelled,
     /// A series is 20 dB above or below the other trials of its surface.
     Level,
+    /// A part of a series is also in another trial.
+    Shared,
 }
 
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -107,8 +110,7 @@ pub(super) struct Measured {
     pub seconds: f64,
     /// ln of the root mean square, after the mean of each channel was subtracted.
     pub level: f64,
-    /// Hash of the samples, to find copies; `None` for a constant series.
-    pub hash: Option<u64>,
+    pub is_constant: bool,
     /// For each channel, the largest share of the samples that rests at one value.
     rests: Vec<f32>,
 }
@@ -159,7 +161,7 @@ fn of_entry(
                 let measured = Measured {
                     seconds: one.duration_s(),
                     level: level_of(one.samples(), one.channels()),
-                    hash: (!one.is_constant()).then(|| signal.content_hash()),
+                    is_constant: one.is_constant(),
                     rests: flaws.rests(),
                 };
                 series.insert(id.clone(), measured);
@@ -214,9 +216,10 @@ pub(super) fn unreadable(
 /// Findings on the signals, and advice on each fault that half of the trials or more have.
 pub(super) fn of_signals(
     inspected: &[Inspected],
+    leaks: &Leaks,
     audited: &Audited<'_>,
 ) -> (Vec<Finding>, Vec<String>) {
-    let mut faults = copies(inspected, audited);
+    let mut faults = copies(inspected, leaks, audited);
     let usual = |id: &SourceId, surface: Option<&str>, of: fn(&Measured) -> f64| {
         let is_of = |one: &&Inspected| surface.is_none_or(|name| one.entry.key.surface == name);
         let those = inspected.iter().filter(is_of);
@@ -238,7 +241,7 @@ pub(super) fn of_signals(
             let is_flawed = one.doubts.iter().any(|doubt| doubt.source() == Some(id));
             let (usual_s, usual_level) = of_sources[id];
             let of_surface = usual(id, Some(surface), |m| m.level);
-            if (of.hash.is_none() && is_flawed) || below(usual_level, SILENT) {
+            if (of.is_constant && is_flawed) || below(usual_level, SILENT) {
                 add(FaultKind::Silent, id, "is silent", String::new());
             } else if let Some(usual_s) = usual_s.filter(|usual_s| of.seconds < SHORT * usual_s) {
                 let detail = format!("{:.1} s, usually {usual_s:.1} s", of.seconds);
@@ -345,26 +348,40 @@ fn grouped(
     (findings, advice)
 }
 
-/// A fault for each series that has the same samples as in an earlier trial.
-fn copies(inspected: &[Inspected], audited: &Audited<'_>) -> Vec<Fault> {
-    let mut first: BTreeMap<(&SourceId, u64), &Entry> = BTreeMap::new();
-    let mut faults = Vec::new();
-    for one in inspected {
-        for (id, of) in &one.series {
-            let Some(hash) = of.hash else { continue };
-            match first.get(&(id, hash)) {
-                None => drop(first.insert((id, hash), &one.entry)),
-                Some(other) => faults.push(Fault {
-                    kind: FaultKind::Copy,
-                    source: None,
-                    what: "is a copy of another",
-                    trial: one.entry.name_in(audited.root),
-                    detail: format!("that of {}", other.name_in(audited.root)),
-                }),
-            }
-        }
-    }
-    faults
+/// A fault for each trial that has a series with the same samples as in an earlier trial.
+fn copies(inspected: &[Inspected], leaks: &Leaks, audited: &Audited<'_>) -> Vec<Fault> {
+    let name = |trial: usize| inspected[trial].entry.name_in(audited.root);
+    let copies = leaks.shared.values().filter(|shared| shared.is_copy);
+    let fault = |shared: &Shared| Fault {
+        kind: FaultKind::Copy,
+        source: None,
+        what: "is a copy of another",
+        trial: name(shared.trials[1]),
+        detail: format!("that of {}", name(shared.trials[0])),
+    };
+    copies.map(fault).collect()
+}
+
+/// The finding that trials share samples without being copies of each other.
+pub(super) fn shared(
+    leaks: &Leaks,
+    keys: &[TrialKey],
+    entries: &[Entry],
+    audited: &Audited<'_>,
+) -> Option<Finding> {
+    let parts = leaks.shared.values().filter(|shared| !shared.is_copy);
+    let trials: BTreeSet<usize> = parts.flat_map(|shared| shared.trials).collect();
+    let trials: Vec<usize> = trials.into_iter().collect();
+    let keys: Vec<TrialKey> = trials.iter().map(|&i| keys[i].clone()).collect();
+    let name = |i: usize| entries[trials[i]].name_in(audited.root);
+    let text = leaks.among(&trials).text(&keys, name)?;
+    Some(Finding {
+        kind: FaultKind::Shared,
+        source: None,
+        text: format!("{text}; cut recordings without overlap"),
+        command: None,
+        trials: (0..trials.len()).map(name).collect(),
+    })
 }
 
 /// Forgets doubts about channels that rest no longer than they usually do in the library.

@@ -12,6 +12,7 @@ pub(crate) use self::finding::{FaultKind, Finding};
 use self::finding::{Inspected, inspect};
 use super::evaluation::{Evaluation, Measured, ProgressFn};
 use super::fold::{Fold, by_user, enough, known_only};
+use super::leak::Leaks;
 use super::outcome::{Confusion, Prediction, Share};
 use super::plain::better_plain;
 use crate::library::{Entry, Opened};
@@ -118,14 +119,16 @@ pub(crate) fn check(
     let entries = opened.library.entries.into_iter().map(|entry| entry.within(audited.scene));
     let (inspected, unreadable) = inspect(entries.collect(), audited.scene, progress);
     let mut findings = finding::unreadable(&opened.bad, &unreadable, audited);
-    let (of_signals, of_sources) = finding::of_signals(&inspected, audited);
-    findings.extend(of_signals);
     let entries: Vec<Entry> = inspected.iter().map(|one| one.entry.clone()).collect();
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let leaks = Leaks::of(&entries, progress);
+    let (of_signals, of_sources) = finding::of_signals(&inspected, &leaks, audited);
+    findings.extend(of_signals);
+    findings.extend(finding::shared(&leaks, &keys, &entries, audited));
     let mut advice = opened.library.remarks;
     advice.extend(of_sources);
     let (mut predictions, mut outcome) = (Vec::new(), None);
-    match measure(&entries, audited, progress, Some(&mut advice)) {
+    match measure(&entries, &leaks, audited, progress, Some(&mut advice)) {
         Ok(measured) => {
             (predictions, outcome) = (measured.predictions, Some(measured.outcome));
         }
@@ -136,12 +139,11 @@ pub(crate) fn check(
         .filter(|finding| finding.kind < FaultKind::Mislabelled)
         .flat_map(|finding| finding.trials.clone())
         .collect();
-    let sound: Vec<Entry> = entries
-        .iter()
-        .filter(|entry| !damaged.contains(&entry.name_in(audited.root)))
-        .cloned()
-        .collect();
-    let of_sound = || measure(&sound, audited, progress, None).ok();
+    let is_sound = |&i: &usize| !damaged.contains(&entries[i].name_in(audited.root));
+    let places: Vec<usize> = (0..entries.len()).filter(is_sound).collect();
+    let sound: Vec<Entry> = places.iter().map(|&i| entries[i].clone()).collect();
+    let leaks = leaks.among(&places);
+    let of_sound = || measure(&sound, &leaks, audited, progress, None).ok();
     let of_sound = if sound.len() < entries.len() { of_sound() } else { None };
     let judged = of_sound.as_ref().map_or(&predictions, |measured| &measured.predictions);
     let suspects = suspects(judged);
@@ -158,7 +160,8 @@ pub(crate) fn check(
         (false, false) => {
             let mended: Vec<Entry> =
                 sound.iter().map(|entry| relabelled(entry, &suspects)).collect();
-            let mended = measure(&mended, &Audited { cache: None, ..*audited }, progress, None);
+            let uncached = Audited { cache: None, ..*audited };
+            let mended = measure(&mended, &leaks, &uncached, progress, None);
             mended.ok().map(|measured| measured.outcome.share.value())
         }
     };
@@ -231,9 +234,11 @@ fn by_parts(keys: &[TrialKey]) -> Vec<Fold> {
     (0..most).map(fold).filter(|fold| !fold.queries.is_empty()).collect()
 }
 
-/// Names each trial when left out. Adds to `advice`, if given, that `svm` is better than the default.
+/// Names each trial when left out, never by trials that share its samples if others are left. Adds to
+/// `advice`, if given, that `svm` is better than the default.
 fn measure(
     entries: &[Entry],
+    leaks: &Leaks,
     audited: &Audited<'_>,
     progress: ProgressFn<'_>,
     advice: Option<&mut Vec<String>>,
@@ -241,6 +246,7 @@ fn measure(
     let Audited { scene, method, cache, .. } = *audited;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let folds = left_out(&keys);
+    let folds = leaks.apart(&folds, &keys).unwrap_or(folds);
     let surfaces: BTreeSet<&str> = keys.iter().map(|key| key.surface.as_str()).collect();
     if surfaces.len() < 2 || folds.is_empty() {
         let needed = "two surfaces, and two trials of one of them";

@@ -224,7 +224,7 @@ fn report_row(row: Row, part: &RowPart, outcome: Option<&Outcome>) -> ReportRow 
         missing: part.missing.clone(),
         not_run: part.not_run.clone(),
         accuracy_mean: outcome.map(|o| o.accuracy_mean),
-        accuracy_std: outcome.map(|o| o.accuracy_std),
+        accuracy_std: outcome.and_then(|o| o.accuracy_std),
         accuracy_low: outcome.map(|o| o.share.interval().0),
         accuracy_high: outcome.map(|o| o.share.interval().1),
         precision_mean: outcome.map(|o| o.precision_mean),

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::recognise::decide::LeftOutBy;
-use crate::trial::TrialKey;
+use crate::trial::{TrialKey, sessions_count};
 
 /// At most this many groups of trials are left out, one at a time.
 const MOST_GROUPS: usize = 10;
@@ -24,8 +24,8 @@ pub(super) struct Labels {
 
 impl Labels {
     /// Groups are users if most trials can then be named by the other users' trials; if not, sessions
-    /// under the same condition; if not, a group takes one trial of each user and surface. If there are
-    /// too many groups, several are joined.
+    /// if they count ([`sessions_count`]); if not, a group takes one trial of each user and surface. If
+    /// there are too many groups, several are joined.
     pub(super) fn new(keys: &[&TrialKey]) -> Self {
         let (surfaces, class) = appearances(keys.iter().map(|key| key.surface.as_str()));
         let joined = |groups: Vec<usize>| -> Vec<usize> {
@@ -36,12 +36,11 @@ impl Labels {
                 && known_elsewhere(&class, group) * 2 > keys.len()
         };
         let by_user = joined(appearances(keys.iter().map(|key| key.user.as_str())).1);
-        let sessions = keys.iter().map(|key| (key.user.as_str(), key.session.as_deref()));
-        let by_session = joined(appearances(sessions).1);
         let (group, left_out) = if tells(&by_user) {
             (by_user, LeftOutBy::People)
-        } else if tells(&by_session) {
-            (by_session, LeftOutBy::Sessions)
+        } else if sessions_count(keys.iter().copied()) {
+            let sessions = keys.iter().map(|key| key.of_session());
+            (joined(appearances(sessions).1), LeftOutBy::Sessions)
         } else {
             let owners = keys.iter().map(|key| (key.user.as_str(), key.surface.as_str()));
             let mut counts = BTreeMap::new();
