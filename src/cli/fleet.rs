@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use super::keys::watch_signals;
 use super::serve::ServeArgs;
 use super::{Done, Failure};
-use crate::fleet;
+use crate::fleet::{self, Pages};
 use crate::serve::Settings;
 use crate::station::config::{MqttAddress, TlsFiles};
 
@@ -41,6 +41,12 @@ pub(super) struct Args {
     /// Size of the cache, in millions of bytes; the oldest answers are dropped first
     #[arg(long, default_value_t = 256, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     keep_mb: u32,
+    /// Hosts whose pages may be asked for answers that the broker did not deliver; repeat the option
+    ///
+    /// A name or address (`press-3.hall`, 10.0.3.7), all names below one (`*.hall`), or a network of
+    /// addresses (10.0.3.0/24). Without it no page is asked, since a station names its own.
+    #[arg(long = "pages", value_name = "HOST")]
+    pages: Vec<Pages>,
     #[command(flatten)]
     serve: ServeArgs,
 }
@@ -63,7 +69,9 @@ pub(super) fn run(args: &Args) -> Done {
     let address = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), PORT);
     let serve = args.serve.settings(Settings { address, ..Settings::default() })?;
     let most_bytes = u64::from(args.keep_mb) * 1_000_000;
-    let server = fleet::start(broker, &cache, most_bytes, &serve).map_err(super::serve::failure)?;
+    let pages = args.pages.clone();
+    let server =
+        fleet::start(broker, (&cache, most_bytes), pages, &serve).map_err(super::serve::failure)?;
     let signals = watch_signals(crossbeam_channel::unbounded().0)?;
     say!("http://{}", server.address());
     let _ = signals.recv();

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use super::Failure;
 use crate::scan::Options;
-use crate::serve::{PORT, Reporter, ServeError, Server, Settings, Token};
+use crate::serve::{Reporter, ServeError, Server, Settings, Token};
 use crate::station::Station;
 use crate::station::config::machine_name;
 
@@ -26,9 +26,9 @@ pub(super) struct ServeArgs {
     ///
     /// ADDR is an address with its port, or either alone; port 0 picks a free one. To serve other
     /// machines, give an address such as 0.0.0.0, and a token of at least 16 characters in the
-    /// environment variable SURFACED_TOKEN. [default: 127.0.0.1:8080]
+    /// environment variable SURFACED_TOKEN. [default: 127.0.0.1:8080; of a fleet 127.0.0.1:8081]
     #[arg(long, value_name = "ADDR", value_parser = address)]
-    serve: Option<Option<SocketAddr>>,
+    serve: Option<Option<Address>>,
     /// A trusted proxy in front of the server
     ///
     /// `X-Forwarded-For` and `X-Forwarded-Proto` are believed only from these addresses. Repeat the
@@ -37,13 +37,17 @@ pub(super) struct ServeArgs {
     proxies: Vec<IpAddr>,
 }
 
+/// An address; without a port, the command's own is meant.
+type Address = (IpAddr, Option<u16>);
+
 /// Parses an address with a port, an address alone, or a port alone.
-fn address(text: &str) -> Result<SocketAddr, String> {
+fn address(text: &str) -> Result<Address, String> {
     let local = Ipv4Addr::LOCALHOST.to_string();
     let text = text.strip_prefix("localhost").map_or(text.to_string(), |port| local + port);
-    let port = || text.parse().ok().map(|port| SocketAddr::new(Ipv4Addr::LOCALHOST.into(), port));
-    let ip = || text.parse::<IpAddr>().ok().map(|ip| SocketAddr::new(ip, PORT));
-    text.parse().ok().or_else(ip).or_else(port).ok_or_else(|| {
+    let full = text.parse().ok().map(|full: SocketAddr| (full.ip(), Some(full.port())));
+    let port = || text.parse().ok().map(|port| (Ipv4Addr::LOCALHOST.into(), Some(port)));
+    let ip = || text.parse().ok().map(|ip| (ip, None));
+    full.or_else(ip).or_else(port).ok_or_else(|| {
         "expected an address such as 127.0.0.1:8080, or a port; where --serve stands before DATA, \
          write --serve=ADDR, or put it last"
             .into()
@@ -96,7 +100,11 @@ impl ServeArgs {
             Ok(text) => Some(Token::new(&text).map_err(failure)?),
             Err(_) => None,
         };
-        let address = self.serve.flatten().unwrap_or(settings.address);
+        let usual = settings.address;
+        let address = self
+            .serve
+            .flatten()
+            .map_or(usual, |(ip, port)| SocketAddr::new(ip, port.unwrap_or(usual.port())));
         let proxies = self.proxies.iter().map(|proxy| proxy.to_canonical()).collect();
         Ok(Settings { address, token, proxies, ..settings })
     }
@@ -116,17 +124,17 @@ mod tests {
 
     #[test]
     fn an_address_may_be_short() {
-        for (text, full) in [
-            ("0", "127.0.0.1:0"),
-            ("9000", "127.0.0.1:9000"),
-            ("127.0.0.1", "127.0.0.1:8080"),
-            ("localhost", "127.0.0.1:8080"),
-            ("localhost:1", "127.0.0.1:1"),
-            ("0.0.0.0:80", "0.0.0.0:80"),
-            ("[::1]:80", "[::1]:80"),
-            ("::1", "[::1]:8080"),
+        for (text, ip, port) in [
+            ("0", "127.0.0.1", Some(0)),
+            ("9000", "127.0.0.1", Some(9000)),
+            ("127.0.0.1", "127.0.0.1", None),
+            ("localhost", "127.0.0.1", None),
+            ("localhost:1", "127.0.0.1", Some(1)),
+            ("0.0.0.0:80", "0.0.0.0", Some(80)),
+            ("[::1]:80", "::1", Some(80)),
+            ("::1", "::1", None),
         ] {
-            assert_eq!(address(text), Ok(full.parse().unwrap()), "{text}");
+            assert_eq!(address(text), Ok((ip.parse().unwrap(), port)), "{text}");
         }
         for text in ["", "recordings", "localhosts", "1.2.3", "127.0.0.1:99999"] {
             assert!(address(text).unwrap_err().contains("--serve=ADDR"), "{text}");

@@ -53,6 +53,8 @@ async fn state(State(fleet): Shared) -> Json<Value> {
         "version": env!("CARGO_PKG_VERSION"),
         "broker": { "address": inner.broker, "problem": inner.problem },
         "scans": inner.cache.len(),
+        "passed_over": { "messages": inner.passed_over.0, "last": inner.passed_over.1 },
+        "too_many_stations": inner.stations.are_too_many,
         "stale_after_s": inner.stale_after_s,
         "now_unix_ms": unix_ms(),
         "stations": inner.stations.view(&inner.cache),

@@ -27,6 +27,9 @@ pub(super) struct Head {
     pub sequence: Option<u64>,
     pub surface: Option<String>,
     pub confidence: Option<f64>,
+    /// The time that the station gave, where its clock was ahead.
+    #[serde(default, skip_serializing)]
+    pub said_unix_ms: Option<u64>,
 }
 
 #[derive(Deserialize)]
@@ -75,6 +78,10 @@ impl Cache {
         let mut cache = Self { log, entries, most, floor_ms: 0 };
         cache.make_room()?;
         Ok(cache)
+    }
+
+    pub(super) fn has(&self, station: &str, id: &str) -> bool {
+        self.entries.keys().any(|(_, of, at)| of == id && at == station)
     }
 
     /// Adds an answer of a station, and returns its head; `None` if the answer was known already.

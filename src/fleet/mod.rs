@@ -2,32 +2,29 @@
 //!
 //! A fleet names no scans itself. Answers and states come from the broker, through a lasting
 //! session with acknowledgements, and are stored in a bounded [`cache`] on disk. Answers that the
-//! broker or the cache has lost are read from the stations' histories. [`api`] serves
-//! the page and the HTTP API.
+//! broker or the cache has lost are read from the stations' histories ([`refill`]), where the administrator
+//! allows it. [`api`] serves the page and the HTTP API.
 
 mod api;
 mod cache;
+mod refill;
 mod state;
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
-use axum::body::{Body, to_bytes};
-use axum::http::{Request, StatusCode};
 use rumqttc::{Event, MqttOptions, Packet, QoS};
-use serde::Deserialize;
 use serde_json::Value;
-use tokio::time::{sleep, timeout};
+use tokio::time::sleep;
 
 use self::cache::Cache;
+pub(crate) use self::refill::Pages;
 use self::state::Stations;
 use crate::history::HistoryError;
 use crate::outputs::BackOff;
-use crate::outputs::http;
 use crate::outputs::mqtt::{self, Line};
-use crate::serve::{ServeError, Server, Settings, Traffic};
-use crate::station::config::{HttpAddress, MqttAddress, is_segment, machine_name};
+use crate::serve::{ServeError, Server, Settings, Traffic, unix_ms};
+use crate::station::config::{MqttAddress, is_segment, machine_name};
 
 #[derive(Debug)]
 struct Fleet {
@@ -43,15 +40,38 @@ struct Inner {
     /// The reason why the broker is not connected; `None` while it is connected.
     problem: Option<String>,
     stale_after_s: f64,
+    /// How many messages were passed over, and what was wrong with the last of them.
+    passed_over: (u64, Option<String>),
 }
 
+/// How far the clock of a station may be ahead before its times are no longer believed.
+const CLOCKS_DIFFER_MS: u64 = 60_000;
+
 impl Inner {
-    /// Stores an answer of a station, if it is new.
-    fn answered(&mut self, station: &str, answer: &Value) -> Result<(), String> {
-        if let Some(head) = self.cache.add(station, answer)? {
+    /// Stores an answer of a station, if it is new. An answer from the future counts as given now: at
+    /// its own time it would stay the newest one.
+    fn answered(&mut self, station: &str, mut answer: Value) -> Result<(), String> {
+        let (now, said) = (unix_ms(), answer["unix_ms"].as_u64());
+        if let (Some(said), Some(fields)) = (said, answer.as_object_mut())
+            && said > now + CLOCKS_DIFFER_MS
+        {
+            if fields["id"].as_str().is_some_and(|id| self.cache.has(station, id)) {
+                return Ok(());
+            }
+            fields.insert("said_unix_ms".into(), said.into());
+            fields.insert("unix_ms".into(), now.into());
+        }
+        if let Some(head) = self.cache.add(station, &answer)? {
             self.stations.answered(&head);
         }
         Ok(())
+    }
+
+    fn pass_over(&mut self, topic: &str, why: &str) {
+        tracing::warn!("{topic}: this message is passed over: {why}");
+        let (count, last) = &mut self.passed_over;
+        *count += 1;
+        *last = Some(format!("{topic}: {why}"));
     }
 }
 
@@ -62,11 +82,12 @@ impl Fleet {
     }
 }
 
-/// Shows the stations of a broker until the server is dropped. `folder` keeps the answers.
+/// Shows the stations of a broker until the server is dropped. `folder` keeps the answers, in at most
+/// `most_bytes`. Missing answers are read from `pages`.
 pub(crate) fn start(
     address: MqttAddress,
-    folder: &Path,
-    most_bytes: u64,
+    (folder, most_bytes): (&Path, u64),
+    pages: Vec<Pages>,
     serve: &Settings,
 ) -> Result<Server, ServeError> {
     let system = |error: HistoryError| ServeError::System(error.into());
@@ -81,13 +102,15 @@ pub(crate) fn start(
     let stations = Stations::of(&cache);
     let problem = Some("connecting".into());
     let (broker, stale_after_s) = (address.to_string(), serve.stale_after_s);
-    let inner = Mutex::new(Inner { cache, stations, broker, problem, stale_after_s });
+    let passed_over = Default::default();
+    let inner = Inner { cache, stations, broker, problem, stale_after_s, passed_over };
+    let inner = Mutex::new(inner);
     let fleet = Arc::new(Fleet { inner, traffic: Arc::default() });
     let served = (api::router(fleet.clone(), serve), fleet.traffic.clone());
     let work = |mut stopped: tokio::sync::watch::Receiver<bool>| async move {
         tokio::select! {
             () = subscribe(&fleet, &options, &address.prefix) => {}
-            () = refill(&fleet) => {}
+            () = refill::refill(&fleet, pages.into()) => {}
             _ = stopped.wait_for(|stop| *stop) => {}
         }
     };
@@ -116,7 +139,7 @@ async fn subscribe(fleet: &Fleet, options: &MqttOptions, prefix: &str) {
                 }
                 Some(Ok(Event::Incoming(Packet::Publish(message)))) => {
                     if let Err(why) = take(fleet, prefix, &message.topic, &message.payload) {
-                        tracing::warn!("{}: this message is passed over: {why}", message.topic);
+                        fleet.lock().pass_over(&message.topic, &why);
                     }
                     let _ = line.client.ack(&message).await;
                 }
@@ -155,88 +178,6 @@ fn take(fleet: &Fleet, prefix: &str, topic: &str, payload: &[u8]) -> Result<(), 
     let inner = &mut *fleet.lock();
     match what {
         "state" => inner.stations.stated(station, said.as_object().ok_or("it is no JSON object")?),
-        _ => inner.answered(station, &said)?,
+        _ => inner.answered(station, said),
     }
-    Ok(())
-}
-
-/// Interval at which stations with missing answers are looked for.
-const EVERY: Duration = Duration::from_secs(1);
-/// How many answers one request asks for. The reply may have at most `LARGEST` bytes.
-const A_REQUEST: usize = 200;
-const LARGEST: usize = 32 << 20;
-const MOST_REQUESTS_A_STATION: usize = 500;
-const REPLY_PATIENCE: Duration = Duration::from_secs(10);
-
-#[derive(Deserialize)]
-struct Scans {
-    scans: Vec<Value>,
-}
-
-/// Reads missing answers, one station after the other, without end.
-async fn refill(fleet: &Fleet) {
-    loop {
-        sleep(EVERY).await;
-        loop {
-            let next = fleet.lock().stations.next_to_read();
-            let Some((station, page, from_ms)) = next else { break };
-            let done = read(fleet, &station, &page, from_ms).await;
-            fleet.lock().stations.was_read(&station, from_ms, done);
-        }
-    }
-}
-
-/// Reads the history of a station, from the newest scan back to the time `from_ms`.
-async fn read(fleet: &Fleet, station: &str, page: &str, from_ms: u64) -> Result<(), String> {
-    let address: HttpAddress = page.parse()?;
-    let mut before = String::new();
-    for _ in 0..MOST_REQUESTS_A_STATION {
-        let scans = request(&address, &before).await?;
-        let is_last = scans.len() < A_REQUEST;
-        let oldest_ms = scans.last().and_then(|scan| scan["unix_ms"].as_u64()).unwrap_or(0);
-        before = format!(
-            "&before={}",
-            scans.last().and_then(|scan| scan["id"].as_str()).unwrap_or_default()
-        );
-        for scan in scans {
-            add(fleet, station, scan)?;
-        }
-        if is_last || oldest_ms < from_ms {
-            break;
-        }
-    }
-    Ok(())
-}
-
-fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Result<(), String> {
-    // Outputs send no answer for a scan that could not be compared, so it is skipped here too.
-    let was_compared = scan["state"] != "unnamed";
-    let Some(fields) = scan.as_object_mut().filter(|_| was_compared) else { return Ok(()) };
-    fields.insert("station".into(), station.into());
-    // Corrections belong to the station and may change there, so they are removed.
-    for said in ["correction", "became", "kept"] {
-        fields.remove(said);
-    }
-    fleet.lock().answered(station, &scan)
-}
-
-async fn request(address: &HttpAddress, before: &str) -> Result<Vec<Value>, String> {
-    let path = format!("/api/v1/scans?limit={A_REQUEST}{before}");
-    let request = Request::get(path).body(Body::empty()).map_err(|error| error.to_string())?;
-    let reply = timeout(REPLY_PATIENCE, async {
-        let reply = http::send(address, request).await?;
-        let status = reply.status();
-        let body = to_bytes(Body::new(reply.into_body()), LARGEST).await;
-        Ok::<_, String>((status, body.map_err(|error| error.to_string())))
-    });
-    let (status, body) = reply.await.map_err(|_| "its page gives no answer")??;
-    match status {
-        StatusCode::OK => {}
-        StatusCode::UNAUTHORIZED => return Err("its page asks for a token".into()),
-        StatusCode::MISDIRECTED_REQUEST => {
-            return Err("its page answers only its own machine; run `surfaced fleet` there".into());
-        }
-        other => return Err(format!("its page answers {other}")),
-    }
-    serde_json::from_slice(&body?).map(|Scans { scans }| scans).map_err(|error| error.to_string())
 }

@@ -22,8 +22,15 @@ const AGAIN: Duration = Duration::from_secs(60);
 /// The fields of a station's published state that the page shows.
 const FIELDS: &str = "state version page devices devices_down counts review sequence dropped";
 
+/// A station whose history must be read: its name, its page, and the time where to begin.
+pub(super) type Due = (String, String, u64);
+
 #[derive(Debug, Default)]
-pub(super) struct Stations(BTreeMap<String, Station>);
+pub(super) struct Stations {
+    of: BTreeMap<String, Station>,
+    /// Whether more stations have published than are kept.
+    pub are_too_many: bool,
+}
 
 #[derive(Debug, Default)]
 struct Station {
@@ -39,6 +46,11 @@ struct Station {
     missing_from_ms: Option<u64>,
     /// The history must not be read before this moment.
     not_before: Option<Instant>,
+    /// When the history was last begun to be read, and whether that is still going on.
+    tried: Option<Instant>,
+    is_read: bool,
+    /// How far the station's clock was ahead at its newest answer, if it was.
+    ahead_ms: Option<u64>,
     /// The reason why the history could not be read; `None` after a success.
     page_problem: Option<String>,
 }
@@ -48,23 +60,27 @@ impl Stations {
         let mut stations = Self::default();
         cache.heads().for_each(|head| stations.answered(&head));
         // A gap before the oldest answer (0) comes from dropped answers, which are not read again.
-        for station in stations.0.values_mut() {
+        for station in stations.of.values_mut() {
             station.missing_from_ms = station.missing_from_ms.filter(|from_ms| *from_ms > 0);
         }
         stations
     }
 
     fn named(&mut self, name: &str) -> Option<&mut Station> {
-        if self.0.len() >= MOST && !self.0.contains_key(name) {
+        if self.of.len() >= MOST && !self.of.contains_key(name) {
+            self.are_too_many = true;
             return None;
         }
-        Some(self.0.entry(name.into()).or_default())
+        Some(self.of.entry(name.into()).or_default())
     }
 
     pub(super) fn answered(&mut self, head: &Head) {
         let Some(station) = self.named(&head.station) else { return };
         let unix_ms = head.unix_ms;
         let at = station.recent.iter().position(|other| other.unix_ms <= unix_ms);
+        if at.is_none_or(|at| at == 0) {
+            station.ahead_ms = head.said_unix_ms.map(|said| said.saturating_sub(unix_ms));
+        }
         station.recent.insert(at.unwrap_or(station.recent.len()), head.clone());
         station.recent.truncate(RECENT);
         let Some(sequence) = head.sequence else { return };
@@ -77,8 +93,15 @@ impl Stations {
     }
 
     /// Updates the state of a station. A last will has fewer fields, so the others keep their values.
-    pub(super) fn stated(&mut self, name: &str, state: &Map<String, Value>) {
-        let Some(station) = self.named(name) else { return };
+    ///
+    /// # Errors
+    /// If a field that the page shows is of another type than a station publishes.
+    pub(super) fn stated(&mut self, name: &str, state: &Map<String, Value>) -> Result<(), String> {
+        let unsound = |field: &&str| state.get(*field).is_some_and(|value| !is_sound(field, value));
+        if let Some(field) = FIELDS.split(' ').find(unsound) {
+            return Err(format!("its `{field}` is none that a station publishes"));
+        }
+        let Some(station) = self.named(name) else { return Ok(()) };
         let is_new = station.card.get("state") != state.get("state");
         for field in FIELDS.split(' ') {
             if let Some(value) = state.get(field) {
@@ -95,30 +118,25 @@ impl Stations {
         } else if station.behind.is_none() {
             station.behind = Some(Instant::now());
         }
+        Ok(())
     }
 
-    /// Finds a station whose history must be read. Returns its name, its page, and where to begin.
-    /// The station need not be online, since the page of a replay remains after the last answer.
-    pub(super) fn next_to_read(&mut self) -> Option<(String, String, u64)> {
+    /// Finds a station whose history must be read, the one first that has waited longest. The station
+    /// need not be online, since the page of a replay remains after the last answer.
+    pub(super) fn next_to_read(&mut self) -> Option<Due> {
         let now = Instant::now();
-        for (name, station) in &mut self.0 {
-            if station.behind.is_some_and(|since| now.duration_since(since) > ON_THEIR_WAY) {
-                station.behind = None;
-                let from = station.newest.1;
-                station.misses(from);
-            }
-            let is_due = station.not_before.is_none_or(|moment| moment <= now);
-            let page = station.card.get("page").and_then(Value::as_str);
-            if let (Some(from), Some(page), true) = (station.missing_from_ms, page, is_due) {
-                return Some((name.clone(), page.into(), from));
-            }
-        }
-        None
+        self.of.values_mut().for_each(|station| station.look_back(now));
+        let due = self.of.iter_mut().filter(|(_, station)| station.is_due(now));
+        let (name, station) = due.min_by_key(|(_, station)| station.tried)?;
+        let page = station.card.get("page")?.as_str()?;
+        (station.tried, station.is_read) = (Some(now), true);
+        Some((name.clone(), page.into(), station.missing_from_ms?))
     }
 
     /// Notes that the history of a station was read since `from_ms`, or why it could not be read.
     pub(super) fn was_read(&mut self, name: &str, from_ms: u64, done: Result<(), String>) {
-        let Some(station) = self.0.get_mut(name) else { return };
+        let Some(station) = self.of.get_mut(name) else { return };
+        station.is_read = false;
         station.page_problem = done.err();
         if station.page_problem.is_some() {
             station.not_before = Some(Instant::now() + AGAIN);
@@ -142,6 +160,7 @@ impl Stations {
                 "station": name,
                 "since_unix_ms": station.since_unix_ms,
                 "page_problem": station.page_problem,
+                "ahead_ms": station.ahead_ms,
                 "scans_10_min": scans,
                 "unknown_10_min": unknown,
                 "answers": station.recent,
@@ -151,11 +170,37 @@ impl Stations {
             }
             view
         };
-        self.0.iter().map(view).collect()
+        self.of.iter().map(view).collect()
+    }
+}
+
+/// Whether a published field has the type that the page expects.
+fn is_sound(field: &str, value: &Value) -> bool {
+    let is_device = |device: &Value| device["device"].is_string() && device["state"].is_string();
+    match field {
+        "state" | "version" => value.is_string(),
+        "page" => value.is_string() || value.is_null(),
+        "devices" => value.as_array().is_some_and(|all| all.iter().all(is_device)),
+        "counts" => value.is_object(),
+        _ => value.is_u64() || value.is_null(),
     }
 }
 
 impl Station {
+    /// Notes answers that should have arrived by now.
+    fn look_back(&mut self, now: Instant) {
+        if self.behind.is_some_and(|since| now.duration_since(since) > ON_THEIR_WAY) {
+            self.behind = None;
+            self.misses(self.newest.1);
+        }
+    }
+
+    fn is_due(&self, now: Instant) -> bool {
+        let may = !self.is_read && self.not_before.is_none_or(|moment| moment <= now);
+        let has_page = self.card.get("page").is_some_and(Value::is_string);
+        may && has_page && self.missing_from_ms.is_some()
+    }
+
     fn misses(&mut self, from_ms: u64) {
         let from = self.missing_from_ms.map_or(from_ms, |before| before.min(from_ms));
         self.missing_from_ms = Some(from);
@@ -184,15 +229,15 @@ mod tests {
     fn answers_that_are_missing_are_read_from_the_last_one_before_them() {
         let mut stations = Stations::default();
         (1..=3).for_each(|n| answered(&mut stations, Some(n), 10 * n));
-        stations.stated("a", &online(3));
+        stations.stated("a", &online(3)).unwrap();
         assert_eq!(stations.next_to_read(), None);
         answered(&mut stations, Some(6), 60);
         let due = Some(("a".into(), "http://127.0.0.1:1".into(), 30));
         assert_eq!(stations.next_to_read(), due);
         stations.was_read("a", 30, Err("a token is needed".into()));
         assert_eq!(stations.next_to_read(), None, "not at once again");
-        stations.stated("a", json!({ "state": "offline" }).as_object().unwrap());
-        stations.stated("a", &online(6));
+        stations.stated("a", json!({ "state": "offline" }).as_object().unwrap()).unwrap();
+        stations.stated("a", &online(6)).unwrap();
         assert_eq!(stations.next_to_read(), due, "it is back");
         stations.was_read("a", 30, Ok(()));
         answered(&mut stations, None, 40);
@@ -203,6 +248,47 @@ mod tests {
         assert_eq!(stations.next_to_read(), None);
         answered(&mut stations, Some(3), 100);
         assert_eq!(stations.next_to_read().unwrap().2, 80);
+        assert_eq!(stations.next_to_read(), None, "it is being read");
+    }
+
+    #[test]
+    fn every_station_has_its_turn_though_one_is_slow() {
+        let mut stations = Stations::default();
+        for name in ["a", "b", "c"] {
+            stations.stated(name, &online(1)).unwrap();
+            stations.of.get_mut(name).unwrap().misses(0);
+        }
+        let order: Vec<String> = (0..6)
+            .map(|_| {
+                let (name, _, from) = stations.next_to_read().unwrap();
+                stations.of.get_mut(&name).unwrap().tried = Some(Instant::now());
+                stations.was_read(&name, from + 1, Ok(()));
+                name
+            })
+            .collect();
+        assert_eq!(order.concat(), "abcabc");
+    }
+
+    #[test]
+    fn what_no_station_publishes_is_refused_and_changes_nothing() {
+        let mut stations = Stations::default();
+        stations.stated("a", &online(1)).unwrap();
+        for (field, value) in [
+            ("devices", json!(7)),
+            ("devices", json!([{ "device": "stylus" }])),
+            ("devices", json!([null])),
+            ("state", json!({})),
+            ("page", json!(["http://127.0.0.1"])),
+            ("sequence", json!("many")),
+            ("dropped", json!(-1)),
+        ] {
+            let said = json!({ "state": "offline", field: value });
+            let refused = stations.stated("a", said.as_object().unwrap());
+            assert!(refused.is_err_and(|why| why.contains(field)), "{said}");
+        }
+        assert_eq!(stations.of["a"].card["sequence"], json!(1));
+        (0..MOST).for_each(|n| stations.stated(&format!("x-{n}"), &online(0)).unwrap());
+        assert!(stations.are_too_many && stations.of.len() == MOST);
     }
 
     #[test]
@@ -210,8 +296,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let cache = Cache::open(dir.path(), 1 << 20).unwrap();
         let mut stations = Stations::of(&cache);
-        stations.stated("a", &online(0));
-        stations.stated("a", json!({ "state": "offline", "other": 1 }).as_object().unwrap());
+        stations.stated("a", &online(0)).unwrap();
+        let will = json!({ "state": "offline", "other": 1 });
+        stations.stated("a", will.as_object().unwrap()).unwrap();
         for unix_ms in [10, 30, 20, 60, 50, 40] {
             answered(&mut stations, None, unix_ms);
         }

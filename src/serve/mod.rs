@@ -26,6 +26,6 @@ mod trace;
 
 pub(crate) use guard::Traffic;
 pub use server::{Reporter, Server};
-pub(crate) use settings::{Audit, PORT};
+pub(crate) use settings::Audit;
 pub use settings::{LibraryFolder, Limits, ServeError, Settings, Token};
 pub(crate) use state::unix_ms;

@@ -14,7 +14,7 @@ use crate::history::History;
 use crate::outputs::OutputHealth;
 use crate::scene::Scene;
 
-pub(crate) const PORT: u16 = 8080;
+const PORT: u16 = 8080;
 
 #[derive(Clone)]
 pub struct Settings {

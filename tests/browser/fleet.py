@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""The page of a fleet in headless Chromium: three stations appear with their answers, one is killed, and
-what needs somebody can be shown alone.
+"""The page of a fleet in headless Chromium: three stations appear with their answers, one is killed, what
+needs somebody can be shown alone, and stations that misbehave harm nobody.
 
     tests/browser/fleet.py target/release/surfaced [FOLDER FOR SCREENSHOTS]
 
-Needs mosquitto, chromium and chromedriver (Debian: mosquitto chromium chromium-driver), and axe-core
+Needs mosquitto, chromium and chromedriver (Debian: mosquitto mosquitto-clients chromium chromium-driver), and axe-core
 (`pip install axe-core-python`).
 """
 
@@ -13,8 +13,11 @@ import importlib.util
 import json
 import re
 import signal
+import socket
+import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 from review import shots_of
@@ -73,6 +76,44 @@ def silent(browser, fleet, shots):
     browser.wait("live cards again", lambda: any(state != "lost" for _, state, _ in cards(browser)))
 
 
+def answer(station, unix_ms, **more):
+    return json.dumps({"station": station, "id": f"x-{unix_ms}", "unix_ms": unix_ms, "state": "named", "surface": "oak",
+                       "confidence": 0.9, "sequence": 1, **more})
+
+
+def misbehave(browser, many, fleet, broker, shots):
+    """Stations that misbehave, each in its way, harm neither the others nor the page."""
+    def publish(topic, text):
+        command = ["mosquitto_pub", "-p", str(broker.port), "-r", "-q", "1", "-s", "-t", f"surfaced/{topic}"]
+        subprocess.run(command, input=text, text=True, check=True)
+
+    now = round(time.time() * 1000)
+    with socket.create_server(("127.0.0.1", 0)) as silent_page:
+        slow = {"state": "online", "page": f"http://127.0.0.1:{silent_page.getsockname()[1]}", "sequence": 9}
+        elsewhere = {"state": "online", "page": "http://169.254.169.254", "sequence": 9}
+        publish("a-slow/state", json.dumps(slow))
+        publish("elsewhere/state", json.dumps(elsewhere))
+        publish("large/answer", answer("large", now, note="x" * (300 << 10)))
+        publish("odd/state", json.dumps({"state": "online", "devices": 7}))
+        publish("odd/answer", answer("odd", now, confidence="much"))
+        publish("ahead/answer", answer("ahead", now + 3 * 3_600_000))
+        state = browser.wait("three messages are passed over", lambda: (
+            state := fleet.state())["passed_over"]["messages"] == 3 and state)
+        assert state["broker"]["problem"] is None, state["broker"]
+        shown = lambda: browser.text("#stations")  # noqa: E731
+        browser.wait("a clock that is ahead", lambda: "clock is ahead by 180 minutes" in shown(), 20)
+        browser.wait("a page that is not allowed", lambda: "--pages 169.254.169.254" in shown(), 40)
+        assert "3 messages passed over" in browser.text("#problem"), browser.text("#problem")
+        assert browser.text("#link") == "connected"
+        # Of an answer from the future, the time of its arrival counts, and a later answer is newer.
+        publish("late/answer", answer("late", round(time.time() * 1000) + 2000))
+        newest = lambda: json.loads(many.get(fleet.url, "/api/v1/scans"))["scans"]  # noqa: E731
+        browser.wait("the later answer is the newest", lambda: newest()[0]["station"] == "late")
+        ahead = next(scan for scan in newest() if scan["station"] == "ahead")
+        assert ahead["unix_ms"] < now + 600_000 and ahead["said_unix_ms"] == now + 3 * 3_600_000, ahead
+        shots_of(browser, shots, "fleet-misbehaving")
+
+
 def main():
     surfaced, shots = str(Path(sys.argv[1]).resolve()), sys.argv[2] if len(sys.argv) > 2 else None
     many = load(TOOL)
@@ -86,6 +127,7 @@ def main():
             for station in stations:
                 station.url = many.serving(station.process)
             check(browser, fleet, stations, shots)
+            misbehave(browser, many, fleet, broker, shots)
         finally:
             for station in stations:
                 station.end()

@@ -20,6 +20,7 @@ function troubles(station) {
   if (station.state === "online") for (const { device, state } of down) lines.push(`${device}: ${state}`);
   if (station.review > 0) lines.push(`${many(station.review, "scan")} to review`);
   if (station.dropped > 0) lines.push(`${many(station.dropped, "answer")} dropped while the broker was away`);
+  if (station.ahead_ms) lines.push(`its clock is ahead by ${many(Math.round(station.ahead_ms / 60000), "minute")}: set it right`);
   if (station.page_problem) lines.push(`history not read: ${station.page_problem}`);
   return lines;
 }
@@ -93,37 +94,47 @@ function show() {
   hide("no-stations", stations.length > 0);
 }
 
-// A problem of the whole fleet; empty if there is none.
-function problemOf({ broker }) {
-  return broker.problem ? `The broker is not connected: ${broker.problem}. It is tried again.` : "";
+// The problems of the whole fleet; empty if there is none.
+function problemOf({ broker, passed_over: { messages, last }, too_many_stations }) {
+  const lines = [];
+  if (broker.problem) lines.push(`The broker is not connected: ${broker.problem}. It is tried again.`);
+  if (messages > 0) lines.push(`${many(messages, "message")} passed over; the last: ${last}.`);
+  if (too_many_stations) lines.push(`More stations publish than the ${stations.length} that are shown.`);
+  return lines.join(" ");
 }
 
-function showProblem(problem) {
+function showProblem(problem, isConnected) {
   hide("problem", problem === "");
   say("problem", problem);
-  $("link").dataset.state = problem === "" ? "connected" : "lost";
-  say("link", isLost() ? lostText() : problem === "" ? "connected" : "disconnected");
+  $("link").dataset.state = isConnected ? "connected" : "lost";
+  say("link", isLost() ? lostText() : isConnected ? "connected" : "disconnected");
+}
+
+function showAll(state) {
+  heard(state.now_unix_ms);
+  ({ stations, stale_after_s } = state);
+  showProblem(problemOf(state), !state.broker.problem);
+  say("about", `${state.broker.address} · ${many(state.scans, "answer")} kept`);
+  say("version", state.version);
+  say("zone", zone());
+  show();
 }
 
 async function load() {
   const began = performance.now();
   const asked = fetch("/api/v1/state", { signal: AbortSignal.timeout(ANSWER_WITHIN_MS) });
   const state = await asked.then((answer) => (answer.ok ? answer.json() : null)).catch(() => null);
-  if (state) {
-    heard(state.now_unix_ms);
-    ({ stations, stale_after_s } = state);
-    showProblem(problemOf(state));
-    say("about", `${state.broker.address} · ${many(state.scans, "answer")} kept`);
-    say("version", state.version);
-    say("zone", zone());
-    show();
+  try {
+    if (state) showAll(state);
+  } finally {
+    // Whatever one state holds, the next one is asked for.
+    setTimeout(load, Math.max(0, EVERY_MS - (performance.now() - began)));
   }
-  setTimeout(load, Math.max(0, EVERY_MS - (performance.now() - began)));
 }
 
 $("trouble-only").addEventListener("change", show);
 watch((lost) => {
-  if (lost) showProblem(`${lostText()}: this page's program does not answer. The page tries again.`);
+  if (lost) showProblem(`${lostText()}: this page's program does not answer. The page tries again.`, false);
   show();
 });
 load();

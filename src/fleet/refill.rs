@@ -1,0 +1,212 @@
+//! Reads answers that the broker did not deliver from the stations' own histories.
+
+use std::net::IpAddr;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::{Body, to_bytes};
+use axum::http::{Request, StatusCode};
+use serde::Deserialize;
+use serde_json::Value;
+use tokio::task::JoinSet;
+use tokio::time::{sleep, timeout};
+
+use super::Fleet;
+use super::state::Due;
+use crate::outputs::http;
+use crate::station::config::HttpAddress;
+
+/// Hosts whose pages may be asked. A station names its page itself, so it could name any.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Pages {
+    Host(String),
+    /// All names that end with this, which begins with a dot.
+    Below(String),
+    /// An address and how many of its first bits count.
+    Network(IpAddr, u32),
+}
+
+impl FromStr for Pages {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = "expected a host, such as press-3.hall, *.hall, 10.0.3.7 or 10.0.3.0/24";
+        if let Some((address, bits)) = text.split_once('/') {
+            let network = address.parse::<IpAddr>().ok().zip(bits.parse().ok());
+            let fits = |(ip, bits): &(IpAddr, u32)| *bits <= if ip.is_ipv4() { 32 } else { 128 };
+            return network
+                .filter(fits)
+                .map(|(ip, bits)| Self::Network(ip, bits))
+                .ok_or(expected.into());
+        }
+        let (name, is_below) = match text.strip_prefix('*') {
+            Some(name) if name.starts_with('.') => (name, true),
+            _ => (text, false),
+        };
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        match name.parse::<IpAddr>() {
+            Ok(ip) => Ok(Self::Host(ip.to_string())),
+            Err(_) if name.is_empty() || !name.chars().all(is_plain) => Err(expected.into()),
+            Err(_) if is_below => Ok(Self::Below(name.to_lowercase())),
+            Err(_) => Ok(Self::Host(name.to_lowercase())),
+        }
+    }
+}
+
+impl Pages {
+    fn allow(&self, host: &str) -> bool {
+        let host = host.trim_start_matches('[').trim_end_matches(']').to_lowercase();
+        match self {
+            Self::Host(name) => *name == host,
+            Self::Below(end) => host.ends_with(end.as_str()) && host.parse::<IpAddr>().is_err(),
+            Self::Network(network, bits) => match (network, host.parse()) {
+                (IpAddr::V4(a), Ok(IpAddr::V4(b))) => {
+                    (a.to_bits() ^ b.to_bits()).leading_zeros() >= *bits
+                }
+                (IpAddr::V6(a), Ok(IpAddr::V6(b))) => {
+                    (a.to_bits() ^ b.to_bits()).leading_zeros() >= *bits
+                }
+                _ => false,
+            },
+        }
+    }
+}
+
+/// Interval at which stations with missing answers are looked for.
+const EVERY: Duration = Duration::from_secs(1);
+/// How many answers one request asks for. The reply may have at most `LARGEST` bytes.
+const A_REQUEST: usize = 200;
+const LARGEST: usize = 32 << 20;
+const MOST_REQUESTS_A_STATION: usize = 500;
+const REPLY_PATIENCE: Duration = Duration::from_secs(10);
+const HISTORY_PATIENCE: Duration = Duration::from_secs(300);
+/// How many stations are read at once.
+const AT_ONCE: usize = 16;
+
+#[derive(Deserialize)]
+struct Scans {
+    scans: Vec<Value>,
+}
+
+/// Reads missing answers without end, of several stations at once, so that a slow one holds up none.
+pub(super) async fn refill(fleet: &Arc<Fleet>, pages: Arc<[Pages]>) {
+    let mut reading = JoinSet::new();
+    loop {
+        tokio::select! {
+            () = sleep(EVERY) => {}
+            Some(_) = reading.join_next() => {}
+        }
+        while reading.len() < AT_ONCE {
+            let Some(due) = fleet.lock().stations.next_to_read() else { break };
+            reading.spawn(read_due(fleet.clone(), due, pages.clone()));
+        }
+    }
+}
+
+async fn read_due(fleet: Arc<Fleet>, (station, page, from_ms): Due, pages: Arc<[Pages]>) {
+    let all = timeout(HISTORY_PATIENCE, read(&fleet, &station, &page, from_ms, &pages)).await;
+    let done = all.unwrap_or_else(|_| Err("its page is too slow".into()));
+    fleet.lock().stations.was_read(&station, from_ms, done);
+}
+
+/// Reads the history of a station, from the newest scan back to the time `from_ms`.
+async fn read(
+    fleet: &Fleet,
+    station: &str,
+    page: &str,
+    from_ms: u64,
+    pages: &[Pages],
+) -> Result<(), String> {
+    let address: HttpAddress = page.parse()?;
+    let host = &address.host.0;
+    if !pages.iter().any(|pages| pages.allow(host)) {
+        return Err(format!("to ask its page, start the fleet with --pages {host}"));
+    }
+    let mut before = String::new();
+    for _ in 0..MOST_REQUESTS_A_STATION {
+        let scans = request(&address, &before).await?;
+        let is_last = scans.len() < A_REQUEST;
+        let oldest_ms = scans.last().and_then(|scan| scan["unix_ms"].as_u64()).unwrap_or(0);
+        before = format!(
+            "&before={}",
+            scans.last().and_then(|scan| scan["id"].as_str()).unwrap_or_default()
+        );
+        for scan in scans {
+            add(fleet, station, scan)?;
+        }
+        if is_last || oldest_ms < from_ms {
+            break;
+        }
+    }
+    Ok(())
+}
+
+fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Result<(), String> {
+    // Outputs send no answer for a scan that could not be compared, so it is skipped here too.
+    let was_compared = scan["state"] != "unnamed";
+    let Some(fields) = scan.as_object_mut().filter(|_| was_compared) else { return Ok(()) };
+    fields.insert("station".into(), station.into());
+    // Corrections belong to the station and may change there, so they are removed.
+    for said in ["correction", "became", "kept"] {
+        fields.remove(said);
+    }
+    fleet.lock().answered(station, scan)
+}
+
+async fn request(address: &HttpAddress, before: &str) -> Result<Vec<Value>, String> {
+    let path = format!("/api/v1/scans?limit={A_REQUEST}{before}");
+    let request = Request::get(path).body(Body::empty()).map_err(|error| error.to_string())?;
+    let reply = timeout(REPLY_PATIENCE, async {
+        let reply = http::send(address, request).await?;
+        let status = reply.status();
+        let body = to_bytes(Body::new(reply.into_body()), LARGEST).await;
+        Ok::<_, String>((status, body.map_err(|error| error.to_string())))
+    });
+    let (status, body) = reply.await.map_err(|_| "its page gives no answer")??;
+    match status {
+        StatusCode::OK => {}
+        StatusCode::UNAUTHORIZED => return Err("its page asks for a token".into()),
+        StatusCode::MISDIRECTED_REQUEST => {
+            return Err("its page answers only its own machine; run `surfaced fleet` there".into());
+        }
+        other => return Err(format!("its page answers {other}")),
+    }
+    serde_json::from_slice(&body?).map(|Scans { scans }| scans).map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_pages_that_were_allowed_are_asked() {
+        let allows = |pages: &str, host: &str| pages.parse::<Pages>().unwrap().allow(host);
+        for (pages, host) in [
+            ("press-3", "Press-3"),
+            ("*.hall", "press-3.hall"),
+            ("10.0.3.7", "10.0.3.7"),
+            ("10.0.3.0/24", "10.0.3.200"),
+            ("0.0.0.0/0", "192.168.1.1"),
+            ("::1", "[::1]"),
+            ("fd00::/8", "fd12::1"),
+        ] {
+            assert!(allows(pages, host), "{pages} {host}");
+        }
+        for (pages, host) in [
+            ("press-3", "press-3.evil"),
+            ("*.hall", "hall"),
+            ("*.hall", "hall.evil"),
+            ("10.0.3.0/24", "10.0.4.1"),
+            ("10.0.3.0/24", "10.0.3.1.evil"),
+            ("10.0.3.0/24", "::1"),
+        ] {
+            assert!(!allows(pages, host), "{pages} {host}");
+        }
+        for pages in
+            ["", "*", "*hall", "a/b", "10.0.3.0/33", "http://press-3", "press-3:8080", "a b"]
+        {
+            assert!(pages.parse::<Pages>().is_err(), "{pages}");
+        }
+    }
+}
