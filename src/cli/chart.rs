@@ -97,7 +97,7 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
         for point in measured {
             let part = point.query_seconds.map_or("whole drag".into(), |s| format!("first {s} s"));
             let [accuracy, low, high] =
-                [point.accuracy, point.accuracy_low, point.accuracy_high].map(show::percent);
+                [point.accuracy, point.interval.low, point.interval.high].map(show::percent);
             say!("       {part}: {accuracy} ({low} to {high}), {:.2} ms", point.query_ms_p50);
             chart.points.push(point);
         }

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use super::Failure;
-use super::show::listed;
-use crate::evaluate::{self, EvaluateError, Fold, Protocol, in_libraries};
+use super::show::{counted, listed};
+use super::{Failure, say};
+use crate::evaluate::{self, EvaluateError, Fold, Leaks, Protocol, in_libraries};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
@@ -16,6 +16,7 @@ pub(super) struct Choice {
     pub entries: Vec<Entry>,
     pub protocol: Protocol,
     pub folds: Vec<Fold>,
+    pub leaks: Leaks,
 }
 
 /// The trials that hold any source of `scene`, limited to these sources.
@@ -58,7 +59,43 @@ pub(super) fn choose(
     let entries = within(library, &scene)?;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let (protocol, folds) = split(&keys, protocol)?;
-    Ok(Choice { scene, entries, protocol, folds })
+    let leaks = leaks(library, &entries);
+    let (folds, warning) = kept_apart(folds, &keys, &leaks);
+    warning.iter().for_each(|warning| say!("warning: {warning}"));
+    Ok(Choice { scene, entries, protocol, folds, leaks })
+}
+
+/// Which trials share samples. Synthetic ones are made one by one, so they share none.
+pub(super) fn leaks(library: &Library, entries: &[Entry]) -> Leaks {
+    if library.synthetic { Leaks::default() } else { Leaks::of(entries, &say::progress) }
+}
+
+/// Takes trials that share samples with a query out of the library of its fold. Also returns a warning
+/// if any do, which says if that cannot be done.
+pub(super) fn kept_apart(
+    folds: Vec<Fold>,
+    keys: &[TrialKey],
+    leaks: &Leaks,
+) -> (Vec<Fold>, Option<String>) {
+    let Some(found) = leaks.text(keys, |trial| keys[trial].to_string()) else {
+        return (folds, None);
+    };
+    let Some(apart) = leaks.apart(&folds, keys) else {
+        let why = "without these trials no library has two surfaces";
+        let warning =
+            format!("{found}; they cannot be kept together ({why}): the accuracy is too high");
+        return (folds, Some(warning));
+    };
+    let queries = |folds: &[Fold]| folds.iter().map(|fold| fold.queries.len()).sum::<usize>();
+    let lost = match queries(&folds) - queries(&apart) {
+        0 => String::new(),
+        lost => format!(
+            "; {} not asked, since nothing else of their surface is left",
+            counted(lost, "trial")
+        ),
+    };
+    let kept = "kept together: none is named by the samples that it shares";
+    (apart, Some(format!("{found}; {kept}{lost}")))
 }
 
 impl Choice {
@@ -70,9 +107,14 @@ impl Choice {
             .filter(|(i, _)| (i + 1) * most / all.len() > i * most / all.len())
             .map(|(_, name)| (*name).to_string())
             .collect();
+        let places: Vec<usize> = (0..self.entries.len())
+            .filter(|&i| kept.contains(&self.entries[i].key.surface))
+            .collect();
+        self.leaks = self.leaks.among(&places);
         self.entries.retain(|entry| kept.contains(&entry.key.surface));
         let keys: Vec<TrialKey> = self.entries.iter().map(|entry| entry.key.clone()).collect();
-        self.folds = evaluate::folds(self.protocol, &keys)?;
+        let folds = evaluate::folds(self.protocol, &keys)?;
+        self.folds = kept_apart(folds, &keys, &self.leaks).0;
         Ok(())
     }
 

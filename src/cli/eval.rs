@@ -1,18 +1,19 @@
 //! `surfaced eval`: measures accuracy under a protocol, such as leave-one-trial-out.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use super::bad_files;
-use super::choose::{split, within};
+use super::choose::{kept_apart, leaks, split, within};
 use super::condition::WhereArgs;
+use super::eval_report::{EvalAnswer, EvalReport};
 use super::method::{AnswerArgs, MethodArgs};
 use super::show::{listed, quoted};
 use super::{Done, Failure, SourceArgs, paper, parsed, say, show};
 use crate::dataset::feature_tables::{self, FeatureTables};
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
-    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Leaks, Outcome, Prediction,
+    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Leaks, Prediction,
     Protocol, SettledOutcome, UnknownOutcome, better_plain, enrol,
 };
 use crate::recognise::features::{FeatureVector, SourceFeatures};
@@ -68,6 +69,9 @@ pub(super) struct Args {
     /// their queries are called unknown
     #[arg(long, value_name = "GROUPS", conflicts_with = "paper", value_parser = groups)]
     leave_surfaces_out: Option<usize>,
+    /// Write a table of all queries: what each is, its answer, and the probability of each surface
+    #[arg(long, value_name = "FILE.csv", conflicts_with = "paper")]
+    predictions: Option<PathBuf>,
     #[command(flatten)]
     only: WhereArgs,
     #[command(flatten)]
@@ -110,15 +114,21 @@ pub(super) fn run(args: &Args) -> Done {
                 let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
                 let cache = (!args.method.no_cache).then_some(data.as_path());
                 let on = Evaluation { cache, ..Evaluation::new(&scene, &entries, &[]) };
-                let leaks = Leaks::of(&entries, &say::progress);
-                let found = leaks.text(&keys, |trial| entries[trial].name_in(data));
-                let leaks = found.map(|found| (&leaks, found));
-                evaluated(args, (&library.name, library.synthetic), on, &keys, leaks)
+                let leaks = leaks(library, &entries);
+                let of = (library.name.as_str(), library.synthetic);
+                let mut report = evaluated(args, of, on, &keys, &leaks)?;
+                let names =
+                    keys.iter().zip(&entries).map(|(key, entry)| (key, entry.name_in(data)));
+                report.name_trials(&names.collect());
+                Ok(report)
             })?
         }
     };
     report.warnings.extend(bad_files::skipped());
-    show::result(args.json, &report, |report| {
+    if let Some(path) = &args.predictions {
+        report.write_predictions(path)?;
+    }
+    show::report(args.json, &report, |report| {
         report.print();
         let lib = quoted(data);
         show::next(&match report.outcome.method == MethodName::Embedding.as_str() {
@@ -141,7 +151,7 @@ fn on_tables(args: &Args, tables: &FeatureTables) -> Result<EvalReport, Failure>
     let keys: Vec<TrialKey> = trials.iter().map(|trial| trial.key.clone()).collect();
     let (scene, trials) = (Scene::lmt108(), EvaluatedTrials::Features(&trials));
     let on = Evaluation { trials, ..Evaluation::new(&scene, &[], &[]) };
-    evaluated(args, (&tables.name, false), on, &keys, None)
+    evaluated(args, (&tables.name, false), on, &keys, &Leaks::default())
 }
 
 /// The trials, with the features of the chosen tables. If no table is chosen, all are used.
@@ -170,7 +180,7 @@ fn evaluated(
     (data, synthetic): (&str, bool),
     on: Evaluation<'_>,
     keys: &[TrialKey],
-    leaks: Option<(&Leaks, String)>,
+    leaks: &Leaks,
 ) -> Result<EvalReport, Failure> {
     let (protocol, before) = split(keys, args.protocol)?;
     if args.enrolled > 0 && !protocol.folds_are_users() {
@@ -180,7 +190,8 @@ fn evaluated(
         )));
     }
     let folds = enrol(&before, keys, args.enrolled)?;
-    let (before, folds, leak) = kept_apart(before, folds, keys, leaks);
+    let (before, _) = kept_apart(before, keys, leaks);
+    let (folds, leak) = kept_apart(folds, keys, leaks);
     let method = args.method.spec()?.build(on.scene);
     let query_seconds = args.query_seconds;
     let on = Evaluation { folds: &folds, query_seconds, progress: &say::progress, ..on };
@@ -203,23 +214,9 @@ fn evaluated(
             0 => None,
             count => Some(EnrolmentOutcome::of(&run, &measured, &before, count)?),
         };
-        let answer = |p: Prediction| {
-            let TrialKey { surface: truth, user, number: trial, session } = p.key;
-            EvalAnswer {
-                truth,
-                user,
-                trial,
-                session,
-                fold: folds[p.fold].name.clone(),
-                answer: p.surface,
-                margin: p.margin,
-                confidence: p.confidence,
-                p_value: p.p_value,
-                probabilities: p.probabilities.into_iter().collect(),
-            }
-        };
+        let answer = |p: Prediction| EvalAnswer::new(folds[p.fold].name.clone(), p);
         Ok(EvalReport {
-            outcome: measured.outcome,
+            outcome: measured.outcome.over(protocol.over()),
             protocol,
             data: data.into(),
             synthetic,
@@ -227,6 +224,7 @@ fn evaluated(
             settled,
             unknown,
             enrolled,
+            not_asked: not_asked(&folds, keys),
             predictions: measured.predictions.into_iter().map(answer).collect(),
             warnings,
         })
@@ -234,36 +232,18 @@ fn evaluated(
     measured().map_err(mended)
 }
 
-/// Takes trials that share samples with a query out of the library of its fold, from the folds without
-/// and with enrolled trials. Also returns a warning, which says if that cannot be done.
-fn kept_apart(
-    before: Vec<Fold>,
-    folds: Vec<Fold>,
-    keys: &[TrialKey],
-    leaks: Option<(&Leaks, String)>,
-) -> (Vec<Fold>, Vec<Fold>, Option<String>) {
-    let Some((leaks, found)) = leaks else { return (before, folds, None) };
-    match (leaks.apart(&before, keys), leaks.apart(&folds, keys)) {
-        (Some(before), Some(apart)) => {
-            let queries = |folds: &[Fold]| folds.iter().map(|fold| fold.queries.len()).sum();
-            let (all, asked): (usize, usize) = (queries(&folds), queries(&apart));
-            let lost = match all - asked {
-                0 => String::new(),
-                lost => format!(
-                    "; {} not asked, since nothing else of their surface is left",
-                    show::counted(lost, "trial")
-                ),
-            };
-            let kept = "kept together: none is named by the samples that it shares";
-            (before, apart, Some(format!("{found}; {kept}{lost}")))
-        }
-        _ => {
-            let why = "without these trials no library has two surfaces";
-            let warning =
-                format!("{found}; they cannot be kept together ({why}): the accuracy is too high");
-            (before, folds, Some(warning))
+/// The surfaces of trials that no fold asks and no library holds, with how many.
+fn not_asked(folds: &[Fold], keys: &[TrialKey]) -> BTreeMap<String, usize> {
+    let asked: BTreeSet<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
+    let mut counts = BTreeMap::new();
+    for (at, key) in keys.iter().enumerate().filter(|(at, _)| !asked.contains(at)) {
+        // By the protocol, `expert` may be the library alone.
+        let is_library = folds.iter().all(|fold| fold.library.contains(&at));
+        if !is_library {
+            *counts.entry(key.surface.clone()).or_default() += 1;
         }
     }
+    counts
 }
 
 /// Adds the option that avoids the failure to its message.
@@ -275,139 +255,4 @@ fn mended(error: EvaluateError) -> Failure {
         }
         other => other.into(),
     }
-}
-
-/// The JSON document: the outcome, and the data and settings behind it.
-#[derive(serde::Serialize)]
-struct EvalReport {
-    #[serde(flatten)]
-    outcome: Outcome,
-    protocol: Protocol,
-    data: String,
-    synthetic: bool,
-    query_seconds: Option<f64>,
-    /// Present only with `--settle`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    settled: Option<SettledOutcome>,
-    /// Present only with `--leave-surfaces-out`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    unknown: Option<UnknownOutcome>,
-    /// Present only with `--enrolled`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    enrolled: Option<EnrolmentOutcome>,
-    predictions: Vec<EvalAnswer>,
-    /// Sources that were left out, and the reasons, a line each.
-    warnings: Vec<String>,
-}
-
-#[derive(serde::Serialize)]
-struct EvalAnswer {
-    truth: String,
-    user: String,
-    trial: u32,
-    session: Option<String>,
-    /// Name of the person, session or trial that was left out.
-    fold: String,
-    answer: String,
-    margin: f64,
-    confidence: Option<f64>,
-    p_value: Option<f64>,
-    /// Of each surface of the library; empty if the method gives none.
-    probabilities: BTreeMap<String, f64>,
-}
-
-impl EvalReport {
-    fn print(&self) {
-        let Outcome { share, method, classes, library_trials, .. } = &self.outcome;
-        let Outcome { query_ms_p50, query_ms_p99, confusion, never_queried, .. } = &self.outcome;
-        let percent = show::percent;
-        let mark = if self.synthetic { ", on synthetic data" } else { "" };
-        result!();
-        let (accuracy, right, of) = (percent(share.value()), share.right, share.of);
-        let interval = show::interval(*share);
-        result!("accuracy   {accuracy} ({right} of {of} queries; 95 % interval {interval})");
-        let sources = listed(&self.outcome.sources);
-        result!("           {} · {method} · {sources}{mark}", self.protocol.name());
-        result!("           {}", self.protocol.left_out());
-        if self.protocol.folds_are_users() {
-            let users = show::counted(self.outcome.folds.len(), "user");
-            let std = self.outcome.accuracy_std.map(|std| format!(" ± {}", percent(std)));
-            let mean = percent(self.outcome.accuracy_mean);
-            result!("           mean over {users}: {mean}{}", std.unwrap_or_default());
-        }
-        self.enrolled.iter().for_each(print_enrolled);
-        let surfaces = show::counted(*classes, "surface");
-        let trials = show::counted(*library_trials, "library trial");
-        result!("           {surfaces} against {trials}");
-        if !never_queried.is_empty() {
-            result!("           never queried: {}", never_queried.join(", "));
-        }
-        if say::is_verbose() {
-            result!("precision  {}", percent(self.outcome.precision_mean));
-            result!(
-                "query      {query_ms_p50:.1} ms from raw samples to the answer (median), \
-                 {query_ms_p99:.1} ms (p99)"
-            );
-        }
-        for (truth, answer, count) in confusion.worst(5) {
-            result!("           {count} × {truth} taken for {answer}");
-        }
-        self.settled.iter().for_each(print_settled);
-        self.unknown.iter().for_each(print_unknown);
-    }
-}
-
-fn print_enrolled(e: &EnrolmentOutcome) {
-    let (trials, points) = (show::counted(e.trials, "trial"), 100.0 * e.gain);
-    let (without, interval) = (show::percent(e.without.value()), show::interval(e.without));
-    result!(
-        "enrolled   {trials} of each surface by the user: {points:+.1} points; without, {without} of \
-         the same queries ({interval})"
-    );
-}
-
-fn print_settled(s: &SettledOutcome) {
-    let SettledOutcome { lost, gained, scan_s_mean, scan_s_p50, whole_s_mean, .. } = s;
-    let [share, whole, loss] =
-        [s.share.value(), s.accuracy_whole, s.stated_loss].map(show::percent);
-    let interval = show::interval(s.share);
-    result!(
-        "settled    {share} (95 % interval {interval}) against {whole} by whole scans: {lost} lost, \
-         {gained} gained"
-    );
-    result!(
-        "           after {scan_s_mean:.2} s on average ({scan_s_p50:.2} s in the median) of \
-         {whole_s_mean:.2} s; {} of {} scans settled before they ended",
-        s.settled,
-        s.queries
-    );
-    let (shown, folds) = (s.rules.iter().filter(|rule| rule.shown).count(), s.rules.len());
-    result!(
-        "           stated loss {loss} at most, shown (at 90 %) by the libraries of {shown} of \
-         {folds} folds"
-    );
-    if let Some(share) = s.core_share {
-        result!("           following takes {} of one core", show::percent(share));
-    }
-}
-
-fn print_unknown(u: &UnknownOutcome) {
-    let (caught, interval) = (show::percent(u.unknown.value()), show::interval(u.unknown));
-    let of = u.unknown.of;
-    result!(
-        "unknown    {caught} of {of} queries of left-out surfaces caught (95 % interval {interval})"
-    );
-    let (rejected, interval) = (show::percent(u.known.value()), show::interval(u.known));
-    let (of, trials) = (u.known.of, u.stated.trials);
-    let [rate, low, high] =
-        [u.stated.rate, u.stated.rate_low, u.stated.rate_high].map(show::percent);
-    result!(
-        "           {rejected} of {of} queries of known ones rejected ({interval}); stated {rate} \
-         ({low} to {high}, by {trials} left-out trials)"
-    );
-    result!(
-        "           in {} of {} folds the share rejected lies in the interval stated there",
-        u.folds_as_stated,
-        u.folds
-    );
 }

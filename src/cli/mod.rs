@@ -15,6 +15,7 @@ mod devices;
 mod duration;
 mod enroll;
 mod eval;
+mod eval_report;
 mod export;
 mod figure;
 mod fleet;

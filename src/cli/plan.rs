@@ -2,13 +2,14 @@
 
 use std::path::PathBuf;
 
-use super::choose::choose;
+use super::choose::{split, within};
 use super::figure::write;
 use super::show::quoted;
 use super::{Done, Failure, SourceArgs, bad_files, say, share, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Expected, Plan, PlanOptions, Planned, search};
 use crate::library::Library;
+use crate::trial::TrialKey;
 
 /// The default share of whole scans that must be named right.
 const TARGET: f64 = 0.99;
@@ -45,10 +46,12 @@ pub(super) fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
     let planned = bad_files::work(&args.lib, library, |library| {
         let scene = args.sources.narrow(library.scene.clone())?;
-        let chosen = choose(library, scene, args.protocol)?;
+        let entries = within(library, &scene)?;
+        let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
+        let (protocol, _) = split(&keys, args.protocol)?;
         let target = args.target.unwrap_or(TARGET);
-        let options = PlanOptions { target, accuracy: args.target, protocol: chosen.protocol };
-        let library = Library { scene: chosen.scene, entries: chosen.entries, ..library.clone() };
+        let options = PlanOptions { target, accuracy: args.target, protocol };
+        let library = Library { scene, entries, ..library.clone() };
         Ok(search(&library, options, &say::progress)?)
     })?;
     let text = planned.plan.to_toml();

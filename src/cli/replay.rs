@@ -144,7 +144,7 @@ fn by_protocol(
 ) -> Result<ReplayStage, Failure> {
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();
-    let Choice { scene, entries, protocol, folds } = choose(&data, scene, protocol)?;
+    let Choice { scene, entries, protocol, folds, .. } = choose(&data, scene, protocol)?;
     if named {
         say!("protocol: {}", protocol.name());
     }

@@ -43,6 +43,30 @@ pub(super) fn result<T: serde::Serialize>(as_json: bool, value: &T, print: impl 
     if as_json { json(value) } else { print(value) }
 }
 
+/// A report, and what it was made by.
+#[derive(serde::Serialize)]
+struct Made<'a, T> {
+    #[serde(flatten)]
+    of: &'a T,
+    made_by: MadeBy,
+}
+
+#[derive(serde::Serialize)]
+struct MadeBy {
+    version: &'static str,
+    /// The command line.
+    command: String,
+}
+
+/// Shows a report like [`result`]; its JSON says by which program and command it was made.
+pub(super) fn report<T: serde::Serialize>(as_json: bool, of: &T, print: impl FnOnce(&T)) {
+    let words = std::env::args_os().skip(1);
+    let words = words.map(|word| printable::quoted(&word.to_string_lossy()));
+    let command = joined(std::iter::once("surfaced".to_string()).chain(words), " ");
+    let made_by = MadeBy { version: env!("CARGO_PKG_VERSION"), command };
+    result(as_json, &Made { of, made_by }, |made| print(made.of));
+}
+
 /// The sources that were left out of queries, and the reasons. There is one line for each source and
 /// channel, even if the channel was stuck at many values.
 pub(super) fn left_out(left_out: &LeftOutSources) -> Vec<String> {

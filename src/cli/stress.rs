@@ -72,7 +72,8 @@ fn earlier(path: &Path) -> Result<StressReport, Failure> {
 
 fn measured(args: &Args, library: &Library) -> Result<StressReport, Failure> {
     let scene = args.figure.sources.narrow(library.scene.clone())?;
-    let Choice { scene, entries, protocol, folds } = choose(library, scene, args.figure.protocol)?;
+    let Choice { scene, entries, protocol, folds, .. } =
+        choose(library, scene, args.figure.protocol)?;
     let folds = StressPlan::limited(folds, args.queries);
     let held: Vec<&SourceSpec> = (scene.sources())
         .filter(|spec| entries.iter().any(|entry| entry.sources.contains(&spec.id)))

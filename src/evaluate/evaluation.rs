@@ -16,7 +16,7 @@ use crate::library::Entry;
 use crate::recognise::features::FeatureVector;
 use crate::recognise::{
     LibraryShape, Method, Model, Prepared, PreparedLibrary, RecogniseError, if_enough,
-    prepare_library, without_flawed,
+    prepare_library, stated_probabilities, without_flawed,
 };
 use crate::scene::Scene;
 use crate::trial::{Doubt, Trial, TrialKey};
@@ -262,15 +262,16 @@ impl Run<'_, '_> {
         };
         let Some(ranking) = ranking else { return Ok((nameless, remarks)) };
         let surface = ranking.surface().to_string();
-        // The score of a method that gives probabilities is 1/probability.
-        let scored = ranking.ranked.into_iter().filter(|_| ranking.confidence.is_some());
+        let scores: Vec<f64> = ranking.ranked.iter().map(|one| one.score).collect();
+        let stated = stated_probabilities(&scores, ranking.confidence);
+        let surfaces = ranking.ranked.into_iter().map(|one| one.surface);
         let prediction = Prediction {
             surface,
             margin: ranking.margin,
             sources: ranking.sources,
             confidence: ranking.confidence,
             p_value: ranking.p_value,
-            probabilities: scored.map(|one| (one.surface, 1.0 / one.score)).collect(),
+            probabilities: surfaces.zip(stated).collect(),
             ..nameless
         };
         Ok((prediction, remarks))

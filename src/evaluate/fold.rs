@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::EvaluateError;
+use super::{EvaluateError, Over};
 use crate::trial::{EXPERT, TrialKey, sessions_count};
 
 /// How trials are split into queries and library.
@@ -48,8 +48,17 @@ impl Protocol {
         }
     }
 
+    /// What each fold leaves out, if that is more than trials.
+    pub(crate) fn over(self) -> Over {
+        match self {
+            Self::ExpertVsUsers | Self::AllVsOneUser => Over::People,
+            Self::LeaveOneSessionOut => Over::Sessions,
+            Self::LeaveOneTrialOut => Over::Queries,
+        }
+    }
+
     pub(crate) fn folds_are_users(self) -> bool {
-        matches!(self, Self::ExpertVsUsers | Self::AllVsOneUser)
+        self.over() == Over::People
     }
 
     pub fn name(self) -> &'static str {

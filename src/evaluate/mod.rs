@@ -32,8 +32,10 @@ pub use evaluation::{
 pub(crate) use evaluation::{first_seconds, in_libraries, within};
 pub use fold::{Fold, Protocol, folds};
 pub(crate) use leak::Leaks;
-pub use outcome::{Confusion, FoldAccuracy, Outcome, Prediction, Share};
-pub(crate) use outcome::{interval_over_users, is_over_users, percentile};
+pub(crate) use outcome::percentile;
+pub use outcome::{
+    Confusion, FoldAccuracy, Interval, Outcome, Over, Prediction, Share, SurfaceAccuracy,
+};
 pub(crate) use plain::better_plain;
 
 use crate::recognise::{RecogniseError, RejectionError};

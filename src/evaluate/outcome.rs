@@ -127,8 +127,10 @@ const LEAST_PROBABILITY: f64 = 1e-6;
 /// Result of an evaluation. Accuracies are fractions from 0 to 1.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Outcome {
-    #[serde(flatten)]
+    #[serde(rename = "accuracy", serialize_with = "value")]
     pub share: Share,
+    #[serde(flatten)]
+    pub interval: Interval,
     /// Mean over folds of the share of queries named correctly.
     pub accuracy_mean: f64,
     /// Sample standard deviation (n − 1) of the folds' accuracies; `None` for a single fold.
@@ -150,7 +152,21 @@ pub struct Outcome {
     pub method: String,
     pub sources: Vec<SourceId>,
     pub folds: Vec<FoldAccuracy>,
+    pub surfaces: Vec<SurfaceAccuracy>,
     pub confusion: Confusion,
+}
+
+/// How well one surface is named. A share is `None` if it is of nothing.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct SurfaceAccuracy {
+    pub surface: String,
+    pub queries: u32,
+    /// The share of its queries that are named so.
+    pub recall: Option<f64>,
+    /// The share of the answers with its name that are right.
+    pub precision: Option<f64>,
+    /// The harmonic mean of both.
+    pub f1: Option<f64>,
 }
 
 impl Outcome {
@@ -171,6 +187,7 @@ impl Outcome {
         let folds: Vec<_> = fold_names.iter().enumerate().filter_map(of_fold).collect();
         let accuracies: Array1<f64> = folds.iter().map(|fold| fold.share.value()).collect();
         let confusion = Confusion::new(predictions, labels);
+        let surfaces = confusion.surfaces();
         let times = || predictions.iter().map(|p| p.query_ms).collect();
         let mut sources: Vec<_> = predictions.iter().flat_map(|p| p.sources.clone()).collect();
         sources.sort();
@@ -180,9 +197,10 @@ impl Outcome {
             confusion.labels.iter().filter(|label| !queried.contains(label.as_str()));
         Some(Self {
             share: Share::count(predictions.iter().map(Prediction::is_correct)),
+            interval: Interval::of(&folds, Over::Queries),
             accuracy_mean: accuracies.mean()?,
             accuracy_std: (folds.len() > 1).then(|| accuracies.std(1.0)),
-            precision_mean: confusion.precision_mean(),
+            precision_mean: precision_mean(&surfaces),
             log_loss: log_loss(predictions, confusion.labels.len()),
             classes: confusion.labels.len(),
             never_queried: never_queried.cloned().collect(),
@@ -193,8 +211,14 @@ impl Outcome {
             method: method.into(),
             sources,
             folds,
+            surfaces,
             confusion,
         })
+    }
+
+    /// The same result with the interval over the groups that were left out.
+    pub(crate) fn over(self, groups: Over) -> Self {
+        Self { interval: Interval::of(&self.folds, groups), ..self }
     }
 }
 
@@ -222,17 +246,24 @@ impl Confusion {
         mistakes
     }
 
-    fn precision_mean(&self) -> f64 {
-        let of_class = |class: usize| {
-            let answered: u32 = self.counts.iter().map(|row| row[class]).sum();
-            if answered == 0 {
-                0.0
-            } else {
-                f64::from(self.counts[class][class]) / f64::from(answered)
-            }
+    fn surfaces(&self) -> Vec<SurfaceAccuracy> {
+        let of_class = |(class, surface): (usize, &String)| {
+            let right = f64::from(self.counts[class][class]);
+            let queries: u32 = self.counts[class].iter().sum();
+            let answers: u32 = self.counts.iter().map(|row| row[class]).sum();
+            let share = |of: u32| (of > 0).then(|| right / f64::from(of));
+            // 2 P R / (P + R), in counts.
+            let f1 = (queries + answers > 0).then(|| 2.0 * right / f64::from(queries + answers));
+            let (recall, precision) = (share(queries), share(answers));
+            SurfaceAccuracy { surface: surface.clone(), queries, recall, precision, f1 }
         };
-        (0..self.labels.len()).map(of_class).sum::<f64>() / self.labels.len() as f64
+        self.labels.iter().enumerate().map(of_class).collect()
     }
+}
+
+fn precision_mean(surfaces: &[SurfaceAccuracy]) -> f64 {
+    let sum: f64 = surfaces.iter().filter_map(|one| one.precision).sum();
+    sum / surfaces.len() as f64
 }
 
 /// See [`Outcome::log_loss`]. A query without an answer gives each of the `classes` an equal share.
@@ -257,25 +288,49 @@ pub(crate) fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
     values.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
-/// Fewest users for a confidence interval over users; with fewer, the interval is over queries.
-const LEAST_USERS: usize = 5;
+/// Fewest people or sessions for a confidence interval over them; with fewer, it is over queries.
+const LEAST_GROUPS: usize = 3;
 
-/// 95 % confidence interval of the share of all queries named correctly. It is over users if there
-/// are at least five ([`wilson_of_groups`]), since one person's queries say little about another
-/// person. Otherwise it is over queries ([`Share::interval`]).
-pub(crate) fn interval_over_users(users: &[FoldAccuracy]) -> (f64, f64) {
-    if is_over_users(users) {
-        let counts = users.iter().map(|user| (user.share.right, user.share.of));
-        return wilson_of_groups(&counts.collect::<Vec<_>>());
-    }
-    let mut all = Share::default();
-    users.iter().for_each(|user| all.join(user.share));
-    all.interval()
+/// What a confidence interval is over: whose next accuracy it brackets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Over {
+    People,
+    Sessions,
+    #[default]
+    Queries,
 }
 
-/// Whether there are enough users for [`interval_over_users`] to give an interval over users.
-pub(crate) fn is_over_users(users: &[FoldAccuracy]) -> bool {
-    users.len() >= LEAST_USERS
+/// The 95 % confidence interval of an accuracy. It is over people or sessions if at least three were
+/// left out ([`wilson_of_groups`]), since one person's queries say little about another person. Otherwise
+/// it is over queries ([`Share::interval`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Interval {
+    #[serde(rename = "accuracy_low")]
+    pub low: f64,
+    #[serde(rename = "accuracy_high")]
+    pub high: f64,
+    #[serde(rename = "interval_over")]
+    pub over: Over,
+}
+
+impl Interval {
+    /// The interval of the accuracy on all queries of some folds, which are groups of this kind.
+    pub(crate) fn of(groups: &[FoldAccuracy], over: Over) -> Self {
+        if over != Over::Queries && groups.len() >= LEAST_GROUPS {
+            let counts = groups.iter().map(|group| (group.share.right, group.share.of));
+            let (low, high) = wilson_of_groups(&counts.collect::<Vec<_>>());
+            return Self { low, high, over };
+        }
+        let mut all = Share::default();
+        groups.iter().for_each(|group| all.join(group.share));
+        let (low, high) = all.interval();
+        Self { low, high, over: Over::Queries }
+    }
+}
+
+fn value<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_f64(share.value())
 }
 
 #[cfg(test)]
@@ -321,6 +376,12 @@ mod tests {
         // Precision: 1 of 2 answers for a, no answer for b, 1 of 1 answer for c.
         assert_eq!(outcome.precision_mean, 0.5);
         assert_eq!(outcome.confusion.counts[1], [1, 0, 0]);
+        let of = |class: usize| {
+            let SurfaceAccuracy { queries, recall, precision, f1, .. } = outcome.surfaces[class];
+            (queries, recall, precision, f1)
+        };
+        assert_eq!(of(0), (1, Some(1.0), Some(0.5), Some(2.0 / 3.0)));
+        assert_eq!(of(1), (1, Some(0.0), None, Some(0.0)));
     }
 
     #[test]
@@ -357,13 +418,17 @@ mod tests {
     }
 
     #[test]
-    fn an_interval_is_over_users_from_five_on() {
+    fn an_interval_is_over_people_from_three_on() {
         let share = |right| Share { right, of: 10 };
-        let users = [2, 4, 5, 6, 8].map(|n| FoldAccuracy { name: String::new(), share: share(n) });
-        let (low, high) = interval_over_users(&users);
-        let (low_of_queries, high_of_queries) = wilson_interval(25, 50);
-        assert!(low < low_of_queries && high > high_of_queries);
-        assert_eq!(interval_over_users(&users[..4]), wilson_interval(17, 40));
+        let people = [2, 5, 8].map(|n| FoldAccuracy { name: String::new(), share: share(n) });
+        let (of_people, of_queries) =
+            (Interval::of(&people, Over::People), wilson_interval(15, 30));
+        assert_eq!(of_people.over, Over::People);
+        assert!(of_people.low < of_queries.0 && of_people.high > of_queries.1);
+        let two = Interval::of(&people[..2], Over::People);
+        assert_eq!((two.low, two.high), wilson_interval(7, 20));
+        assert_eq!(two.over, Over::Queries);
+        assert_eq!(Interval::of(&people, Over::Queries).over, Over::Queries);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::device::DeviceState;
 use crate::printable::json_text;
-use crate::recognise::RankedSurface;
+use crate::recognise::{RankedSurface, stated_probabilities};
 use crate::station::{Answer, StationEvent, SurfaceProbability};
 
 /// The largest answer, in bytes (about 1000 surfaces), since many brokers refuse larger messages.
@@ -53,22 +53,14 @@ fn of_surfaces(station: &str, sequence: u64, answer: &Answer, most: usize) -> St
     json_text(&Message { station, sequence, answer, probabilities, unknown: answer.unknown })
 }
 
-/// The probabilities of all surfaces, of which the first is the answer's confidence; empty if the answer
-/// has none.
-///
-/// Scores of such a method are 1/p for probabilities p. If the first p exceeds the confidence that
-/// the library supports, each of n surfaces gets (1 − s) p + s/n, with s chosen to make them equal.
+/// The probabilities of all surfaces; empty if the answer has none.
 fn probabilities(answer: &Answer) -> Vec<SurfaceProbability> {
-    let (Some(first), Some(best)) = (answer.confidence, answer.ranked.first()) else {
-        return Vec::new();
-    };
-    let (alike, best) = (1.0 / answer.ranked.len() as f64, best.score.recip());
-    let shared = if best > alike { ((best - first) / (best - alike)).clamp(0.0, 1.0) } else { 0.0 };
-    let of = |one: &RankedSurface| SurfaceProbability {
+    let scores: Vec<f64> = answer.ranked.iter().map(|one| one.score).collect();
+    let of = |(one, probability): (&RankedSurface, f64)| SurfaceProbability {
         surface: one.surface.clone(),
-        probability: (1.0 - shared) * one.score.recip() + shared * alike,
+        probability,
     };
-    answer.ranked.iter().map(of).collect()
+    answer.ranked.iter().zip(stated_probabilities(&scores, answer.confidence)).map(of).collect()
 }
 
 /// The state of a station, as published in a retained message.

@@ -118,6 +118,18 @@ pub(crate) fn medians(sources: usize, library: &[TrialScores]) -> Vec<f64> {
     (0..sources).map(median).collect()
 }
 
+/// The probabilities of all surfaces, best first, of which the first is the stated confidence; empty if
+/// there is none.
+///
+/// Scores of such a method are 1/p for probabilities p. If the first p exceeds the confidence that
+/// the library supports, each of n surfaces gets (1 − s) p + s/n, with s chosen to make them equal.
+pub(crate) fn stated_probabilities(scores: &[f64], confidence: Option<f64>) -> Vec<f64> {
+    let (Some(first), Some(best)) = (confidence, scores.first()) else { return Vec::new() };
+    let (alike, best) = (1.0 / scores.len() as f64, best.recip());
+    let shared = if best > alike { ((best - first) / (best - alike)).clamp(0.0, 1.0) } else { 0.0 };
+    scores.iter().map(|score| (1.0 - shared) * score.recip() + shared * alike).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -110,12 +110,55 @@ fn an_evaluation_chooses_a_protocol_and_says_which() {
     assert!(said.contains("protocol: all-vs-one-user (each person left out in turn)"), "{said}");
     assert!(said.contains("next: surfaced chart "), "{said}");
     let shown = String::from_utf8(output.stdout).unwrap();
-    assert!(shown.contains(" of 12 queries; 95 % interval "), "{shown}");
+    assert!(shown.contains(" of 12 queries)"), "{shown}");
+    assert!(shown.contains(" for other people, by 3"), "{shown}");
     assert!(shown.contains("mean over 3 users: "), "{shown}");
     let knn = ["eval", &path(&dir), "--method", "knn", "--enrolled", "2"];
     refused(&knn, 1, &["no user has more than 2 trial(s)"]);
     let within = [&knn[..], &["--protocol", "leave-one-trial-out"]].concat();
     refused(&within, 2, &["--enrolled goes with expert-vs-users"]);
+}
+
+#[test]
+fn an_evaluation_tells_each_query_and_what_was_not_asked() {
+    let dir = scene();
+    let data = path(&dir);
+    let folders = |of: &str| {
+        let all = std::fs::read_dir(of).unwrap().map(|entry| entry.unwrap().path());
+        let mut all: Vec<_> = all.filter(|path| path.is_dir()).collect();
+        all.sort();
+        all
+    };
+    // Nobody else can be asked for a surface that one person recorded.
+    let alone = folders(&data)[0].clone();
+    for trial in folders(alone.to_str().unwrap()) {
+        if !trial.file_name().unwrap().to_str().unwrap().starts_with("expert") {
+            std::fs::remove_dir_all(trial).unwrap();
+        }
+    }
+    let table = dir.path().join("queries.csv");
+    let args = ["eval", &data, "--json", "--predictions", table.to_str().unwrap()];
+    let report = json(&args);
+    let alone = alone.file_name().unwrap().to_str().unwrap();
+    assert_eq!(report["not_asked"], serde_json::json!({ alone: 2 }));
+    assert_eq!(report["interval_over"], "people");
+    assert!(report["made_by"]["command"].as_str().unwrap().contains("--predictions"));
+    let mut rows = csv::Reader::from_path(&table).unwrap();
+    let head = rows.headers().unwrap().clone();
+    let column = |name: &str| head.iter().position(|other| other == name).unwrap();
+    assert_eq!(head.iter().filter(|name| name.starts_with("p: ")).count(), 3);
+    let rows: Vec<csv::StringRecord> = rows.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), 8);
+    for row in &rows {
+        let truth = &row[column("truth")];
+        assert!(row[column("path")].starts_with(truth), "{row:?}");
+        let number = |name: &str| row[column(name)].parse::<f64>().unwrap();
+        let of_answer = number(&format!("p: {}", &row[column("answer")]));
+        assert!((of_answer - number("confidence")).abs() < 1e-9, "{row:?}");
+    }
+    let surfaces = report["surfaces"].as_array().unwrap();
+    let queries: u64 = surfaces.iter().map(|one| one["queries"].as_u64().unwrap()).sum();
+    assert_eq!(queries, 8);
 }
 
 /// Everything but what a clock measured.

@@ -12,7 +12,7 @@ from data import LEAVE_ONE_TRIAL_OUT, Data, DataError, Fold, Signals
 from methods import Method
 
 Z_95 = 1.959963984540054
-LEAST_USERS = 5  # of an interval over users
+LEAST_USERS = 3  # of an interval over users
 
 
 @dataclass
@@ -135,7 +135,7 @@ def summary(answers: list[Answer], names: list[str], folds_are_users: bool) -> d
 
 def interval(right: int, queries: int, users: list[dict]) -> tuple[float, float]:
     """95 % interval of the share of all queries, as in `surfaced chart`: over users where there are
-    five or more, else over queries. Over users it is Wilson's for as many queries as vary as much,
+    three or more, else over queries. Over users it is Wilson's for as many queries as vary as much,
     and for so few users (Korn & Graubard 1998)."""
     n = len(users)
     if n < LEAST_USERS:

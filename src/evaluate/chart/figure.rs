@@ -8,7 +8,7 @@ use plotters::coord::ranged1d::Ranged;
 use plotters::prelude::*;
 
 use crate::draw::{Area, COLOURS, Drawn, FigureError, GREY, Panel, axes, put, svg, three_digits};
-use crate::evaluate::{FoldAccuracy, Outcome, Protocol, interval_over_users, is_over_users};
+use crate::evaluate::{FoldAccuracy, Interval, Outcome, Over, Protocol};
 use crate::scene::SourceId;
 
 /// The measured accuracy and latency of one setting of one method.
@@ -21,9 +21,8 @@ pub(crate) struct ChartPoint {
     /// The part of each query's drag that was used, in seconds; `None` for the whole drag.
     pub query_seconds: Option<f64>,
     pub accuracy: f64,
-    /// Lower end of the 95 % interval, taken over users if there are at least 5, else over queries.
-    pub accuracy_low: f64,
-    pub accuracy_high: f64,
+    #[serde(flatten)]
+    pub interval: Interval,
     /// Accuracy of each user, if queries and library are split by user.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub users: Vec<FoldAccuracy>,
@@ -46,19 +45,15 @@ impl ChartPoint {
         query_seconds: Option<f64>,
         control: bool,
     ) -> Self {
-        let (users, (accuracy_low, accuracy_high)) = if protocol.folds_are_users() {
-            (outcome.folds.clone(), interval_over_users(&outcome.folds))
-        } else {
-            (Vec::new(), outcome.share.interval())
-        };
+        let users = if protocol.folds_are_users() { outcome.folds.clone() } else { Vec::new() };
+        let interval = Interval::of(&outcome.folds, protocol.over());
         Self {
             method: if control { "control".into() } else { outcome.method.clone() },
             setting: setting.into(),
             sources: outcome.sources.iter().map(SourceId::to_string).collect(),
             query_seconds,
             accuracy: outcome.share.value(),
-            accuracy_low,
-            accuracy_high,
+            interval,
             users,
             query_ms_p50: outcome.query_ms_p50,
             query_ms_p99: outcome.query_ms_p99,
@@ -137,10 +132,10 @@ impl Chart {
 
     /// The kind of interval that the bars show, for the legend.
     pub(super) fn bars(&self) -> &'static str {
-        if self.points.iter().any(|point| is_over_users(&point.users)) {
-            "95 % interval over users"
-        } else {
-            "95 % interval over queries"
+        match self.points.first().map(|point| point.interval.over) {
+            Some(Over::People) => "95 % interval over people",
+            Some(Over::Sessions) => "95 % interval over sessions",
+            _ => "95 % interval over queries",
         }
     }
 
@@ -214,7 +209,7 @@ fn line(chart: &Chart, point: &ChartPoint) -> String {
     };
     let seconds = point.query_seconds.map(|s| format!(", first {s} s")).unwrap_or_default();
     let [accuracy, low, high] =
-        [point.accuracy, point.accuracy_low, point.accuracy_high].map(|share| 100.0 * share);
+        [point.accuracy, point.interval.low, point.interval.high].map(|share| 100.0 * share);
     let ms = three_digits(point.query_ms_p50);
     format!("{name}{sources}{seconds}: {accuracy:.1} % ({low:.1} to {high:.1}), {ms} ms")
 }
@@ -290,7 +285,7 @@ fn legend(
 /// The range of an accuracy axis: from below all intervals (also of controls) to above 100 %.
 fn axis(chart: &Chart, points: &[&ChartPoint]) -> Range<f64> {
     let all = points.iter().copied().chain(chart.controls());
-    let low = all.map(|p| p.accuracy_low).fold(1.0, f64::min);
+    let low = all.map(|p| p.interval.low).fold(1.0, f64::min);
     (low * 10.0 - 0.01).floor().max(0.0) / 10.0..1.08
 }
 
@@ -354,7 +349,7 @@ fn marks<X: Ranged<ValueType = f64>>(
     panel.draw_series(LineSeries::new(line, BLACK.mix(0.3).stroke_width(3)))?;
     for point in points {
         let (x, colour) = (x(point), colours[point.method.as_str()]);
-        let bar = [point.accuracy_low, point.accuracy_high].map(|y| (x, y));
+        let bar = [point.interval.low, point.interval.high].map(|y| (x, y));
         panel.draw_series([PathElement::new(bar, colour.mix(0.5).stroke_width(2))])?;
         panel.draw_series(point.users.iter().map(|user| {
             let tick = PathElement::new([(-6, 0), (6, 0)], colour.mix(0.7).stroke_width(1));
@@ -364,7 +359,7 @@ fn marks<X: Ranged<ValueType = f64>>(
     }
     let mut before = (i32::MIN / 2, 0);
     for (number, point) in (1..).zip(front) {
-        let at = (x(point), point.accuracy_high);
+        let at = (x(point), point.interval.high);
         let (left, y) = panel.backend_coord(&at);
         // Numbers of points that are close together go one above the other.
         let top = if left - before.0 < 18 { (y - 16).min(before.1 - 13) } else { y - 16 };
@@ -384,8 +379,11 @@ mod tests {
             method: method.into(),
             sources: vec!["ac".into(), "mi2".into()],
             accuracy,
-            accuracy_low: accuracy - 0.05,
-            accuracy_high: (accuracy + 0.02).min(1.0),
+            interval: Interval {
+                low: accuracy - 0.05,
+                high: (accuracy + 0.02).min(1.0),
+                ..Interval::default()
+            },
             query_ms_p50: ms,
             queries: 200,
             ..ChartPoint::default()

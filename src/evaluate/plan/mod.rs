@@ -28,8 +28,8 @@ use serde::Serialize;
 
 pub use self::file::{Expected, Plan};
 use crate::evaluate::{
-    EvaluateError, Evaluation, Fold, Outcome, ProgressFn, Protocol, Run, Share, folds, percentile,
-    within,
+    EvaluateError, Evaluation, Fold, Interval, Leaks, Outcome, ProgressFn, Protocol, Run, Share,
+    folds, percentile, within,
 };
 use crate::library::{Entry, Library};
 use crate::recognise::{
@@ -81,7 +81,9 @@ pub fn search(
     let PlanOptions { target, accuracy, protocol } = options;
     let entries = within(&library.entries, &library.scene);
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
+    let leaks = if library.synthetic { Leaks::default() } else { Leaks::of(&entries, progress) };
     let folds = folds(protocol, &keys)?;
+    let folds = leaks.apart(&folds, &keys).unwrap_or(folds);
     // Finds how long scans of these sources must last, by leaving out trials of the library.
     let scan_time = |sources: &[SourceId]| -> Option<ScanTime> {
         let scene = library.scene.clone().only(sources).ok()?;
@@ -100,11 +102,12 @@ pub fn search(
     let found = search.scan_time(&choice.sources);
     let scan_s = found.as_ref().and_then(ScanTime::scan_s);
     let scene = library.scene.clone().only(&sources)?;
-    let outcome = outcome(&scene, &within(&entries, &scene), protocol, scan_s, progress)?;
+    let outcome = outcome(&scene, &entries, (protocol, &leaks), scan_s, progress)?;
     let Share { right, of } = outcome.share;
     search.steps.extend(found.as_ref().map(ScanTime::line));
     search.steps.extend(scan_s.map(|s| format!("a scan of {s:.1} s: {right} of {of} right")));
-    let (accuracy_low, accuracy_high) = outcome.share.interval();
+    let Interval { low: accuracy_low, high: accuracy_high, .. } =
+        Interval::of(&outcome.folds, protocol.over());
     let expected = Expected {
         target,
         // The target also counts as missed if no scan time has the requested accuracy.
@@ -135,13 +138,17 @@ pub fn search(
 fn outcome(
     scene: &Scene,
     entries: &[Entry],
-    protocol: Protocol,
+    (protocol, leaks): (Protocol, &Leaks),
     scan_s: Option<f64>,
     progress: ProgressFn<'_>,
 ) -> Result<Outcome, EvaluateError> {
+    let holds = |entry: &Entry| entry.sources.iter().any(|id| scene.get(id.as_str()).is_some());
+    let held: Vec<usize> = (0..entries.len()).filter(|&i| holds(&entries[i])).collect();
+    let entries = within(entries, scene);
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let folds = folds(protocol, &keys)?;
-    let on = Evaluation::new(scene, entries, &folds);
+    let folds = leaks.among(&held).apart(&folds, &keys).unwrap_or(folds);
+    let on = Evaluation::new(scene, &entries, &folds);
     let evaluation = Evaluation { query_seconds: scan_s, progress, ..on };
     let method = MethodSpec::from(MethodName::Embedding).build(scene);
     Ok(evaluation.prepare(&*method)?.measure()?.outcome)

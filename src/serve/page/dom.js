@@ -42,6 +42,7 @@ export const zone = () => {
   const offset = -new Date().getTimezoneOffset();
   const sign = offset < 0 ? "−" : "+";
   const [hours, minutes] = [Math.floor(Math.abs(offset) / 60), Math.abs(offset) % 60].map((part) => String(part).padStart(2, "0"));
+  if (timeZone === "UTC") return "times: UTC";
   return `times: ${timeZone}, UTC${sign}${hours}:${minutes}`;
 };
 

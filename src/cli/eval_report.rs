@@ -1,0 +1,248 @@
+//! What `surfaced eval` found, as JSON, as a table of all queries, and for people.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::show::{self, listed};
+use super::{Failure, say};
+use crate::evaluate::{
+    EnrolmentOutcome, Interval, Outcome, Over, Prediction, Protocol, SettledOutcome, UnknownOutcome,
+};
+use crate::record::replace_file;
+use crate::trial::TrialKey;
+
+/// The JSON document: the outcome, and the data and settings behind it.
+#[derive(serde::Serialize)]
+pub(super) struct EvalReport {
+    #[serde(flatten)]
+    pub(super) outcome: Outcome,
+    pub(super) protocol: Protocol,
+    pub(super) data: String,
+    pub(super) synthetic: bool,
+    pub(super) query_seconds: Option<f64>,
+    /// Present only with `--settle`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) settled: Option<SettledOutcome>,
+    /// Present only with `--leave-surfaces-out`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) unknown: Option<UnknownOutcome>,
+    /// Present only with `--enrolled`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) enrolled: Option<EnrolmentOutcome>,
+    /// How many trials of each surface were not asked, since no library without them has it.
+    pub(super) not_asked: BTreeMap<String, usize>,
+    pub(super) predictions: Vec<EvalAnswer>,
+    /// Sources that were left out, and the reasons, a line each.
+    pub(super) warnings: Vec<String>,
+}
+
+#[derive(serde::Serialize)]
+pub(super) struct EvalAnswer {
+    /// Folder of the trial; `None` in feature tables.
+    path: Option<String>,
+    truth: String,
+    user: String,
+    trial: u32,
+    session: Option<String>,
+    /// Name of the person, session or trial that was left out.
+    fold: String,
+    answer: String,
+    margin: f64,
+    confidence: Option<f64>,
+    p_value: Option<f64>,
+    /// Of each surface of the library; empty if the method gives none.
+    probabilities: BTreeMap<String, f64>,
+}
+
+impl EvalAnswer {
+    pub(super) fn new(fold: String, of: Prediction) -> Self {
+        let TrialKey { surface: truth, user, number: trial, session } = of.key;
+        Self {
+            path: None,
+            truth,
+            user,
+            trial,
+            session,
+            fold,
+            answer: of.surface,
+            margin: of.margin,
+            confidence: of.confidence,
+            p_value: of.p_value,
+            probabilities: of.probabilities.into_iter().collect(),
+        }
+    }
+}
+
+impl EvalReport {
+    /// Adds the folders of the trials.
+    pub(super) fn name_trials(&mut self, names: &BTreeMap<&TrialKey, String>) {
+        for one in &mut self.predictions {
+            let key = TrialKey::new(&one.truth, &one.user, one.trial);
+            one.path = names.get(&key.with_session(one.session.clone())).cloned();
+        }
+    }
+
+    /// Writes a row for each query, as CSV. Columns `p: SURFACE` hold the probabilities.
+    pub(super) fn write_predictions(&self, path: &Path) -> Result<(), Failure> {
+        let surfaces = &self.outcome.confusion.labels;
+        let mut table = csv::Writer::from_writer(Vec::new());
+        let head =
+            "path person trial session fold truth answer margin confidence p_value".split(' ');
+        let head = head.map(String::from).chain(surfaces.iter().map(|name| format!("p: {name}")));
+        let rows = self.predictions.iter().map(|one| one.cells(surfaces));
+        let written = std::iter::once(head.collect())
+            .chain(rows)
+            .try_for_each(|row: Vec<String>| table.write_record(row));
+        let written = written.map_err(std::io::Error::from);
+        let bytes = written.and_then(|()| table.into_inner().map_err(|error| error.into_error()));
+        let bytes = bytes.map_err(|error| Failure::at(path, error))?;
+        replace_file(path, &bytes)?;
+        show::wrote(&[path]);
+        Ok(())
+    }
+
+    pub(super) fn print(&self) {
+        let Outcome { share, method, classes, library_trials, .. } = &self.outcome;
+        let Outcome { query_ms_p50, query_ms_p99, confusion, never_queried, .. } = &self.outcome;
+        let percent = show::percent;
+        let mark = if self.synthetic { ", on synthetic data" } else { "" };
+        result!();
+        let (accuracy, right, of) = (percent(share.value()), share.right, share.of);
+        result!("accuracy   {accuracy} ({right} of {of} queries)");
+        let Interval { low, high, over } = self.outcome.interval;
+        let folds = self.outcome.folds.len();
+        let over = match over {
+            Over::People => format!("for other people, by {folds}"),
+            Over::Sessions => format!("for other sessions, by {folds}"),
+            Over::Queries => "for more scans like these".into(),
+        };
+        result!("           95 % interval {} to {} {over}", percent(low), percent(high));
+        let sources = listed(&self.outcome.sources);
+        result!("           {} · {method} · {sources}{mark}", self.protocol.name());
+        result!("           {}", self.protocol.left_out());
+        if self.protocol.folds_are_users() {
+            let users = show::counted(self.outcome.folds.len(), "user");
+            let std = self.outcome.accuracy_std.map(|std| format!(" ± {}", percent(std)));
+            let mean = percent(self.outcome.accuracy_mean);
+            result!("           mean over {users}: {mean}{}", std.unwrap_or_default());
+        }
+        self.print_stated();
+        self.enrolled.iter().for_each(print_enrolled);
+        let surfaces = show::counted(*classes, "surface");
+        let trials = show::counted(*library_trials, "library trial");
+        result!("           {surfaces} against {trials}");
+        if !never_queried.is_empty() {
+            result!("           never queried: {}", never_queried.join(", "));
+        }
+        if !self.not_asked.is_empty() {
+            let of = self.not_asked.iter().map(|(surface, count)| format!("{surface} ({count})"));
+            let of = listed(of);
+            result!("           not asked, since no library without them has their surface: {of}");
+        }
+        if say::is_verbose() {
+            self.print_surfaces();
+            result!("precision  {}", percent(self.outcome.precision_mean));
+            result!(
+                "query      {query_ms_p50:.1} ms from raw samples to the answer (median), \
+                 {query_ms_p99:.1} ms (p99)"
+            );
+        }
+        for (truth, answer, count) in confusion.worst(5) {
+            result!("           {count} × {truth} taken for {answer}");
+        }
+        self.settled.iter().for_each(print_settled);
+        self.unknown.iter().for_each(print_unknown);
+    }
+}
+
+impl EvalReport {
+    /// What the answers say of themselves, beside what is true.
+    fn print_stated(&self) {
+        let stated = self.predictions.iter().filter_map(|one| one.confidence);
+        let (sum, count) = stated.fold((0.0, 0), |(sum, count), p| (sum + p, count + 1));
+        if let (Some(loss), true) = (self.outcome.log_loss, count > 0) {
+            let mean = show::percent(sum / f64::from(count));
+            result!("           the answers state {mean} on average; log loss {loss:.2}");
+        }
+    }
+
+    fn print_surfaces(&self) {
+        let rows = self.outcome.surfaces.iter().map(|one| {
+            let share = [one.recall, one.precision, one.f1].map(|share| match share {
+                Some(share) => show::percent(share),
+                None => "-".into(),
+            });
+            let [recall, precision, f1] = share;
+            vec![one.surface.clone(), one.queries.to_string(), recall, precision, f1]
+        });
+        show::table(&["surface", ">queries", ">recall", ">precision", ">F1"], rows);
+    }
+}
+
+impl EvalAnswer {
+    fn cells(&self, surfaces: &[String]) -> Vec<String> {
+        let number = |value: Option<f64>| value.map(|x| x.to_string()).unwrap_or_default();
+        let text = |text: &Option<String>| text.clone().unwrap_or_default();
+        let (trial, margin) = (self.trial.to_string(), self.margin.to_string());
+        let known = [text(&self.path), self.user.clone(), trial, text(&self.session)];
+        let named = [self.fold.clone(), self.truth.clone(), self.answer.clone(), margin];
+        let stated = [number(self.confidence), number(self.p_value)];
+        let of = surfaces.iter().map(|name| number(self.probabilities.get(name).copied()));
+        known.into_iter().chain(named).chain(stated).chain(of).collect()
+    }
+}
+
+fn print_enrolled(e: &EnrolmentOutcome) {
+    let (trials, points) = (show::counted(e.trials, "trial"), 100.0 * e.gain);
+    let (without, interval) = (show::percent(e.without.value()), show::interval(e.without));
+    result!(
+        "enrolled   {trials} of each surface by the user: {points:+.1} points; without, {without} of \
+         the same queries ({interval})"
+    );
+}
+
+fn print_settled(s: &SettledOutcome) {
+    let SettledOutcome { lost, gained, scan_s_mean, scan_s_p50, whole_s_mean, .. } = s;
+    let [share, whole, loss] =
+        [s.share.value(), s.accuracy_whole, s.stated_loss].map(show::percent);
+    let interval = show::interval(s.share);
+    result!(
+        "settled    {share} (95 % interval {interval}) against {whole} by whole scans: {lost} lost, \
+         {gained} gained"
+    );
+    result!(
+        "           after {scan_s_mean:.2} s on average ({scan_s_p50:.2} s in the median) of \
+         {whole_s_mean:.2} s; {} of {} scans settled before they ended",
+        s.settled,
+        s.queries
+    );
+    let (shown, folds) = (s.rules.iter().filter(|rule| rule.shown).count(), s.rules.len());
+    result!(
+        "           stated loss {loss} at most, shown (at 90 %) by the libraries of {shown} of \
+         {folds} folds"
+    );
+    if let Some(share) = s.core_share {
+        result!("           following takes {} of one core", show::percent(share));
+    }
+}
+
+fn print_unknown(u: &UnknownOutcome) {
+    let (caught, interval) = (show::percent(u.unknown.value()), show::interval(u.unknown));
+    let of = u.unknown.of;
+    result!(
+        "unknown    {caught} of {of} queries of left-out surfaces caught (95 % interval {interval})"
+    );
+    let (rejected, interval) = (show::percent(u.known.value()), show::interval(u.known));
+    let (of, trials) = (u.known.of, u.stated.trials);
+    let [rate, low, high] =
+        [u.stated.rate, u.stated.rate_low, u.stated.rate_high].map(show::percent);
+    result!(
+        "           {rejected} of {of} queries of known ones rejected ({interval}); stated {rate} \
+         ({low} to {high}, by {trials} left-out trials)"
+    );
+    result!(
+        "           in {} of {} folds the share rejected lies in the interval stated there",
+        u.folds_as_stated,
+        u.folds
+    );
+}
