@@ -291,26 +291,40 @@ fn is_mostly(packets: &[Packet], holds: impl Fn(&[u8]) -> bool) -> bool {
     found * 2 > asked
 }
 
-/// Whether a frame of AAC ends with a fill element that holds the upper band of HE-AAC, which the
-/// decoder leaves out. Looks from every bit for one that ends where the frame does: by chance, that is
-/// so in one frame of a thousand.
+/// Whether a frame of AAC ends with fill elements whose first holds the upper band of HE-AAC, which the
+/// decoder leaves out. Looks from every bit for elements that end where the frame does: by chance, one
+/// frame of AAC-LC in a hundred seems to hold them.
 fn ends_with_sbr(frame: &[u8]) -> bool {
-    const FILL: usize = 6;
-    const END: usize = 7;
-    let bits = 8 * frame.len();
-    let read = |at: usize, count: usize| {
-        (at..at + count)
-            .fold(0, |sum, at| sum << 1 | usize::from(frame[at / 8] >> (7 - at % 8) & 1))
-    };
-    (0..bits.saturating_sub(22)).filter(|&at| read(at, 3) == FILL).any(|at| {
-        let (count, body) = match read(at + 3, 4) {
-            15 => (14 + read(at + 7, 8), at + 15),
-            count => (count, at + 7),
-        };
-        let end = body + 8 * count;
-        let last = end + 3 <= bits && bits < end + 11 && read(end, 3) == END;
-        last && count > 0 && matches!(read(body, 4), 13 | 14)
+    (0..8 * frame.len()).any(|at| {
+        let Some((content, end)) = fill(frame, at) else { return false };
+        end > content && matches!(bits(frame, content, 4), Some(13 | 14)) && fills_up(frame, end)
     })
+}
+
+/// Whether nothing but fill elements lies between a bit and the end of a frame.
+fn fills_up(frame: &[u8], mut at: usize) -> bool {
+    const END: usize = 7;
+    while let Some((_, end)) = fill(frame, at) {
+        at = end;
+    }
+    bits(frame, at, 3) == Some(END) && 8 * frame.len() < at + 11
+}
+
+/// Where the content of the fill element at a bit begins and ends; `None` if there is no such element.
+fn fill(frame: &[u8], at: usize) -> Option<(usize, usize)> {
+    const FILL: usize = 6;
+    bits(frame, at, 3).filter(|&id| id == FILL)?;
+    let (size, content) = match bits(frame, at + 3, 4)? {
+        15 => (14 + bits(frame, at + 7, 8)?, at + 15),
+        size => (size, at + 7),
+    };
+    Some((content, content + 8 * size))
+}
+
+/// The number in some bits, the first of them the highest.
+fn bits(bytes: &[u8], at: usize, count: usize) -> Option<usize> {
+    (at..at + count)
+        .try_fold(0, |sum, at| Some(sum << 1 | usize::from(bytes.get(at / 8)? >> (7 - at % 8) & 1)))
 }
 
 /// The content of each box called `name` that lies directly in `bytes`.
