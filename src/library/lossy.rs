@@ -461,3 +461,46 @@ fn checksum(page: &[u8]) -> [u8; 4] {
     [&page[..22], &[0; 4], &page[26..]].into_iter().for_each(|part| sum.process_buf_bytes(part));
     sum.crc().to_le_bytes()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn part(name: &[u8; 4], content: &[u8]) -> Vec<u8> {
+        [&(content.len() as u32 + 8).to_be_bytes(), &name[..], content].concat()
+    }
+
+    #[test]
+    fn what_apple_s_encoders_note_is_found() {
+        let note = b"iTunSMPB\0\0\0\x54data\0\0\0\x01\0\0\0\0 00000000 00000840 000001CA 00000000003F31F6 0";
+        assert_eq!(itunes(note), Some((2112, 0x3F31F6)));
+        assert_eq!(itunes(&note[..60]), None);
+        assert_eq!(itunes(b"iTunes"), None);
+    }
+
+    #[test]
+    fn an_edit_list_gives_one_part_after_pauses() {
+        let entry = |length: u32, start: i32| {
+            [&length.to_be_bytes()[..], &start.to_be_bytes(), &[0, 1, 0, 0]].concat()
+        };
+        let edit = |entries: &[Vec<u8>]| {
+            let list = [&[0; 8][..], &entries.concat()].concat();
+            edit(&part(b"edts", &part(b"elst", &list))).ok().flatten()
+        };
+        assert_eq!(edit(&[entry(20, -1), entry(500, 1024)]), Some([500, 1024]));
+        assert_eq!(edit(&[entry(500, 1024), entry(500, 9000)]), None);
+        assert!(super::edit(&part(b"mdia", &[])).is_ok_and(|edit| edit.is_none()));
+    }
+
+    #[test]
+    fn boxes_that_claim_too_much_are_left_out() {
+        let long = [&1u32.to_be_bytes()[..], b"mdat", &20u64.to_be_bytes(), &[7; 4]].concat();
+        let bytes = [long, part(b"moov", &[1]), part(b"free", &[])].concat();
+        assert_eq!(boxes(&bytes, b"mdat"), [[7; 4]]);
+        assert_eq!(boxes(&bytes, b"moov"), [[1]]);
+        for claim in [2u32, 9, u32::MAX] {
+            let bytes = [&claim.to_be_bytes()[..], b"moov"].concat();
+            assert!(boxes(&bytes, b"moov").is_empty());
+        }
+    }
+}
