@@ -199,11 +199,13 @@ fn mp3(mut bytes: Vec<u8>) -> Result<Sound, Why> {
 
 /// Cuts off what players keep before and after the frames of mp3.
 fn cut_tags(bytes: &mut Vec<u8>) {
-    while let [b'I', b'D', b'3', _, _, flags, a, b, c, d, ..] = **bytes {
-        let length = [a, b, c, d].iter().fold(0, |sum, &byte| sum << 7 | usize::from(byte & 127));
+    let mut start = 0;
+    while let Some([b'I', b'D', b'3', _, _, flags, a, b, c, d, ..]) = bytes.get(start..) {
+        let length = [a, b, c, d].iter().fold(0, |sum, &&byte| sum << 7 | usize::from(byte & 127));
         let footer = if flags & 16 != 0 { 10 } else { 0 };
-        bytes.drain(..bytes.len().min(10 + length + footer));
+        start += 10 + length + footer;
     }
+    bytes.drain(..start.min(bytes.len()));
     if bytes.len() >= 128 && bytes[bytes.len() - 128..].starts_with(b"TAG") {
         bytes.truncate(bytes.len() - 128);
     }
@@ -295,10 +297,15 @@ fn is_mostly(packets: &[Packet], holds: impl Fn(&[u8]) -> bool) -> bool {
 /// decoder leaves out. Looks from every bit for elements that end where the frame does: by chance, one
 /// frame of AAC-LC in a hundred seems to hold them.
 fn ends_with_sbr(frame: &[u8]) -> bool {
-    (0..8 * frame.len()).any(|at| {
-        let Some((content, end)) = fill(frame, at) else { return false };
-        end > content && matches!(bits(frame, content, 4), Some(13 | 14)) && fills_up(frame, end)
-    })
+    // Of two channels, whole; the search takes the longer the more there is.
+    const MOST: usize = 2 * 6144 / 8;
+    frame.len() <= MOST
+        && (0..8 * frame.len()).any(|at| {
+            let Some((content, end)) = fill(frame, at) else { return false };
+            end > content
+                && matches!(bits(frame, content, 4), Some(13 | 14))
+                && fills_up(frame, end)
+        })
 }
 
 /// Whether nothing but fill elements lies between a bit and the end of a frame.
