@@ -44,7 +44,7 @@ fn copies(path: &Path, listed: Vec<Listed>) -> Vec<(PathBuf, Vec<Listed>)> {
 ///
 /// - the LMT108 database (`path`, or a folder in it, holds `SoundScans/`, `AccelScansComponents/` or
 ///   another folder of the database),
-/// - a single WAV or FLAC file: one trial of an unknown surface,
+/// - a single file of a series, such as WAV or FLAC: one trial of an unknown surface,
 /// - otherwise the recording format, version 1 (see [`recording`]).
 ///
 /// The sources are those of `defaults`, and those that the library itself describes. Samples are
@@ -62,8 +62,13 @@ pub fn open(path: &Path, defaults: &Scene) -> Result<Library, LibraryError> {
 /// # Errors
 /// If the folder cannot be read, or nothing in it can be used.
 pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError> {
-    if path.is_file() && Listed::file(path).is_some_and(|item| item.is_series()) {
-        return recording::open_file(path, defaults);
+    if let Some(item) = Listed::file(path).filter(|_| path.is_file()) {
+        if item.is_series() {
+            return recording::open_file(path, defaults);
+        }
+        if let Some(why) = item.unreadable() {
+            return Err(LibraryError::file(path, why));
+        }
     }
     if path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(IMPORTING)) {
         let problem = "an import is still writing this library, or was interrupted; let it end, or \

@@ -13,6 +13,8 @@ use crate::trial::Series;
 
 /// The extensions of files that hold one time series, in lower case.
 const SERIES: [&str; 2] = ["wav", "flac"];
+/// Those of series in a lossy form, which the feature `lossy` reads.
+pub(super) const LOSSY: [&str; 4] = ["mp3", "m4a", "ogg", "oga"];
 
 impl LibraryError {
     pub(crate) fn file(path: &Path, problem: impl Display) -> Self {
@@ -73,21 +75,26 @@ impl Listed {
     }
 
     pub(crate) fn has_series_name(&self) -> bool {
-        SERIES.contains(&self.stem_and_extension().1.as_str())
+        let (_, extension) = self.stem_and_extension();
+        let lossy = cfg!(feature = "lossy") && LOSSY.contains(&&*extension);
+        lossy || SERIES.contains(&&*extension)
     }
 
     /// Why a recording in a form that is not read is not used; `None` for all other files.
     pub(crate) fn unreadable(&self) -> Option<String> {
-        const SOUNDS: [&str; 18] = [
-            "mp3", "m4a", "mp4", "aac", "ogg", "oga", "opus", "webm", "wma", "amr", "3gp", "aif",
-            "aiff", "aifc", "caf", "au", "w64", "raw",
+        const SOUNDS: [&str; 14] = [
+            "mp4", "aac", "opus", "webm", "wma", "amr", "3gp", "aif", "aiff", "aifc", "caf", "au",
+            "w64", "raw",
         ];
         const TABLES: [&str; 11] =
             ["csv", "tsv", "lvm", "npy", "npz", "mat", "parquet", "xlsx", "xls", "h5", "tdms"];
         const PICTURES: [&str; 6] = ["tif", "tiff", "bmp", "gif", "heic", "webp"];
         let (_, extension) = self.stem_and_extension();
         let advice = match &*extension {
-            _ if self.is_dir => return None,
+            _ if self.is_dir || self.has_series_name() => return None,
+            lossy if LOSSY.contains(&lossy) => {
+                "build with `--features lossy`, or convert it to WAV or FLAC"
+            }
             sound if SOUNDS.contains(&sound) => "convert it to WAV or FLAC",
             table if TABLES.contains(&table) => "make a library of tables by `surfaced import csv`",
             picture if PICTURES.contains(&picture) => "save it as PNG or JPEG",

@@ -288,7 +288,11 @@ fn read_picture(path: &Path) -> Result<Image, LibraryError> {
     )
 }
 
-/// Checks the headers of a library's WAV and FLAC files against the described channels and rates.
+/// What is said once of all sounds in a lossy form.
+const LOSSY_REMARK: &str = "lossy coding changes a sound, most of all in the bands above its cut; \
+                            compare only what was coded alike, or record as WAV or FLAC";
+
+/// Checks the headers of a library's series against the described channels and rates.
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
     root: PathBuf,
@@ -319,7 +323,7 @@ impl Headers {
         let id = &spec.id;
         let fail = |problem| Err(LibraryError::file(path, problem));
         if spec.domain == Domain::Image {
-            let kind = if series_file::is_flac(path) { "FLAC" } else { "WAV" };
+            let kind = series_file::extension(path).to_uppercase();
             return fail(format!(
                 "a {kind} file, but source `{id}` is an image; expected {id}.png or {id}.jpg"
             ));
@@ -356,6 +360,9 @@ impl Headers {
         let mixed = mixed.transpose()?;
         if let Some(mix) = mixed {
             self.note(path, mix.remark(id));
+        }
+        if series_file::is_lossy(path) {
+            self.note(path, LOSSY_REMARK);
         }
         let (rate_hz, first) =
             self.first.entry(id.clone()).or_insert_with(|| (header.rate_hz, path.to_path_buf()));

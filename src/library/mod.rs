@@ -3,6 +3,8 @@
 pub mod cache;
 pub(crate) mod files;
 pub(crate) mod loader;
+#[cfg(feature = "lossy")]
+mod lossy;
 pub mod recording;
 pub(crate) mod series_file;
 pub(crate) mod wav;

@@ -29,6 +29,9 @@ use crate::trial::{EXPERT, TrialKey, UNLABELLED, normal};
 
 pub(crate) const DESCRIPTION: &str = "library.toml";
 
+/// The extensions of pictures, in lower case.
+const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
+
 /// Suffix of a trial's folder while the trial is still being written.
 pub(crate) const UNFINISHED: &str = ".unfinished";
 
@@ -216,10 +219,12 @@ impl<'a> RecordingOpening<'a> {
                 _ if item.is_series() && self.scene.get(item.stem_and_extension().0).is_none() => {
                     loose.push(item);
                 }
-                "wav" | "flac" | "png" | "jpg" | "jpeg" => self.headers.note(
-                    &item.path,
-                    "not used, it lies in no TRIAL folder; expected SURFACE/TRIAL/<source>.wav",
-                ),
+                extension if item.has_series_name() || PICTURES.contains(&extension) => {
+                    self.headers.note(
+                        &item.path,
+                        "not used, it lies in no TRIAL folder; expected SURFACE/TRIAL/<source>.wav",
+                    )
+                }
                 _ => {
                     item.unreadable().into_iter().for_each(|why| self.headers.note(&item.path, why))
                 }
@@ -339,7 +344,7 @@ impl<'a> RecordingOpening<'a> {
     fn source(&mut self, item: &Listed) -> Result<Option<(SourceId, SourceFiles)>, LibraryError> {
         let (stem, extension) = item.stem_and_extension();
         let is_series = item.has_series_name();
-        let picture = matches!(extension.as_str(), "png" | "jpg" | "jpeg");
+        let picture = PICTURES.contains(&extension.as_str());
         if item.is_hidden() || item.is_dir {
             return Ok(None);
         }

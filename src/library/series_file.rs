@@ -12,29 +12,43 @@ use symphonia_core::formats::{FormatOptions, FormatReader};
 use symphonia_core::io::MediaSourceStream;
 
 use super::files::{self, EMPTY_FILE, check_length};
+#[cfg(feature = "lossy")]
+use super::lossy;
 use super::{LibraryError, Outline, wav};
 use crate::trial::Series;
 
 /// Reads the header of a file. For WAV, also checks that the file is as long as its header says.
 pub(crate) fn probe(path: &Path) -> Result<Outline, LibraryError> {
-    match is_flac(path) {
-        true => guarded(|| open_flac(path).map(|(_, _, header)| header), |why| damaged(path, why)),
-        false => wav::probe(path),
+    match &*extension(path) {
+        "flac" => {
+            guarded(|| open_flac(path).map(|(_, _, header)| header), |why| damaged(path, why))
+        }
+        #[cfg(feature = "lossy")]
+        _ if is_lossy(path) => guarded(|| lossy::probe(path), |why| lossy::damaged(path, why)),
+        _ => wav::probe(path),
     }
 }
 
 /// Reads a whole file. Divides integer samples by 2^(bits − 1), so that they lie within ±1.
 pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
-    let (header, samples) = match is_flac(path) {
-        true => guarded(|| decode_flac(path), |why| damaged(path, why))?,
-        false => wav::read(path)?,
+    let (header, samples) = match &*extension(path) {
+        "flac" => guarded(|| decode_flac(path), |why| damaged(path, why))?,
+        #[cfg(feature = "lossy")]
+        _ if is_lossy(path) => guarded(|| lossy::read(path), |why| lossy::damaged(path, why))?,
+        _ => wav::read(path)?,
     };
     let series = Series::new(header.rate_hz, header.channels, samples);
     series.map_err(|error| LibraryError::file(path, error))
 }
 
-pub(super) fn is_flac(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("flac"))
+/// The extension of a file, in lower case.
+pub(super) fn extension(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
+}
+
+/// Whether a file's coding leaves out what people do not hear.
+pub(super) fn is_lossy(path: &Path) -> bool {
+    files::LOSSY.contains(&&*extension(path))
 }
 
 /// Runs a decoder. If it panics, as decoders may on damaged files, returns the error `failed`.

@@ -167,6 +167,9 @@ fn media_type(name: &str) -> &'static str {
     match name.rsplit('.').next() {
         Some("wav") => "audio/wav",
         Some("flac") => "audio/flac",
+        Some("mp3") => "audio/mpeg",
+        Some("m4a") => "audio/mp4",
+        Some("ogg" | "oga") => "audio/ogg",
         Some("png") => "image/png",
         Some("jpg" | "jpeg") => "image/jpeg",
         Some("toml") => "application/toml",

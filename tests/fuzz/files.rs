@@ -1,7 +1,7 @@
 //! Files from outside: recordings and tables, which may be damaged in any way.
 
 /// The kinds of files; the first byte of an input says which it is.
-pub const KINDS: [&str; 5] = ["csv", "npy", "npz", "wav", "flac"];
+pub const KINDS: [&str; 8] = ["csv", "npy", "npz", "wav", "flac", "mp3", "m4a", "ogg"];
 
 /// Reads a file of a kind and a content; nothing may panic.
 pub fn read(input: &[u8]) {
@@ -11,7 +11,7 @@ pub fn read(input: &[u8]) {
     let path = folder.path().join(format!("oak-1.{kind}"));
     std::fs::write(&path, content).expect("a file");
     match kind {
-        "wav" | "flac" => {
+        "wav" | "flac" | "mp3" | "m4a" | "ogg" => {
             let scene = surfaced::scene::Scene::lmt108();
             let library = surfaced::dataset::open(&path, &scene);
             let _ = library.and_then(|library| library.entries[0].load());

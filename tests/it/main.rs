@@ -28,6 +28,8 @@ mod line_forms;
 mod lines;
 mod live_scan;
 mod lmt108;
+#[cfg(feature = "lossy")]
+mod lossy_sounds;
 mod methods;
 mod microphone;
 mod no_stderr;

@@ -166,6 +166,21 @@ fn recordings_that_are_not_read_are_named() {
     }
 }
 
+#[cfg(not(feature = "lossy"))]
+#[test]
+fn a_build_without_lossy_forms_says_how_to_read_them() {
+    let (_dir, path) = temp();
+    write_wav(&path.join("Oak/1/mi2.wav"), 44_100, 1, &[1]);
+    for extension in ["mp3", "m4a", "ogg", "OGA"] {
+        let file = format!("Oak/1/ac.{extension}");
+        write_file(&path.join(&file), "x");
+        let said = open(&path).unwrap().remarks.join("\n");
+        says(&said, &[&format!("{file}: not used, ."), "build with `--features lossy`"]);
+        let alone = open(&path.join(&file)).unwrap_err().to_string();
+        says(&alone, &[&file, "build with `--features lossy`"]);
+    }
+}
+
 /// The samples that a mono source reads of a stereo file, and the remarks.
 fn mixed(frames: impl Iterator<Item = [i16; 2]>) -> (Vec<f32>, String) {
     let (_dir, path) = temp();

@@ -2,7 +2,7 @@
 //! rate, the sources and their channels.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use crate::common::{open, says, temp, write_file};
@@ -596,6 +596,10 @@ proptest::proptest! {
                 (0..20).for_each(|x| writer.write_sample(x).unwrap());
                 writer.finalize().unwrap();
                 bytes.into_inner()
+            }
+            sound @ ("mp3" | "m4a" | "ogg") => {
+                let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/lossy");
+                std::fs::read(folder.join(format!("tone.{sound}"))).unwrap()
             }
             _ => "# a\n\"t (s)\";x\n0,1;2\n0,2;4\n0,3;nan\n0,4;5\n".into(),
         };
