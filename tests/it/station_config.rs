@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use surfaced::device::lines::LinesAddress;
 use surfaced::device::serial::Selector;
 use surfaced::scene::SourceId;
-use surfaced::station::config::{HttpAddress, MqttAddress, StationConfig, TlsFiles};
+use surfaced::station::config::{HttpAddress, MqttAddress, Password, StationConfig, TlsFiles};
 
 fn parse(text: &str) -> Result<StationConfig, String> {
     StationConfig::parse(text, Path::new("here/stylus.toml")).map_err(|error| error.to_string())
@@ -135,7 +135,8 @@ fn addresses_are_taken_apart_and_others_refused() {
     assert_eq!("http://[::1]".parse::<HttpAddress>().unwrap().host, ("::1".into(), 80));
     let mqtt: MqttAddress = "mqtt://me:secret@broker/plant/hall-3".parse().unwrap();
     assert_eq!(mqtt.to_string(), "mqtt://broker:1883/plant/hall-3");
-    assert_eq!(mqtt.credentials, Some(("me".into(), "secret".into())));
+    let with = |user: &str, password| Some((user.to_string(), password));
+    assert!(mqtt.credentials == with("me", Password::Given("secret".into())));
     assert!(!format!("{mqtt:?}").contains("secret"));
     let safe: MqttAddress = "mqtts://broker".parse().unwrap();
     assert_eq!(
@@ -150,6 +151,25 @@ fn addresses_are_taken_apart_and_others_refused() {
     {
         assert!(text.parse::<MqttAddress>().is_err(), "{text}");
     }
+    for text in ["mqtt://me:se%cret@broker", "mqtt://me:a/secret@broker/b"] {
+        let why = text.parse::<MqttAddress>().err().unwrap();
+        assert!(why.contains("%40 for @") && !why.contains("cret"), "{why}");
+    }
+}
+
+#[test]
+fn a_password_file_belongs_to_a_user_and_no_mistake_shows_a_password() {
+    let outputs = |text: &str| parse(&format!("format = 1\n[outputs]\n{text}")).map(|c| c.outputs);
+    let mqtt = outputs("mqtt = \"mqtt://me@b\"\npassword_file = \"pw\"").unwrap().mqtt.unwrap();
+    let (_, password) = mqtt.credentials.unwrap();
+    assert!(password == Password::File("here/pw".into()));
+    for address in ["mqtt://broker", "mqtt://me:secret@broker"] {
+        let stray = outputs(&format!("mqtt = \"{address}\"\npassword_file = \"pw\""));
+        let why = stray.unwrap_err();
+        assert!(why.contains("line 4: password_file: ") && !why.contains("secret"), "{why}");
+    }
+    let why = outputs("mqtt = \"mqtt://me:secret@broker").unwrap_err();
+    assert!(why.contains("me:******@broker") && why.contains("line 3"), "{why}");
 }
 
 #[test]
