@@ -3,7 +3,7 @@
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
-use super::keys::watch_signals;
+use super::keys::watch_service;
 use super::serve::ServeArgs;
 use super::{Done, Failure};
 use crate::fleet;
@@ -78,7 +78,7 @@ pub(super) fn run(args: &Args) -> Done {
     let serve = args.serve.settings(Settings { address, ..Settings::default() })?;
     let most_bytes = u64::from(args.keep_mb) * 1_000_000;
     let server = fleet::start(broker, &cache, most_bytes, &serve).map_err(super::serve::failure)?;
-    let signals = watch_signals(crossbeam_channel::unbounded().0)?;
+    let signals = watch_service(crossbeam_channel::unbounded().0)?;
     say!("http://{}", server.address());
     let _ = signals.recv();
     drop(server);

@@ -11,7 +11,7 @@ use super::choose::within;
 use super::condition::WhereArgs;
 use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
-use super::keys::{Keys, watch_signals};
+use super::keys::{Keys, watch_service};
 use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs};
 use super::serve::{Page, ServeArgs};
 use super::show::{counted, listed, quoted};
@@ -282,7 +282,7 @@ pub(super) fn work(
     let (station, _server) = args.serve.start(station.listener(supervisor), settings, &page)?;
     let terminal = Terminal::new(args.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());
-    let _signals = watch_signals(commands.clone())?;
+    let _signals = watch_service(commands.clone())?;
     let mut station = station.listener(terminal);
     for what in assembled.left_out {
         station.emit(&StationEvent::Warning(what));
