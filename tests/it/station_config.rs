@@ -1,6 +1,7 @@
 //! The configuration of a station: what it says, what it leaves out, and its mistakes.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use surfaced::device::lines::LinesAddress;
 use surfaced::device::serial::Selector;
@@ -183,5 +184,38 @@ fn an_address_is_a_port_a_host_or_standard_input() {
     for text in ["", "auto", "tcp://robot", "http://a:1", "udp://:x", "COM3@fast", "COM3@0"] {
         let refused = text.parse::<LinesAddress>().unwrap_err();
         assert!(refused.contains("tcp://HOST:PORT"), "{text}: {refused}");
+    }
+}
+
+/// Runs `systemd-analyze`; `None` where there is none.
+fn systemd_analyze(arguments: &[&str], unit: &Path) -> Option<(bool, String)> {
+    let done = Command::new("systemd-analyze").args(arguments).arg(unit).output();
+    let done = done.inspect_err(|error| eprintln!("skipped: systemd-analyze: {error}")).ok()?;
+    Some((done.status.success(), String::from_utf8([done.stdout, done.stderr].concat()).unwrap()))
+}
+
+#[test]
+fn the_service_is_whole_hardened_and_loads_the_drivers_of_devices_that_are_plugged_in_later() {
+    let text = include_str!("../../configs/surfaced.service");
+    let allowed = text.lines().filter_map(|line| line.strip_prefix("DeviceAllow=char-"));
+    let of_kernel = ["ttyS rw", "ttyAMA rw"];
+    let drivers = [
+        ("ttyUSB rw", "usbserial"),
+        ("ttyACM rw", "cdc_acm"),
+        ("alsa rw", "snd"),
+        ("video4linux rw", "videodev"),
+    ];
+    let known = drivers.map(|(group, _)| group);
+    assert!(allowed.eq(of_kernel.into_iter().chain(known)));
+    for key in ["Wants=", "After="] {
+        let lines: String = text.lines().filter(|line| line.starts_with(key)).collect();
+        assert!(drivers.iter().all(|(_, module)| lines.contains(&format!("modprobe@{module}."))));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let unit = folder.path().join("surfaced.service");
+    std::fs::write(&unit, text.replace("/usr/bin/surfaced", "/bin/true")).unwrap();
+    for arguments in [&["verify"][..], &["security", "--offline=true", "--threshold=20"]] {
+        let Some((is_good, said)) = systemd_analyze(arguments, &unit) else { return };
+        assert!(is_good, "{arguments:?}: {said}");
     }
 }
