@@ -390,3 +390,32 @@ fn a_broker_with_tls_wants_the_clients_certificate_and_is_known_by_its_own() {
     );
     assert_eq!(test("").0, Some(2), "no output");
 }
+
+#[test]
+fn a_broker_takes_the_password_from_address_file_and_environment() {
+    let folder = tempfile::tempdir().unwrap();
+    let (port, known) = (free_port(), folder.path().join("known"));
+    let made = ["-c", "-b", known.to_str().unwrap(), "us@er", "p:s/s"];
+    let Some(mut made) = run("mosquitto_passwd", &made) else { return };
+    assert!(made.0.wait().unwrap().success());
+    let lines = format!("allow_anonymous false\npassword_file {}\nuser root", known.display());
+    let Some(_broker) = broker(port, &lines, folder.path()) else { return };
+    let station = folder.path().join("station.toml");
+    std::fs::write(folder.path().join("password"), "p:s/s\n").unwrap();
+    let test = |user: &str, more: &str, environment: &str| {
+        let mqtt = format!("mqtt = \"mqtt://{user}@127.0.0.1:{port}\"\n{more}");
+        std::fs::write(&station, format!("format = 1\n[outputs]\n{mqtt}")).unwrap();
+        let done = Command::new(env!("CARGO_BIN_EXE_surfaced"))
+            .args(["outputs", "test", "--config", station.to_str().unwrap()])
+            .env("SURFACED_MQTT_PASSWORD", environment)
+            .output()
+            .unwrap();
+        let text = String::from_utf8([done.stdout, done.stderr].concat()).unwrap();
+        assert!(!text.contains("p:s/s") && !text.contains("p%3As%2Fs"), "{text}");
+        done.status.code()
+    };
+    assert_eq!(test("us%40er:p%3As%2Fs", "", ""), Some(0));
+    assert_eq!(test("us%40er", "password_file = \"password\"\n", ""), Some(0));
+    assert_eq!(test("us%40er", "", "p:s/s"), Some(0));
+    assert_eq!(test("us%40er", "", "another"), Some(1));
+}

@@ -1,10 +1,10 @@
 //! `surfaced enroll` and `surfaced record`: add live scans to a library as trials.
 
-use super::live::{Kept, StationArgs, StationWork, library_of, verdict, work};
+use super::live::{Kept, StationArgs, StationWork, library_of, make_library, verdict, work};
 use super::method::at_least_one;
 use super::show::quoted;
 use super::{Done, Failure, show};
-use crate::record::{check_writable, write_library_toml};
+use crate::record::check_writable;
 use crate::station::config::StationConfig;
 use crate::station::{Keep, assemble};
 use crate::trial::{EXPERT, UNLABELLED};
@@ -92,8 +92,7 @@ fn store(
 ) -> Result<Kept, Failure> {
     let library = library_of(config)?;
     if !library.exists() {
-        let name = library.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
-        write_library_toml(&library, &config.scene, &name, false)?;
+        make_library(&library, &config.scene)?;
     }
     check_writable(&library)?;
     let mut kept = Kept::default();

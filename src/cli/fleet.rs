@@ -3,12 +3,12 @@
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
-use super::keys::watch_signals;
+use super::keys::watch_service;
 use super::serve::ServeArgs;
 use super::{Done, Failure};
 use crate::fleet::{self, Pages};
 use crate::serve::Settings;
-use crate::station::config::{MqttAddress, TlsFiles};
+use crate::station::config::{MqttAddress, STRAY_PASSWORD_FILE, TlsFiles};
 
 /// The default port. A station on the same machine may already use port 8080.
 const PORT: u16 = 8081;
@@ -23,8 +23,15 @@ const PORT: u16 = 8081;
                         surfaced fleet mqtts://broker.example --ca ca.pem --serve 127.0.0.1:9000\n\n\
                         Time: until you quit")]
 pub(super) struct Args {
-    /// The broker, and the prefix of the stations' topics: mqtt://HOST, mqtts://USER:PASSWORD@HOST/PREFIX
-    broker: MqttAddress,
+    /// The broker, and the prefix of the stations' topics: mqtt://HOST, mqtts://USER@HOST/PREFIX
+    ///
+    /// Other users of this machine see the command line. A user's password is therefore read from
+    /// --password-file, or else from the environment variable SURFACED_MQTT_PASSWORD;
+    /// USER:PASSWORD@HOST works, too. A character of theirs with another meaning is written %XX.
+    broker: String,
+    /// A file that holds the password of the broker's user
+    #[arg(long, value_name = "FILE")]
+    password_file: Option<PathBuf>,
     /// The certificate authority of the broker, if the system does not know it
     #[arg(long, value_name = "FILE")]
     ca: Option<PathBuf>,
@@ -52,7 +59,14 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Done {
-    let mut broker = args.broker.clone();
+    // clap would repeat a wrong address in its message, with the password.
+    let broker = args.broker.parse().map_err(|why| Failure::Usage(format!("BROKER: {why}")));
+    let mut broker: MqttAddress = broker?;
+    if let Some(path) = &args.password_file
+        && !broker.set_password_file(path.clone())
+    {
+        return Err(Failure::Usage(STRAY_PASSWORD_FILE.into()));
+    }
     let client = args.certificate.clone().zip(args.key.clone());
     match &mut broker.tls {
         Some(tls) => *tls = TlsFiles { ca: args.ca.clone(), client },
@@ -72,7 +86,7 @@ pub(super) fn run(args: &Args) -> Done {
     let pages = args.pages.clone();
     let server =
         fleet::start(broker, (&cache, most_bytes), pages, &serve).map_err(super::serve::failure)?;
-    let signals = watch_signals(crossbeam_channel::unbounded().0)?;
+    let signals = watch_service(crossbeam_channel::unbounded().0)?;
     say!("http://{}", server.address());
     let _ = signals.recv();
     drop(server);

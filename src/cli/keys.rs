@@ -9,7 +9,7 @@ use crossbeam_channel::Sender;
 
 use super::{DAMAGED, Failure};
 use crate::station::Command;
-use crate::system::{next_key, restore_terminal, signals, single_keys};
+use crate::system::{HANGUP, has_terminal, next_key, restore_terminal, signals, single_keys};
 
 /// Time from the first signal until the process is ended by force. It is longer than a station needs
 /// to end, and shorter than the five seconds allowed.
@@ -57,7 +57,29 @@ impl Drop for Keys {
 /// the process at once; the first signal also does if neither a station nor the receiver exists.
 /// In any case, the process ends within [`LIMIT`].
 pub(super) fn watch_signals(commands: Sender<Command>) -> Result<mpsc::Receiver<()>, Failure> {
-    let signals = signals()?;
+    watch(signals()?, commands)
+}
+
+/// Like [`watch_signals`], for a station that lasts. Where no terminal could hang up, a hang-up asks a
+/// service to read its configuration anew; this is refused, and the station goes on.
+pub(super) fn watch_service(commands: Sender<Command>) -> Result<mpsc::Receiver<()>, Failure> {
+    let is_service = !has_terminal();
+    let ends = move |signal: &i32| {
+        let is_reload = is_service && HANGUP == Some(*signal);
+        if is_reload {
+            tracing::warn!(
+                "SIGHUP: the configuration is read at the start; restart to read it anew"
+            );
+        }
+        !is_reload
+    };
+    watch(signals()?.filter(ends), commands)
+}
+
+fn watch(
+    signals: impl Iterator<Item = i32> + Send + 'static,
+    commands: Sender<Command>,
+) -> Result<mpsc::Receiver<()>, Failure> {
     let (send, signalled) = mpsc::channel();
     let watch = move || {
         for (count, signal) in signals.enumerate() {

@@ -1,6 +1,7 @@
 //! `surfaced run`: runs a station. `enroll` and `record` share parts of this file.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,7 +12,7 @@ use super::choose::within;
 use super::condition::WhereArgs;
 use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
-use super::keys::{Keys, watch_signals};
+use super::keys::{Keys, watch_service};
 use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs};
 use super::serve::{Page, ServeArgs};
 use super::show::{counted, listed, quoted};
@@ -24,6 +25,7 @@ use crate::history::{self, History, Keeper};
 use crate::outputs::Output;
 use crate::recognise::{LOOK_S, ReadyModel, ready_model};
 use crate::record::edit::LibraryLock;
+use crate::record::write_library_toml;
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
 use crate::serve::{Audit, LibraryFolder, Settings};
@@ -134,6 +136,23 @@ pub(super) fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
         let text = "no library is named; give --library FOLDER, or `library` in the configuration";
         Failure::Usage(text.into())
     })
+}
+
+/// Makes a library without trials.
+pub(super) fn make_library(folder: &Path, scene: &Scene) -> Done {
+    let name = folder.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
+    Ok(write_library_toml(folder, scene, &name, false)?)
+}
+
+/// Asks on a terminal whether a missing library is to be made. Nobody is asked elsewhere.
+fn is_agreed(library: &Path) -> bool {
+    if library.exists() || !io::stdin().is_terminal() || !io::stderr().is_terminal() {
+        return false;
+    }
+    say!("{}: no such folder; make it? [y/N]", library.display());
+    let mut answer = String::new();
+    let is_read = io::stdin().read_line(&mut answer).is_ok();
+    is_read && matches!(answer.trim(), "y" | "Y" | "yes" | "Yes")
 }
 
 /// Returns a function that reads the library each time it is called, and prepares it for naming.
@@ -282,7 +301,7 @@ pub(super) fn work(
     let (station, _server) = args.serve.start(station.listener(supervisor), settings, &page)?;
     let terminal = Terminal::new(args.json, work.hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());
-    let _signals = watch_signals(commands.clone())?;
+    let _signals = watch_service(commands.clone())?;
     let mut station = station.listener(terminal);
     for what in assembled.left_out {
         station.emit(&StationEvent::Warning(what));
@@ -379,6 +398,9 @@ impl Listener for Supervisor {
 pub(super) struct Args {
     #[command(flatten)]
     station: StationArgs,
+    /// Make the library if there is none yet; surfaces are then enrolled on the page
+    #[arg(long)]
+    create: bool,
     #[command(flatten)]
     comparing: ComparingArgs,
     #[command(flatten)]
@@ -395,11 +417,15 @@ pub(super) fn run(args: &Args) -> Done {
     }
     let library = library_of(&config)?;
     if !library.is_dir() {
-        return Err(Failure::Failed(format!(
-            "{}: no such folder; record a library first, with `surfaced enroll LABEL --library {0}` \
-             for each surface, or name another one",
-            library.display()
-        )));
+        if !args.create && !is_agreed(&library) {
+            return Err(Failure::Failed(format!(
+                "{}: no such folder; record a library first, with `surfaced enroll LABEL --library \
+                 {0}` for each surface, or make an empty one with --create, or name another one",
+                library.display()
+            )));
+        }
+        make_library(&library, &config.scene)?;
+        say!("{} is made; enroll surfaces on the page (--serve)", library.display());
     }
     let check = Some(check(&library, &how));
     let assembled = assemble(&config);

@@ -11,6 +11,7 @@ mod check;
 mod choose;
 mod compare;
 mod condition;
+mod config;
 mod devices;
 mod duration;
 mod enroll;
@@ -93,6 +94,7 @@ commands! {
     Run(live::Args) => live::run,
     Fleet(fleet::Args) => fleet::run,
     Outputs(outputs::Args) => outputs::run,
+    Config(config::Args) => config::run,
     Enroll(enroll::EnrollArgs) => enroll::enroll,
     Record(enroll::RecordArgs) => enroll::record,
     Eval(eval::Args) => eval::run,

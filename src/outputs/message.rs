@@ -102,6 +102,9 @@ impl StationCard {
     }
 }
 
+/// What Home Assistant is told instead of `unknown`.
+const UNKNOWN_SURFACE: &str = "unknown_surface";
+
 /// The entities of a station in Home Assistant: the discovery topic and description of each
 /// (<https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery>).
 pub(super) fn discovery(station: &str, answer: &str, state: &str) -> Vec<(String, String)> {
@@ -128,12 +131,23 @@ pub(super) fn discovery(station: &str, answer: &str, state: &str) -> Vec<(String
                      number else None }}";
     let down = "{{ 'ON' if value_json.devices_down | default(0) > 0 else 'OFF' }}";
     let percent = json!({ "unit_of_measurement": "%", "state_class": "measurement" });
-    let surface = "{{ value_json.surface or 'unknown' }}";
+    // Home Assistant takes the state `unknown` for a sensor that has said nothing.
+    let surface = format!("{{{{ value_json.surface or '{UNKNOWN_SURFACE}' }}}}");
+    let said =
+        format!("'{UNKNOWN_SURFACE}' if value_json.state == 'unknown' else value_json.state");
+    let states = format!("{{{{ {said} }}}}");
+    // Home Assistant fires no event for a retained message, so there is one for each answer.
+    let event = format!(
+        "{{{{ {{'event_type': {said}, 'surface': value_json.surface, 'confidence': \
+         value_json.confidence, 'scan': value_json.scan, 'id': value_json.id}} | to_json }}}}"
+    );
     let problem = json!({ "device_class": "problem" });
+    let types = json!({ "event_types": ["named", "nearest", "unsure", UNKNOWN_SURFACE] });
     vec![
-        entity("sensor", "surface", "Surface", answer, surface, json!({})),
+        entity("sensor", "surface", "Surface", answer, &surface, json!({})),
         entity("sensor", "certainty", "Certainty", answer, certainty, percent),
-        entity("sensor", "state", "Answer", answer, "{{ value_json.state }}", json!({})),
+        entity("sensor", "state", "Answer", answer, &states, json!({})),
+        entity("event", "event", "Scan", answer, &event, types),
         entity("binary_sensor", "devices", "Devices", state, down, problem),
     ]
 }
@@ -142,6 +156,7 @@ pub(super) fn discovery(station: &str, answer: &str, state: &str) -> Vec<(String
 mod tests {
     use super::*;
     use crate::scan::Scan;
+    use crate::station::AnswerState;
 
     fn said(given: &Answer) -> Value {
         let text = answer("press-3", 7, given);
@@ -188,13 +203,32 @@ mod tests {
     #[test]
     fn topics_and_descriptions_for_home_assistant_are_plain() {
         let entities = discovery("press-3", "surfaced/press-3/answer", "surfaced/press-3/state");
-        assert_eq!(entities.len(), 4);
+        let ids = entities.iter().map(|(topic, _)| topic.split('/').nth(3).unwrap());
+        assert!(ids.eq(["surface", "certainty", "state", "event", "devices"]));
         for (topic, about) in entities {
             let plain = |c: char| c.is_ascii_alphanumeric() || "-_/".contains(c);
             assert!(topic.chars().all(plain), "{topic}");
             let about: Value = serde_json::from_str(&about).unwrap();
             assert_eq!(about["availability_topic"], "surfaced/press-3/state");
+            assert_eq!(about["availability_template"], "{{ value_json.state }}");
             assert_eq!(about["device"]["name"], "press-3");
         }
+    }
+
+    #[test]
+    fn home_assistant_is_never_told_its_own_word_unknown() {
+        let entities = discovery("press-3", "surfaced/press-3/answer", "surfaced/press-3/state");
+        let about = |entity: usize| serde_json::from_str::<Value>(&entities[entity].1).unwrap();
+        let said = "'unknown_surface' if value_json.state == 'unknown' else value_json.state";
+        let surface = "{{ value_json.surface or 'unknown_surface' }}";
+        assert_eq!(about(0)["value_template"], surface);
+        assert_eq!(about(2)["value_template"], format!("{{{{ {said} }}}}"));
+        let event = about(3);
+        assert_eq!(event["state_topic"], "surfaced/press-3/answer");
+        assert_eq!(event["event_types"], json!(["named", "nearest", "unsure", "unknown_surface"]));
+        let template = event["value_template"].as_str().unwrap();
+        assert!(template.starts_with(&format!("{{{{ {{'event_type': {said}, ")), "{template}");
+        let answer = Answer { state: AnswerState::Unknown, ..with_scores(&[1.0]) };
+        assert_eq!(self::said(&answer)["state"], "unknown", "the answer itself says so");
     }
 }

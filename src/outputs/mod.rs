@@ -263,6 +263,12 @@ impl BackOff {
     }
 }
 
+/// Reads the password and the certificates of the outputs, without connecting.
+pub(crate) fn check(config: &OutputsConfig) -> Result<(), HistoryError> {
+    let read = |address| mqtt::options(address, "surfaced".into()).map(drop);
+    config.mqtt.iter().try_for_each(read)
+}
+
 const TEST_PATIENCE: Duration = Duration::from_secs(10);
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

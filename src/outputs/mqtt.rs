@@ -21,7 +21,7 @@ use super::message::{LARGEST, discovery};
 use super::{BackOff, Card, PATIENCE, Pending, lock};
 use crate::history::{History, HistoryError};
 use crate::station::Answer;
-use crate::station::config::{MqttAddress, TlsFiles};
+use crate::station::config::{MqttAddress, Password, TlsFiles};
 
 /// Interval at which the state of the station is published if it has changed.
 const STATE_EVERY: Duration = Duration::from_secs(2);
@@ -220,6 +220,8 @@ impl Publisher {
 
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 const MOST_QUEUED_PACKETS: usize = 64;
+/// The environment variable that holds the password of a broker's user.
+const PASSWORD: &str = "SURFACED_MQTT_PASSWORD";
 
 /// The files in which Linux systems keep the certificates of trusted authorities.
 const SYSTEM: [&str; 3] =
@@ -232,7 +234,7 @@ pub(crate) fn options(address: &MqttAddress, client: String) -> Result<MqttOptio
     // A packet holds the answer, its topic and a header, so it is larger than the answer.
     options.set_max_packet_size(2 * LARGEST, 2 * LARGEST);
     if let Some((user, password)) = credentials {
-        options.set_credentials(user, password);
+        options.set_credentials(user, read(password)?);
     }
     if let Some(TlsFiles { ca, client }) = tls {
         let read = |path: &Path| std::fs::read(path).map_err(HistoryError::io(path));
@@ -245,6 +247,17 @@ pub(crate) fn options(address: &MqttAddress, client: String) -> Result<MqttOptio
         options.set_transport(Transport::tls(read(&ca)?, client, None));
     }
     Ok(options)
+}
+
+fn read(password: &Password) -> Result<String, HistoryError> {
+    match password {
+        Password::Given(password) => Ok(password.clone()),
+        Password::File(path) => {
+            let text = std::fs::read_to_string(path).map_err(HistoryError::io(path))?;
+            Ok(text.trim_end_matches(['\r', '\n']).into())
+        }
+        Password::Environment => Ok(std::env::var(PASSWORD).unwrap_or_default()),
+    }
 }
 
 /// One connection to a broker, from the attempt to connect until the connection breaks.
@@ -279,5 +292,32 @@ impl Line {
 impl Drop for Line {
     fn drop(&mut self) {
         self.task.abort();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_password_comes_from_a_file_where_the_address_has_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("password");
+        std::fs::write(&path, " se:cret \r\n").unwrap();
+        let set = |address: &str| {
+            let mut address: MqttAddress = address.parse().unwrap();
+            let is_taken = address.set_password_file(path.clone());
+            let login = options(&address, "me".into()).unwrap().credentials();
+            (is_taken, login.map(|login| (login.username, login.password)))
+        };
+        let login = |user: &str, password: &str| Some((user.into(), password.into()));
+        assert_eq!(set("mqtt://me@broker"), (true, login("me", " se:cret ")));
+        assert_eq!(set("mqtt://m%40e:p%3Ass@broker"), (false, login("m@e", "p:ss")));
+        assert_eq!(set("mqtt://broker"), (false, None));
+        std::fs::remove_file(&path).unwrap();
+        let mut address: MqttAddress = "mqtt://me@broker".parse().unwrap();
+        address.set_password_file(path);
+        let error = options(&address, "me".into()).unwrap_err().to_string();
+        assert!(error.contains("password: "), "{error}");
     }
 }

@@ -151,6 +151,14 @@ pub(crate) fn restore_terminal() {
     }
 }
 
+/// The number of the signal that a lost terminal sends.
+pub(crate) const HANGUP: Option<i32> = Some(SIGHUP);
+
+/// Whether a terminal controls this process, so that it hears when the terminal is closed.
+pub(crate) fn has_terminal() -> bool {
+    open_at_once(Path::new("/dev/tty")).is_ok()
+}
+
 /// Waits for the signals that ask a program to end, and gives their numbers. A hang-up stays
 /// ignored if it was ignored when the process began, as under `nohup`.
 pub(crate) fn signals() -> io::Result<impl Iterator<Item = i32> + Send> {

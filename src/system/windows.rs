@@ -113,6 +113,14 @@ pub(crate) fn next_key() -> Option<char> {
 /// Does nothing, since keys are read as events and the terminal was not changed.
 pub(crate) fn restore_terminal() {}
 
+/// Always `None`, since a closed window is an order to end.
+pub(crate) const HANGUP: Option<i32> = None;
+
+/// Always true, since only a missing terminal would matter, and only on Unix.
+pub(crate) fn has_terminal() -> bool {
+    true
+}
+
 /// Waits for orders to end (Ctrl-C, a closed window), and gives SIGINT's number for each order.
 pub(crate) fn signals() -> io::Result<impl Iterator<Item = i32> + Send> {
     let (send, orders) = mpsc::channel();

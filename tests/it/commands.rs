@@ -372,3 +372,40 @@ fn a_build_without_mcap_says_how_to_get_it() {
         common::says(&said, &["cannot read or write MCAP", "--features mcap"]);
     }
 }
+
+#[test]
+fn a_configuration_is_checked_as_a_run_reads_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("station.toml");
+    let text = "format = 1\nserve = \"127.0.0.1:9000\"\n[camera]\npresent = false\n[[lines]]\n\
+                port = \"tcp://robot:5000\"\nrate_hz = 12.5\n[lines.sources]\npull = [1, 2]\n\
+                [outputs]\nstation = \"press-3\"\nmqtt = \"mqtt://me:secret@broker/hall\"\n";
+    let check = |text: &str| {
+        std::fs::write(&file, text).unwrap();
+        surfaced(&["config", "check", file.to_str().unwrap()])
+    };
+    let output = check(text);
+    let shown = String::from_utf8(output.stdout.clone()).unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    for part in [
+        "stylus     a USB serial adapter by FTDI at 10000 Hz: ac (3 channels), ",
+        "lines      tcp://robot:5000 at 12.5 Hz: pull (2 channels)\n",
+        "contact    shown by ac, fr, or else pull, or else sound\n",
+        "outputs    mqtt://broker:1883/hall, as press-3\n",
+        "page       http://127.0.0.1:9000, with --serve\n",
+    ] {
+        assert!(shown.contains(part), "expected `{part}` in: {shown}");
+    }
+    assert!(!shown.contains("secret") && !shown.contains("camera"), "{shown}");
+    let path = file.to_str().unwrap();
+    check("format = 1\n[stylus]\nrate_hz = 0\n");
+    let mistake = "station.toml, line 3: rate_hz = 0; expected more than 0";
+    refused(&["config", "check", path], 2, &[mistake]);
+    refused(&["run", "--config", path, "--library", "/"], 2, &[mistake]);
+    check(&text.replace(":secret@", "@").replace("[outputs]", "[outputs]\npassword_file = \"pw\""));
+    refused(&["config", "check", path], 1, &["pw: "]);
+    let none =
+        ["stylus", "microphone", "camera"].map(|what| format!("[{what}]\npresent = false\n"));
+    check(&format!("format = 1\n{}", none.concat()));
+    assert!(stderr(&surfaced(&["config", "check", path])).contains("no device is configured"));
+}

@@ -8,6 +8,8 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use serialport::{SerialPort, TTYPort};
+
 use crate::bench::{Bench, SCANNED, synthetic, trial};
 
 /// A pipe that nobody reads any more.
@@ -182,6 +184,52 @@ fn a_hangup_ends_a_program_but_not_under_nohup() {
         // In order, whether or not its scans were named by then.
         let status = end_of(&mut child, 30, || std::thread::sleep(Duration::from_millis(20)));
         assert!(matches!(status.code(), Some(0 | 1 | 3)), "{status}");
+    }
+}
+
+#[test]
+fn a_service_says_that_a_hangup_reads_nothing_anew_and_goes_on_and_a_lost_terminal_ends_a_station()
+{
+    let dir = tempfile::tempdir().unwrap();
+    let station = dir.path().join("station.toml");
+    let lines = "format = 1\n[stylus]\npresent = false\n[[lines]]\nport = \"udp://127.0.0.1:0\"\n\
+                 rate_hz = 100.0\n[lines.sources]\npull = [1]\n";
+    std::fs::write(&station, lines).unwrap();
+    let (_screen, terminal) = TTYPort::pair().unwrap();
+    for is_service in [true, false] {
+        let terminal = File::options().read(true).write(true).open(terminal.name().unwrap());
+        let (ctty, stdin) = match is_service {
+            true => ("--wait", Stdio::null()),
+            false => ("--ctty", terminal.unwrap().into()),
+        };
+        let mut child = Command::new("env")
+            .args(["--default-signal=HUP", "setsid", ctty, env!("CARGO_BIN_EXE_surfaced"), "run"])
+            .args(["--config", station.to_str().unwrap(), "--library"])
+            .arg(dir.path())
+            .stdin(stdin)
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let id = child.id();
+        while !catches_signals(id) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let send = |name| {
+            let mut kill = Command::new("kill");
+            assert!(kill.args(["-s", name, &id.to_string()]).status().unwrap().success());
+        };
+        send("HUP");
+        let mut said = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
+        if is_service {
+            assert!(
+                said.any(|line| line.contains("SIGHUP: the configuration is read at the start"))
+            );
+            assert!(child.try_wait().unwrap().is_none(), "it ended all the same");
+            send("TERM");
+        }
+        let status = end_of(&mut child, 30, || std::thread::sleep(Duration::from_millis(20)));
+        assert_eq!(status.code(), Some(0));
+        assert!(!said.any(|line| line.contains("SIGHUP")), "said once, and only by a service");
     }
 }
 

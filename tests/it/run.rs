@@ -257,12 +257,56 @@ fn a_configuration_or_a_library_that_cannot_be_is_reported() {
     assert!(code == Some(2) && text.contains("--library"), "{text}");
     let (code, text) = said(&["run", "--library", "/no/such/folder"]);
     assert!(code == Some(1) && text.contains("surfaced enroll"), "{text}");
+    assert!(text.contains("--create") && !text.contains("[y/N]"), "nobody is asked: {text}");
     let wrong = bench.path("wrong.toml");
     std::fs::write(&wrong, "format = 1\n[stylus]\nprot = 1\n").unwrap();
     let (code, text) = said(&["run", "--config", wrong.to_str().unwrap(), "--library", "/"]);
     assert!(code == Some(2) && text.contains("line 3") && text.contains("prot"), "{text}");
     let (code, text) = said(&["enroll", " ", "--library", "/"]);
     assert!(code == Some(2) && text.contains("expected a name"), "{text}");
+}
+
+#[test]
+fn a_missing_library_is_made_where_that_is_asked_for_or_agreed_to_on_a_terminal() {
+    let bench = Bench::new();
+    let create = ["run", "--create", "--library", &bench.path("new/one").display().to_string()];
+    let mut run = bench.surfaced(&create);
+    run.until_said("new/one is made", None);
+    run.until_said("is absent", None);
+    run.signal("TERM");
+    let status = run.end_while(|| std::thread::sleep(Duration::from_millis(20)));
+    assert!(status.success() && bench.path("new/one/library.toml").exists(), "{}", run.said());
+    for (answer, is_made) in [(&b"\n"[..], false), (b"y\n", true)] {
+        let (screen, terminal) = TTYPort::pair().unwrap();
+        let name = terminal.name().unwrap();
+        let open = || File::options().read(true).write(true).open(&name).unwrap();
+        let mut keyboard = screen.try_clone_native().unwrap();
+        let shown = watch(screen);
+        let mut run = Command::new("setsid")
+            .args(["--ctty", "--wait", env!("CARGO_BIN_EXE_surfaced"), "run", "--library"])
+            .args([bench.path("two"), "--stylus".into(), bench.path("stylus"), "--config".into()])
+            .arg(bench.path("station.toml"))
+            .stdin(open())
+            .stdout(Stdio::null())
+            .stderr(open())
+            .spawn()
+            .unwrap();
+        let until = |text: &str| {
+            let limit = Instant::now() + Duration::from_secs(60);
+            while !shown.lock().unwrap().contains(text) {
+                assert!(Instant::now() < limit, "{text}: {}", shown.lock().unwrap());
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        };
+        until("make it? [y/N]");
+        keyboard.write_all(answer).unwrap();
+        if is_made {
+            until("is absent");
+            keyboard.write_all(b"q").unwrap();
+        }
+        assert_eq!(run.wait().unwrap().success(), is_made, "{}", shown.lock().unwrap());
+        assert_eq!(bench.path("two/library.toml").exists(), is_made);
+    }
 }
 
 /// Reads a terminal for as long as somebody writes to it.

@@ -1,11 +1,12 @@
 //! The configuration of a station: what it says, what it leaves out, and its mistakes.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use surfaced::device::lines::LinesAddress;
 use surfaced::device::serial::Selector;
 use surfaced::scene::SourceId;
-use surfaced::station::config::{HttpAddress, MqttAddress, StationConfig, TlsFiles};
+use surfaced::station::config::{HttpAddress, MqttAddress, Password, StationConfig, TlsFiles};
 
 fn parse(text: &str) -> Result<StationConfig, String> {
     StationConfig::parse(text, Path::new("here/stylus.toml")).map_err(|error| error.to_string())
@@ -135,7 +136,8 @@ fn addresses_are_taken_apart_and_others_refused() {
     assert_eq!("http://[::1]".parse::<HttpAddress>().unwrap().host, ("::1".into(), 80));
     let mqtt: MqttAddress = "mqtt://me:secret@broker/plant/hall-3".parse().unwrap();
     assert_eq!(mqtt.to_string(), "mqtt://broker:1883/plant/hall-3");
-    assert_eq!(mqtt.credentials, Some(("me".into(), "secret".into())));
+    let with = |user: &str, password| Some((user.to_string(), password));
+    assert!(mqtt.credentials == with("me", Password::Given("secret".into())));
     assert!(!format!("{mqtt:?}").contains("secret"));
     let safe: MqttAddress = "mqtts://broker".parse().unwrap();
     assert_eq!(
@@ -150,6 +152,25 @@ fn addresses_are_taken_apart_and_others_refused() {
     {
         assert!(text.parse::<MqttAddress>().is_err(), "{text}");
     }
+    for text in ["mqtt://me:se%cret@broker", "mqtt://me:a/secret@broker/b"] {
+        let why = text.parse::<MqttAddress>().err().unwrap();
+        assert!(why.contains("%40 for @") && !why.contains("cret"), "{why}");
+    }
+}
+
+#[test]
+fn a_password_file_belongs_to_a_user_and_no_mistake_shows_a_password() {
+    let outputs = |text: &str| parse(&format!("format = 1\n[outputs]\n{text}")).map(|c| c.outputs);
+    let mqtt = outputs("mqtt = \"mqtt://me@b\"\npassword_file = \"pw\"").unwrap().mqtt.unwrap();
+    let (_, password) = mqtt.credentials.unwrap();
+    assert!(password == Password::File("here/pw".into()));
+    for address in ["mqtt://broker", "mqtt://me:secret@broker"] {
+        let stray = outputs(&format!("mqtt = \"{address}\"\npassword_file = \"pw\""));
+        let why = stray.unwrap_err();
+        assert!(why.contains("line 4: password_file: ") && !why.contains("secret"), "{why}");
+    }
+    let why = outputs("mqtt = \"mqtt://me:secret@broker").unwrap_err();
+    assert!(why.contains("me:******@broker") && why.contains("line 3"), "{why}");
 }
 
 #[test]
@@ -163,5 +184,38 @@ fn an_address_is_a_port_a_host_or_standard_input() {
     for text in ["", "auto", "tcp://robot", "http://a:1", "udp://:x", "COM3@fast", "COM3@0"] {
         let refused = text.parse::<LinesAddress>().unwrap_err();
         assert!(refused.contains("tcp://HOST:PORT"), "{text}: {refused}");
+    }
+}
+
+/// Runs `systemd-analyze`; `None` where there is none.
+fn systemd_analyze(arguments: &[&str], unit: &Path) -> Option<(bool, String)> {
+    let done = Command::new("systemd-analyze").args(arguments).arg(unit).output();
+    let done = done.inspect_err(|error| eprintln!("skipped: systemd-analyze: {error}")).ok()?;
+    Some((done.status.success(), String::from_utf8([done.stdout, done.stderr].concat()).unwrap()))
+}
+
+#[test]
+fn the_service_is_whole_hardened_and_loads_the_drivers_of_devices_that_are_plugged_in_later() {
+    let text = include_str!("../../configs/surfaced.service");
+    let allowed = text.lines().filter_map(|line| line.strip_prefix("DeviceAllow=char-"));
+    let of_kernel = ["ttyS rw", "ttyAMA rw"];
+    let drivers = [
+        ("ttyUSB rw", "usbserial"),
+        ("ttyACM rw", "cdc_acm"),
+        ("alsa rw", "snd"),
+        ("video4linux rw", "videodev"),
+    ];
+    let known = drivers.map(|(group, _)| group);
+    assert!(allowed.eq(of_kernel.into_iter().chain(known)));
+    for key in ["Wants=", "After="] {
+        let lines: String = text.lines().filter(|line| line.starts_with(key)).collect();
+        assert!(drivers.iter().all(|(_, module)| lines.contains(&format!("modprobe@{module}."))));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let unit = folder.path().join("surfaced.service");
+    std::fs::write(&unit, text.replace("/usr/bin/surfaced", "/bin/true")).unwrap();
+    for arguments in [&["verify"][..], &["security", "--offline=true", "--threshold=20"]] {
+        let Some((is_good, said)) = systemd_analyze(arguments, &unit) else { return };
+        assert!(is_good, "{arguments:?}: {said}");
     }
 }

@@ -128,6 +128,7 @@ pub(super) struct HistoryBlock {
 pub(super) struct OutputsBlock {
     pub http: Option<Spanned<String>>,
     pub mqtt: Option<Spanned<String>>,
+    pub password_file: Option<Spanned<PathBuf>>,
     pub station: Option<Spanned<String>>,
     pub ca: Option<Spanned<PathBuf>>,
     pub certificate: Option<Spanned<PathBuf>>,

@@ -21,8 +21,8 @@ use crate::scene::{Scene, SourceId};
 use file::DEFAULTS;
 
 pub(crate) use lines::fitting;
-pub use output_address::{HttpAddress, MqttAddress, OutputsConfig, TlsFiles};
-pub(crate) use output_address::{is_segment, machine_name};
+pub use output_address::{HttpAddress, MqttAddress, OutputsConfig, Password, TlsFiles};
+pub(crate) use output_address::{STRAY_PASSWORD_FILE, is_segment, machine_name};
 
 /// A mistake in a configuration. The text names the file, the line if known, and what was expected.
 #[derive(Debug, thiserror::Error)]

@@ -30,9 +30,19 @@ pub struct MqttAddress {
     /// The segments with which all topics begin.
     pub prefix: String,
     /// User and password, if the broker requires them.
-    pub credentials: Option<(String, String)>,
+    pub credentials: Option<(String, Password)>,
     /// The files for TLS; `None` if the address does not begin with `mqtts`.
     pub tls: Option<TlsFiles>,
+}
+
+/// Where the password of a broker is.
+#[derive(Clone, PartialEq, Eq)]
+pub enum Password {
+    Given(String),
+    /// A file that holds the password, and perhaps the end of a line.
+    File(PathBuf),
+    /// The environment variable `SURFACED_MQTT_PASSWORD`; without it, the password is empty.
+    Environment,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -41,6 +51,33 @@ pub struct TlsFiles {
     pub ca: Option<PathBuf>,
     /// The client's certificate and its key, if the broker requires them.
     pub client: Option<(PathBuf, PathBuf)>,
+}
+
+impl MqttAddress {
+    /// Takes the password from a file. Returns false if the address has a password, or no user.
+    pub(crate) fn set_password_file(&mut self, path: PathBuf) -> bool {
+        let Some((_, password @ Password::Environment)) = &mut self.credentials else {
+            return false;
+        };
+        *password = Password::File(path);
+        true
+    }
+}
+
+/// The mistake where [`MqttAddress::set_password_file`] returns false.
+pub(crate) const STRAY_PASSWORD_FILE: &str = "a password file goes with an address that has a user and no password, such as mqtt://USER@HOST";
+
+/// A text with stars in place of each password in an address, for messages that show a line of it.
+/// Places in the text stay the same.
+pub(crate) fn without_passwords(text: &str) -> String {
+    text.split_inclusive('\n').map(|line| starred(line).unwrap_or_else(|| line.into())).collect()
+}
+
+fn starred(line: &str) -> Option<String> {
+    let begin = line.find("://")? + 3;
+    let end = begin + line[begin..].rfind('@')?;
+    let begin = begin + line[begin..end].find(':')? + 1;
+    Some(format!("{}{}{}", &line[..begin], "*".repeat(end - begin), &line[end..]))
 }
 
 impl std::fmt::Debug for MqttAddress {
@@ -110,6 +147,10 @@ impl FromStr for MqttAddress {
             .ok_or("expected an address such as \"mqtt://127.0.0.1:1883\"")?;
         let path = uri.path().trim_matches('/');
         let prefix = if path.is_empty() { PREFIX } else { path }.to_string();
+        if prefix.contains('@') {
+            // A slash in the password ended the host too early; the message must not show the rest.
+            return Err(ESCAPE.into());
+        }
         if !prefix.split('/').all(is_segment) {
             return Err(format!(
                 "topics would begin with \"{prefix}\"; use letters, digits, `-` and `_` between \
@@ -117,18 +158,57 @@ impl FromStr for MqttAddress {
             ));
         }
         let user = uri.authority().and_then(|authority| authority.as_str().rsplit_once('@'));
-        let credentials = user.map(|(user, _)| {
-            let (user, password) = user.split_once(':').unwrap_or((user, ""));
-            (user.to_string(), password.to_string())
-        });
+        let credentials = user.map(|(user, _)| credentials(user)).transpose()?;
         let tls = (uri.scheme_str() == Some("mqtts")).then(TlsFiles::default);
         Ok(Self { host, prefix, credentials, tls })
     }
 }
 
+/// The mistake where a user or a password holds characters that an address cannot have.
+const ESCAPE: &str = "user and password: write % and two hexadecimal digits for a character that has \
+                      another meaning there, such as %40 for @, %2F for / and %25 for %";
+
+fn credentials(text: &str) -> Result<(String, Password), String> {
+    let plain = |text: &str| percent_decoded(text).ok_or(ESCAPE);
+    match text.split_once(':') {
+        Some((user, password)) => Ok((plain(user)?, Password::Given(plain(password)?))),
+        None => Ok((plain(text)?, Password::Environment)),
+    }
+}
+
+fn percent_decoded(text: &str) -> Option<String> {
+    let mut parts = text.split('%');
+    let mut bytes = parts.next()?.as_bytes().to_vec();
+    for part in parts {
+        let digits = part.get(..2).filter(|two| two.bytes().all(|c| c.is_ascii_hexdigit()))?;
+        bytes.push(u8::from_str_radix(digits, 16).ok()?);
+        bytes.extend(&part.as_bytes()[2..]);
+    }
+    String::from_utf8(bytes).ok()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn escapes_in_user_and_password_are_decoded() {
+        let escaped = [("us%40er", "us@er"), ("p%3Ass", "p:ss"), ("%c3%A9%25", "é%"), ("", "")];
+        for (text, plain) in escaped {
+            assert_eq!(percent_decoded(text).as_deref(), Some(plain));
+        }
+        for text in ["%", "%4", "a%zz", "%+4", "%ff", "%é"] {
+            assert_eq!(percent_decoded(text), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn a_line_of_the_configuration_is_shown_without_its_password() {
+        let text = "[outputs]\nmqtt = \"mqtt://me:sécr@et@broker/a\" x\nhttp = \"http://here/\"\n";
+        let shown = without_passwords(text);
+        assert!(shown.contains("mqtt://me:*******@broker/a\" x\nhttp"), "{shown}");
+        assert_eq!(shown.len(), text.len());
+    }
 
     #[test]
     fn the_name_of_the_machine_is_a_segment_of_a_topic() {

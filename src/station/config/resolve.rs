@@ -12,7 +12,7 @@ use super::file::{
     StationFile, StylusBlock, is_default, known, merged, mistake, no_stray, parsed, positive,
     source_of,
 };
-use super::output_address::{is_segment, machine_name};
+use super::output_address::{STRAY_PASSWORD_FILE, is_segment, machine_name, without_passwords};
 use super::{
     CameraConfig, ConfigError, DevicePart, FlashConfig, MicrophoneConfig, MqttAddress,
     OutputsConfig, StationConfig, StylusConfig, TlsFiles, lines,
@@ -34,7 +34,10 @@ impl StationConfig {
     /// # Errors
     /// Those of [`StationConfig::read`].
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        let toml = |error| ConfigError(format!("{}: {error}", path.display()));
+        let toml = |mut error: toml::de::Error| {
+            error.set_input(Some(&without_passwords(text)));
+            ConfigError(format!("{}: {error}", path.display()))
+        };
         let mut file: StationFile = merged(text, DEFAULTS).map_err(toml)?;
         lines::describe(&mut file);
         let (sources, defaults) = (std::mem::take(&mut file.sources), Scene::lmt108());
@@ -105,9 +108,9 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     Ok(config)
 }
 
-/// Resolves the outputs. Paths of certificates are relative to the configuration's folder.
+/// Resolves the outputs. Paths of certificates and of the password are relative to the configuration's folder.
 fn outputs(block: OutputsBlock, folder: &Path) -> Result<OutputsConfig, Mistake> {
-    let OutputsBlock { http, mqtt, station, ca, certificate, key } = block;
+    let OutputsBlock { http, mqtt, password_file, station, ca, certificate, key } = block;
     let name = match &station {
         Some(name) if is_segment(name.get_ref()) => name.get_ref().clone(),
         Some(name) => {
@@ -119,6 +122,11 @@ fn outputs(block: OutputsBlock, folder: &Path) -> Result<OutputsConfig, Mistake>
     let file = |path: &Spanned<PathBuf>| folder.join(path.get_ref());
     let mqtt = mqtt.as_ref().map(|mqtt| parsed::<MqttAddress>("mqtt", mqtt));
     let mut address = mqtt.transpose()?;
+    if let Some(path) = &password_file
+        && !address.as_mut().is_some_and(|address| address.set_password_file(file(path)))
+    {
+        return mistake(path, format!("password_file: {STRAY_PASSWORD_FILE}"));
+    }
     let client = match (&certificate, &key) {
         (Some(certificate), Some(key)) => Some((file(certificate), file(key))),
         (None, None) => None,
