@@ -206,7 +206,7 @@ mod tests {
     fn a_line_of_the_configuration_is_shown_without_its_password() {
         let text = "[outputs]\nmqtt = \"mqtt://me:sécr@et@broker/a\" x\nhttp = \"http://here/\"\n";
         let shown = without_passwords(text);
-        assert!(shown.contains("mqtt://me:*******@broker/a\" x\nhttp"), "{shown}");
+        assert!(shown.contains("mqtt://me:********@broker/a\" x\nhttp"), "{shown}");
         assert_eq!(shown.len(), text.len());
     }
 
