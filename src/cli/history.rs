@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use super::{Done, Failure, show};
-use crate::history::{COLUMNS, Correction, FOLDER, History, HistoryRow, Precision, write_csv};
+use crate::history::{
+    COLUMNS, Correction, FOLDER, History, HistoryRow, Precision, Wanted, write_csv,
+};
 
 /// Show past scans: answers, their states and reasons, and corrections
 ///
@@ -43,10 +45,14 @@ pub(super) fn run(args: &Args) -> Done {
     }
     let passed = history.extent().scans.saturating_sub(args.last.unwrap_or(usize::MAX));
     if args.csv {
-        return Ok(write_csv(std::io::stdout(), COLUMNS, history.values().skip(passed))?);
+        return Ok(write_csv(
+            std::io::stdout(),
+            COLUMNS,
+            history.values(Wanted::default()).skip(passed),
+        )?);
     }
     let mut rows = Vec::new();
-    for row in history.rows().skip(passed) {
+    for row in history.rows(Wanted::default()).skip(passed) {
         match args.json {
             true => show::json(&row?),
             false => rows.push(cells(row?)),

@@ -28,14 +28,17 @@ const LONGEST: usize = 1 << 20;
 pub(crate) struct Head {
     pub id: String,
     pub scan: u32,
+    /// When the answer was given, in milliseconds since 1970; 0 if that is not known.
+    #[serde(default)]
+    pub unix_ms: u64,
     pub surface: Option<String>,
     pub state: AnswerState,
 }
 
 impl Head {
     pub(crate) fn of(answer: &Answer) -> Self {
-        let Answer { id, scan, surface, state, .. } = answer;
-        Self { id: id.clone(), scan: *scan, surface: surface.clone(), state: *state }
+        let Answer { id, scan, unix_ms, surface, state, .. } = answer.clone();
+        Self { id, scan, unix_ms, surface, state }
     }
 }
 

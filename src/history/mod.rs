@@ -60,6 +60,36 @@ pub struct History {
     review: Mutex<()>,
 }
 
+/// Which answers are asked for. What is absent or empty lets all through.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Wanted {
+    pub states: Vec<AnswerState>,
+    /// The surface that was answered, or that the scan was by its correction.
+    pub surface: Option<String>,
+    /// Times in milliseconds since 1970; both are included.
+    pub from_unix_ms: Option<u64>,
+    pub to_unix_ms: Option<u64>,
+    /// Part of anything that is kept of the scan, in capitals or not.
+    pub text: Option<String>,
+}
+
+impl Wanted {
+    fn lets(&self, entry: &HistoryEntry) -> bool {
+        let Head { unix_ms, state, surface, .. } = &entry.head;
+        let was = entry.correction.as_ref().and_then(Correction::surface);
+        let is_of = |wanted: &String| surface.as_ref() == Some(wanted) || was == Some(wanted);
+        (self.states.is_empty() || self.states.contains(state))
+            && self.surface.as_ref().is_none_or(is_of)
+            && self.from_unix_ms.is_none_or(|from| *unix_ms >= from)
+            && self.to_unix_ms.is_none_or(|to| *unix_ms <= to)
+    }
+
+    fn lets_text(&self, row: &HistoryRow) -> bool {
+        let holds = |text: &String| json_text(row).to_lowercase().contains(&text.to_lowercase());
+        self.text.as_ref().is_none_or(holds)
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Extent {
     pub scans: usize,
@@ -186,31 +216,42 @@ impl History {
         lines.into_iter().try_for_each(|line| inner.change(line))
     }
 
-    /// At most `most` answers, the newest first. With `before`, all are older than that scan.
+    /// At most `most` of the wanted answers, the newest first. With `before`, all are older than that
+    /// scan.
     pub(crate) fn newest(
         &self,
         before: Option<&str>,
         most: usize,
+        wanted: &Wanted,
     ) -> Result<Vec<HistoryRow>, HistoryError> {
-        let inner = &*self.lock();
-        let end = match before {
-            Some(name) => inner.position(name).unwrap_or(0),
-            None => inner.entries.len(),
+        let end = {
+            let inner = &*self.lock();
+            before.map_or(inner.entries.len(), |name| inner.position(name).unwrap_or(0))
         };
-        let of = |entry| inner.row(entry);
-        inner.entries.range(..end).rev().take(most).map(of).collect()
+        (0..end).rev().filter_map(|at| self.at(at, wanted)).take(most).collect()
     }
 
-    /// Every answer, the oldest first. Each step locks anew, so the history may change in between.
-    pub(crate) fn rows(&self) -> impl Iterator<Item = Result<HistoryRow, HistoryError>> + '_ {
-        (0..self.lock().entries.len()).map_while(|at| {
-            let inner = self.lock();
-            inner.entries.get(at).map(|entry| inner.row(entry))
-        })
+    /// The wanted answers, the oldest first. Each step locks anew, so the history may change in between.
+    pub(crate) fn rows(
+        &self,
+        wanted: Wanted,
+    ) -> impl Iterator<Item = Result<HistoryRow, HistoryError>> + '_ {
+        (0..self.lock().entries.len()).filter_map(move |at| self.at(at, &wanted))
     }
 
-    pub(crate) fn values(&self) -> impl Iterator<Item = std::io::Result<Value>> + '_ {
-        self.rows().map(|row| Ok(serde_json::to_value(row?)?))
+    /// The answer at a place, if it is wanted.
+    fn at(&self, at: usize, wanted: &Wanted) -> Option<Result<HistoryRow, HistoryError>> {
+        let inner = self.lock();
+        let row = inner.row(inner.entries.get(at).filter(|entry| wanted.lets(entry))?);
+        drop(inner);
+        Some(row).filter(|row| row.as_ref().map_or(true, |row| wanted.lets_text(row)))
+    }
+
+    pub(crate) fn values(
+        &self,
+        wanted: Wanted,
+    ) -> impl Iterator<Item = std::io::Result<Value>> + '_ {
+        self.rows(wanted).map(|row| Ok(serde_json::to_value(row?)?))
     }
 
     /// The answer with this name (its id), or the newest one with this scan number.

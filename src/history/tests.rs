@@ -34,7 +34,12 @@ fn keep(history: &History, scan: u32, bytes: usize) -> String {
 }
 
 fn scans(history: &History) -> Vec<u32> {
-    history.newest(None, 1000).unwrap().iter().map(|row| row.head.scan).collect()
+    history
+        .newest(None, 1000, &Wanted::default())
+        .unwrap()
+        .iter()
+        .map(|row| row.head.scan)
+        .collect()
 }
 
 #[test]
@@ -107,6 +112,37 @@ fn a_scan_without_a_name_is_kept_with_its_reason_and_its_signals() {
 }
 
 #[test]
+fn only_what_is_asked_for_is_given_by_page_and_as_a_whole() {
+    let history = History::default();
+    for scan in 1..=9 {
+        history
+            .answered(&answer(scan, [Some("oak"), Some("ash"), None][scan as usize % 3]))
+            .unwrap();
+    }
+    let first = history.answer("3").unwrap().head;
+    history.correct(&first.id, Some(Correction::Surface { surface: "elm".into() })).unwrap();
+    let at = |scan: u64| Some(first.unix_ms - 3 + scan);
+    let text = |text: &str| Some(text.to_string());
+    for (wanted, scans) in [
+        (Wanted::default(), vec![9, 8, 7, 6, 5, 4, 3, 2, 1]),
+        (Wanted { states: vec![AnswerState::Unknown], ..Wanted::default() }, vec![8, 5, 2]),
+        (Wanted { surface: text("ash"), ..Wanted::default() }, vec![7, 4, 1]),
+        (Wanted { surface: text("elm"), ..Wanted::default() }, vec![3]),
+        (Wanted { from_unix_ms: at(4), to_unix_ms: at(6), ..Wanted::default() }, vec![6, 5, 4]),
+        (Wanted { text: text("ELM"), ..Wanted::default() }, vec![3]),
+        (Wanted { surface: text("oak"), to_unix_ms: at(5), ..Wanted::default() }, vec![3]),
+    ] {
+        let numbers =
+            |rows: Vec<HistoryRow>| rows.iter().map(|row| row.head.scan).collect::<Vec<_>>();
+        assert_eq!(numbers(history.newest(None, 99, &wanted).unwrap()), scans, "{wanted:?}");
+        let older = history.newest(Some(&first.id), 99, &wanted).unwrap();
+        assert!(numbers(older).iter().all(|scan| *scan < 3 && scans.contains(scan)));
+        let whole: Vec<HistoryRow> = history.rows(wanted).map(Result::unwrap).collect();
+        assert_eq!(numbers(whole).into_iter().rev().collect::<Vec<_>>(), scans);
+    }
+}
+
+#[test]
 fn the_oldest_signals_make_room_and_their_answers_stay() {
     let dir = tempfile::tempdir().unwrap();
     let history = History::open(dir.path(), 80_000).unwrap();
@@ -143,12 +179,12 @@ fn the_log_is_bounded_and_keeps_the_newest_answers_with_what_was_said_of_them() 
     }
     let log = fs::metadata(dir.path().join("answers.jsonl")).unwrap().len();
     assert!(log <= most / 8 + 2000, "{log}");
-    let newest = history.newest(None, 1000).unwrap();
+    let newest = history.newest(None, 1000, &Wanted::default()).unwrap();
     assert!(newest.len() > 20 && newest.len() < 1000);
     assert_eq!(newest[0].head.scan, 1000);
     assert!(newest.iter().all(|row| row.correction == Some(Correction::Unknown)));
     let before = &newest[5].head.id;
-    assert_eq!(history.newest(Some(before), 1).unwrap()[0].head.scan, 994);
+    assert_eq!(history.newest(Some(before), 1, &Wanted::default()).unwrap()[0].head.scan, 994);
 }
 
 #[test]

@@ -18,7 +18,7 @@ use super::request::{CSV, JSON_LINES, Problem, Said, aside, body, exported, labe
 use super::settings::LibraryFolder;
 use super::subscribers::EventKind;
 use crate::history::{
-    COLUMNS, Correction, HistoryError, HistoryRow, NOTES, nearest_picture, write_csv,
+    COLUMNS, Correction, HistoryError, HistoryRow, NOTES, Wanted, nearest_picture, write_csv,
 };
 use crate::jpeg;
 use crate::library::{About, LibraryError, recording};
@@ -26,7 +26,7 @@ use crate::printable::json_text;
 use crate::record::TrialOptions;
 use crate::record::edit::{self, Editor};
 use crate::scene::SourceId;
-use crate::station::Command;
+use crate::station::{AnswerState, Command};
 use crate::trial::{EXPERT, Trial, TrialKey};
 
 /// How many scans one answer holds by default (`USUAL`) and at most (`MOST`).
@@ -73,34 +73,72 @@ impl From<LibraryError> for Problem {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct PageRequest {
+struct ScansRequest {
     limit: Option<usize>,
     /// Only scans older than this one, which is given by its `id` or its number.
     before: Option<String>,
+    /// States with commas between them.
+    state: Option<String>,
+    surface: Option<String>,
+    from_unix_ms: Option<u64>,
+    to_unix_ms: Option<u64>,
+    text: Option<String>,
 }
 
-async fn scans(
-    State(hub): Shared,
-    page: Result<Query<PageRequest>, QueryRejection>,
-) -> Result<Json<Value>, Problem> {
-    let Query(page) = page?;
-    let most = page.limit.unwrap_or(USUAL).min(MOST);
-    let scans =
-        aside(move || Ok(hub.settings.history.newest(page.before.as_deref(), most)?)).await?;
-    Ok(Json(json!({ "scans": scans })))
+impl ScansRequest {
+    fn wanted(self) -> Result<Wanted, Problem> {
+        let states = self.state.iter().flat_map(|states| states.split(','));
+        let states = states.map(|state| {
+            serde_json::from_value::<AnswerState>(state.into()).map_err(|_| {
+                let all = "named, nearest, unsure, unknown, unnamed";
+                Problem::Bad(format!("`state` is one or several of {all}, not `{state}`"))
+            })
+        });
+        Ok(Wanted {
+            states: states.collect::<Result<_, _>>()?,
+            surface: self.surface,
+            from_unix_ms: self.from_unix_ms,
+            to_unix_ms: self.to_unix_ms,
+            text: self.text,
+        })
+    }
 }
 
-async fn csv(State(hub): Shared) -> Response {
-    exported(CSV, move |out| write_csv(out, COLUMNS, hub.settings.history.values()))
+type Asked = Result<Query<ScansRequest>, QueryRejection>;
+
+async fn scans(State(hub): Shared, asked: Asked) -> Result<Json<Value>, Problem> {
+    let Query(mut asked) = asked?;
+    let most = asked.limit.unwrap_or(USUAL).min(MOST);
+    let before = asked.before.take();
+    let wanted = asked.wanted()?;
+    let read = move || Ok(hub.settings.history.newest(before.as_deref(), most, &wanted)?);
+    Ok(Json(json!({ "scans": aside(read).await? })))
 }
 
-async fn json_lines(State(hub): Shared) -> Response {
-    exported(JSON_LINES, move |mut out| {
-        for row in hub.settings.history.rows() {
+/// The scans that an export is to hold: all that are wanted.
+fn to_export(asked: Asked) -> Result<Wanted, Problem> {
+    let Query(asked) = asked?;
+    if asked.limit.is_some() || asked.before.is_some() {
+        return Err(Problem::Bad(
+            "an export holds all scans; `limit` and `before` are for pages".into(),
+        ));
+    }
+    asked.wanted()
+}
+
+async fn csv(State(hub): Shared, asked: Asked) -> Result<Response, Problem> {
+    let wanted = to_export(asked)?;
+    Ok(exported(CSV, move |out| write_csv(out, COLUMNS, hub.settings.history.values(wanted))))
+}
+
+async fn json_lines(State(hub): Shared, asked: Asked) -> Result<Response, Problem> {
+    let wanted = to_export(asked)?;
+    Ok(exported(JSON_LINES, move |mut out| {
+        for row in hub.settings.history.rows(wanted) {
             writeln!(out, "{}", json_text(&row?))?;
         }
         out.flush()
-    })
+    }))
 }
 
 type ScanPath = Result<Path<String>, PathRejection>;

@@ -187,7 +187,24 @@ def check(browser, station, shots):
 
     # A page that is loaded anew knows what went before.
     browser.open(station.url + "/")
-    browser.wait("the history", lambda: browser.run("return document.querySelectorAll('#scans tr').length") >= 1)
+    rows = lambda: browser.run("return document.querySelectorAll('#scans tr').length")  # noqa: E731
+    browser.wait("the history", lambda: rows() >= 1)
+    browser.run("""const text = document.getElementById('filter-text'); text.value = 'no scan holds this';
+        text.dispatchEvent(new Event('input', { bubbles: true }))""")
+    browser.wait("no scan is like that", lambda: rows() == 0 and browser.text("#no-scans") == "No scan is like that.")
+    assert "text=no+scan" in browser.run("return document.getElementById('export-csv').href")
+    # A shortcut is a key alone; a barcode scanner types faster than anybody.
+    state = lambda: browser.run("return document.getElementById('filter-state').value")  # noqa: E731
+    browser.run("""const text = document.getElementById('filter-text'); text.value = ''; text.blur();
+        text.dispatchEvent(new Event('input', { bubbles: true }))""")
+    browser.wait("all scans again", lambda: rows() >= 1)
+    browser.run("""for (const key of '4u7u') document.body.dispatchEvent(new KeyboardEvent('keydown', { key, bubbles: true }))""")
+    time.sleep(0.3)
+    assert state() == "", "a burst of keys is no shortcut"
+    browser.run("document.body.dispatchEvent(new KeyboardEvent('keydown', { key: 'u', bubbles: true }))")
+    browser.wait("the shortcut", lambda: state() == "unknown,unsure,unnamed")
+    browser.run("document.body.dispatchEvent(new KeyboardEvent('keydown', { key: 'u', bubbles: true }))")
+    browser.wait("the shortcut again", lambda: state() == "")
     assert browser.text("#name") not in ("", "—")
     console = browser.log("browser")
     assert not console, f"the console stays empty: {console}"

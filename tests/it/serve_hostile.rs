@@ -72,6 +72,17 @@ fn what_is_no_request_is_refused_and_orders_nothing() {
     assert_eq!(served.request("DELETE", "/api/v1/scans/1", &[], "").status, 405);
     assert_eq!(served.get("/api/v1/scans/one").status, 404);
     assert_eq!(served.get("/api/v1/scans?limit=-1").status, 400);
+    for refused in ["state=damp", "from_unix_ms=today", "colour=red"] {
+        for path in ["scans", "scans.csv", "scans.jsonl"] {
+            assert_eq!(
+                served.get(&format!("/api/v1/{path}?{refused}")).status,
+                400,
+                "{path} {refused}"
+            );
+        }
+    }
+    assert_eq!(served.get("/api/v1/scans.csv?limit=5").status, 400);
+    assert_eq!(served.get("/api/v1/scans.csv?state=unknown,unsure&text=x").status, 200);
     assert!(served.orders.is_empty());
 }
 

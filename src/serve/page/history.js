@@ -8,6 +8,7 @@ import { go } from "./route.js";
 const PAGE = 300;
 let most = PAGE;
 let scans = [];
+let latest = null;
 // Whether there are older scans to load.
 let more = false;
 let changed = () => {};
@@ -18,10 +19,29 @@ export function onChange(act) {
   changed = act;
 }
 
-// Loads the list again.
+// What the filter asks for, as parameters of a request; empty if it lets all through.
+function filter() {
+  const of = (id) => $(`filter-${id}`).value.trim();
+  const ms = (id) => (of(id) ? String(new Date(of(id)).getTime()) : "");
+  // A time without seconds means the whole minute.
+  const to = of("to") ? String(new Date(of("to")).getTime() + 59_999) : "";
+  const all = { state: of("state"), surface: of("surface"), from_unix_ms: ms("from"), to_unix_ms: to, text: of("text") };
+  return new URLSearchParams(Object.entries(all).filter(([, value]) => value !== "")).toString();
+}
+
+// Loads the list again. Answers to earlier requests are dropped.
+let loads = 0;
 export async function load() {
-  const said = await ask(`scans?limit=${PAGE}`);
+  loads += 1;
+  const [mine, wanted] = [loads, filter()];
+  const said = await ask(`scans?limit=${PAGE}&${wanted}`);
+  if (mine !== loads) return;
   if (said) [scans, most, more] = [said.scans, PAGE, said.scans.length === PAGE];
+  if (said && wanted === "") latest = scans[0] ?? null;
+  say("export-of", wanted === "" ? "All scans" : "These scans");
+  for (const [id, file] of [["export-csv", "scans.csv"], ["export-lines", "scans.jsonl"]]) {
+    $(id).href = `/api/v1/${file}${wanted && `?${wanted}`}`;
+  }
   changed();
   loadPrecision();
 }
@@ -29,7 +49,7 @@ export async function load() {
 // Loads scans that are older than the list.
 export async function older() {
   const last = scans[scans.length - 1];
-  const said = last && (await ask(`scans?limit=${PAGE}&before=${encodeURIComponent(last.id)}`));
+  const said = last && (await ask(`scans?limit=${PAGE}&before=${encodeURIComponent(last.id)}&${filter()}`));
   if (!said) return;
   scans = [...scans, ...said.scans];
   [most, more] = [most + PAGE, said.scans.length === PAGE];
@@ -37,18 +57,23 @@ export async function older() {
 }
 
 // The newest scan; null if there is none.
-export const newest = () => scans[0] ?? null;
+export const newest = () => latest;
 
 // Handles a new answer, named or not.
 export function add(answer) {
-  if (scans.some((scan) => scan.id === answer.id)) return;
-  scans = [{ ...answer, correction: null, became: null, kept: null }, ...scans];
+  const scan = { ...answer, correction: null, became: null, kept: null };
+  latest = scan;
+  // Whether the filter lets it through is known to the station alone.
+  if (filter() !== "") return void load();
+  if (scans.some((other) => other.id === scan.id)) return;
+  scans = [scan, ...scans];
   if (scans.length > most) [scans, more] = [scans.slice(0, most), true];
 }
 
 // Handles a scan that was corrected, or became a trial.
 export function change(scan) {
   scans = scans.map((other) => (other.id === scan.id ? scan : other));
+  if (latest?.id === scan.id) latest = scan;
   loadPrecision();
 }
 
@@ -80,16 +105,15 @@ function row(scan) {
 
 // Shows the list if it has changed.
 export function render(counts) {
-  const only = $("unknown-only").checked;
-  const wanted = scans.filter((scan) => !only || ["unknown", "unsure", "unnamed"].includes(scan.state));
-  const text = wanted.map((scan) => [scan.id, scan.became, JSON.stringify(scan.correction)].join()).join();
+  const text = scans.map((scan) => [scan.id, scan.became, JSON.stringify(scan.correction)].join()).join();
   if (text !== shown) {
     shown = text;
     const held = document.activeElement?.closest("#scans tr")?.dataset.id;
-    $("scans").replaceChildren(...wanted.map(row));
+    $("scans").replaceChildren(...scans.map(row));
     if (held) document.querySelector(`#scans tr[data-id="${CSS.escape(held)}"] button`)?.focus();
   }
-  hide("no-scans", wanted.length > 0);
+  hide("no-scans", scans.length > 0);
+  say("no-scans", filter() === "" ? "Scans appear here as they are named." : "No scan is like that.");
   hide("older", !more);
   const { scans: count, unknown, unsure, unnamed, damaged } = counts;
   const parts = [many(count, "scan"), `${unknown} unknown`, `${unsure} unsure`];

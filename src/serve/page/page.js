@@ -13,7 +13,13 @@ import { follow as followAddress } from "./route.js";
 import "./scan.js";
 import * as shelf from "./shelf.js";
 
+// Keys that are closer together come from a barcode scanner.
+const BURST_MS = 50;
+const TYPING_MS = 300;
+// States of scans that somebody should look at.
+const DOUBTFUL = "unknown,unsure,unnamed";
 let state = null;
+let filtering = 0;
 let announced = "";
 let due = false;
 
@@ -198,22 +204,37 @@ $("reload").addEventListener("click", () => ask("reload", {}));
 $("view-traces").addEventListener("click", () => choose("traces"));
 $("view-spectra").addEventListener("click", () => choose("spectra"));
 $("older").addEventListener("click", history.older);
-$("unknown-only").addEventListener("change", render);
+$("filter").addEventListener("input", () => {
+  clearTimeout(filtering);
+  filtering = setTimeout(history.load, TYPING_MS);
+});
+$("filter").addEventListener("submit", (event) => event.preventDefault());
 history.onChange(render);
 const keys = {
   s: () => $("start").click(),
   x: () => $("stop").click(),
   e: () => $("surface").focus(),
   v: toggleView,
-  u: () => $("unknown-only").click(),
+  u: () => {
+    $("filter-state").value = $("filter-state").value === "" ? DOUBTFUL : "";
+    history.load();
+  },
 };
+// A barcode scanner types as fast as nobody does: what it types is no shortcut.
+let key = { at: -Infinity, timer: 0 };
+function press(act) {
+  clearTimeout(key.timer);
+  const now = performance.now();
+  const timer = act && now - key.at > BURST_MS ? setTimeout(act, BURST_MS) : 0;
+  key = { at: now, timer };
+}
 document.addEventListener("keydown", (event) => {
   const writing = event.target.closest("input:not([type=checkbox]), select");
   if (event.key === "Escape" && writing) writing.blur();
   else if (event.key === "Escape" && document.body.dataset.view === "kiosk") location.assign("/");
-  if (writing || document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return;
-  event.preventDefault();
-  keys[event.key]();
+  if (writing || document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (keys[event.key]) event.preventDefault();
+  if (event.key.length === 1) press(keys[event.key]);
 });
 
 // A browser allows only six connections to a station, so a page closes its own when it is left.
