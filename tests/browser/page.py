@@ -133,6 +133,7 @@ def check(browser, station, shots):
     # By keyboard alone: `e` goes to the form, Tab from field to field.
     browser.wait("the form", lambda: browser.run("return document.getElementById('surface').offsetParent !== null"))
     browser.keys("e")
+    browser.wait("the form has the focus", lambda: browser.run("return document.activeElement.id") == "surface")
     browser.keys("slate" + TAB + TAB + TAB)
     focused = browser.run("return document.activeElement.id")
     assert focused == "enroll", f"Tab leads from the fields to the button, not to {focused!r}"
@@ -160,8 +161,8 @@ def check(browser, station, shots):
     shot(browser, shots, "light")
 
     browser.keys("v")
-    pressed = browser.run("return document.getElementById('view-spectra').ariaPressed")
-    assert pressed == "true", "`v` changes to spectra"
+    browser.wait("`v` changes to spectra", lambda: browser.run(
+        "return document.getElementById('view-spectra').ariaPressed") == "true")
     browser.scheme("dark")
     ground = browser.run("return getComputedStyle(document.documentElement).backgroundColor")
     assert max(map(int, re.findall(r"\d+", ground)[:3])) < 64, f"dark: {ground}"
