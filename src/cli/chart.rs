@@ -48,7 +48,7 @@ pub(super) fn run(args: &Args) -> Done {
     show::wrote(&args.figure.keep(&figure(&chart)?, &chart)?);
     let lib = quoted(&args.lib);
     let next = format!("surfaced plan {lib} chooses the cheapest setting that is good enough");
-    show::result(args.figure.json, &chart, |_| show::next(&next));
+    show::report(args.figure.json, &chart, |_| show::next(&next));
     Ok(())
 }
 

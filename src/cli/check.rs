@@ -33,7 +33,7 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
     let report = audit(&args.library, &how, &args.only, &say::progress)?;
-    show::result(args.json, &report, print);
+    show::report(args.json, &report, print);
     match report.findings.len() {
         0 => Ok(()),
         n => Err(Failure::Damaged(format!("{} to fix", show::counted(n, "thing")))),
