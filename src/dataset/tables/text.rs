@@ -17,12 +17,13 @@ const BLOCK: usize = 1 << 17;
 const HEAD: usize = 4096;
 
 /// Forms of files that are no text, by their first bytes, with what to do instead.
-const OTHERS: [(&[u8], &str); 11] = [
+const OTHERS: [(&[u8], &str); 12] = [
     (b"PK\x03\x04", "a ZIP file or an Excel workbook; unpack it, or save the table as CSV"),
     (b"\xd0\xcf\x11\xe0", "an Excel workbook of the old form; save the table as CSV"),
     (b"PAR1", "a Parquet file, which is not read; write it as CSV or .npy"),
-    (b"\x89HDF", "an HDF5 file (MATLAB v7.3 is one), which is not read; write it as CSV or .npy"),
-    (b"MATLAB 5.0", "a MATLAB file, which is not read; write it by `writematrix`, or as .npy"),
+    (b"\x89HDF", "an HDF5 file, which is not read; write it as CSV or .npy"),
+    (b"MATLAB 7.3", "a MATLAB file of v7.3 (HDF5), which is not read; save it by `save -v7`"),
+    (b"MATLAB 5.0", "a MATLAB file; let its name end with .mat"),
     (b"TDSm", "a TDMS file, which is not read; export it as CSV"),
     (b"\x28\xb5\x2f\xfd", "packed by zstd; unpack it first (`unzstd FILE`)"),
     (b"\xfd7zXZ", "packed by xz; unpack it first (`unxz FILE`)"),
