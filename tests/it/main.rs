@@ -28,6 +28,7 @@ mod line_forms;
 mod lines;
 mod live_scan;
 mod lmt108;
+mod mat_forms;
 mod methods;
 mod microphone;
 mod no_stderr;
