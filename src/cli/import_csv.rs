@@ -15,10 +15,10 @@ use crate::scene::{LibraryToml, Scene, SourceId};
 use crate::trial::{Series, Signal, Trial, TrialKey};
 
 /// Extensions of the tables that are looked for in folders.
-const TABLES: [&str; 11] =
-    ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz", "npy", "npz", "mat"];
+const TABLES: [&str; 12] =
+    ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz", "npy", "npz", "mat", "parquet"];
 /// Extensions of tables that are refused, with the reason.
-const REFUSED: [&str; 8] = ["xlsx", "xls", "ods", "parquet", "feather", "h5", "tdms", "zip"];
+const REFUSED: [&str; 7] = ["xlsx", "xls", "ods", "feather", "h5", "tdms", "zip"];
 
 /// Make a library from CSV tables, one for each trial, or a long one with columns that name trials
 ///

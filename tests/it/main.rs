@@ -35,6 +35,7 @@ mod no_stderr;
 mod openapi;
 mod pages;
 mod paper;
+mod parquet_forms;
 mod plan;
 mod ready_model;
 mod reload;

@@ -11,7 +11,7 @@ use surfaced::library::{About, Library};
 use surfaced::trial::{Series, Signal};
 
 #[path = "../fuzz/files.rs"]
-mod files;
+pub(crate) mod files;
 
 const ROWS: usize = 300;
 

@@ -336,7 +336,7 @@ fn labels_of(path: &Path, labels: &str, most: u64) -> Result<Vec<String>, Librar
 }
 
 /// A 16-bit float (IEEE 754 binary16).
-fn half(bits: u16) -> f64 {
+pub(super) fn half(bits: u16) -> f64 {
     let sign = if bits & 0x8000 == 0 { 1.0 } else { -1.0 };
     let (exponent, fraction) = (i32::from(bits >> 10 & 31), f64::from(bits & 0x3ff));
     match exponent {

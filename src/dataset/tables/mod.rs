@@ -16,6 +16,8 @@ mod mat;
 mod mend;
 mod names;
 mod npy;
+#[cfg(feature = "parquet")]
+mod parquet;
 mod stamp;
 mod text;
 mod zip;
@@ -113,7 +115,10 @@ impl Head {
                 break;
             }
         }
-        let layout = Layout::of(&head)?;
+        let layout = match lines.layout.take() {
+            Some(layout) => layout,
+            None => Layout::of(&head)?,
+        };
         let mut rows = Vec::new();
         for (number, line) in head.iter().filter(|(number, _)| *number >= layout.first) {
             let mut cells = Vec::new();
