@@ -1,6 +1,7 @@
 //! Files from outside: recordings and tables, which may be damaged in any way.
 
-/// The kinds of files; the first byte of an input says which it is.
+/// The kinds of files; the first byte of an input says which it is. Parquet is read
+/// where its feature is on, as in the tests.
 pub const KINDS: [&str; 7] = ["csv", "npy", "npz", "wav", "flac", "mat", "parquet"];
 
 /// Reads a file of a kind and a content; nothing may panic.

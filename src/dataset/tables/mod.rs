@@ -1,6 +1,6 @@
-//! Reads recordings from tables: text with a row for each sample, or arrays of NumPy and MATLAB. A table
-//! holds one trial, or many trials named by columns. Other columns become sources. The rows have a fixed rate, or a
-//! column of times.
+//! Reads recordings from tables: text or Parquet with a row for each sample, or arrays of NumPy and MATLAB.
+//! A table holds one trial, or many trials named by columns. Other columns become sources. The rows have a
+//! fixed rate, or a column of times.
 //!
 //! A table is read once, row by row, so that its size does not matter: [`layout`] finds out how it is
 //! written, [`columns`] what its columns are, [`gather`] collects rows by trial, and [`mend`] makes trials

@@ -118,15 +118,15 @@ fn form(column: &ColumnDescriptor) -> Result<(Form, Option<&'static str>), Strin
         (Type::INT32 | Type::INT64, _, C::UINT_8 | C::UINT_16 | C::UINT_32 | C::UINT_64) => {
             (Form::Unsigned, None)
         }
-        (Type::INT32 | Type::INT64, None | Some(L::Integer(_) | L::Unknown), _) => {
-            (Form::Number, None)
-        }
+        (Type::INT32 | Type::INT64, None | Some(L::Integer(_)), _) => (Form::Number, None),
         (Type::BOOLEAN | Type::FLOAT | Type::DOUBLE, ..) => (Form::Number, None),
         (Type::BYTE_ARRAY, None | Some(L::String | L::Enum | L::Json), kind)
             if kind != C::DECIMAL =>
         {
             (Form::Text, None)
         }
+        // Of a column that has no type, all cells are empty.
+        (_, Some(L::Unknown), _) => (Form::Text, None),
         (Type::FIXED_LEN_BYTE_ARRAY, Some(L::Float16), _) => (Form::Half, None),
         (physical, logical, _) => {
             let kind =

@@ -169,7 +169,10 @@ impl Lines {
             self.buffer.resize(self.end + BLOCK, 0);
         }
         let read = fully(&mut self.from, &mut self.buffer[self.end..]);
-        let read = read.map_err(|error| format!("after line {}: {error}", self.number))?;
+        let read = read.map_err(|error| match self.number {
+            0 => error.to_string(),
+            line => format!("after line {line}: {error}"),
+        })?;
         self.is_over = read == 0;
         self.end += read;
         Ok(())
