@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::show::{self, counted, quoted};
 use super::{Done, Failure, bad_files, parsed};
 use crate::dataset::tables::{
-    self, Clock, Form, Gaps, Head, NamePattern, Read, Said, SessionOf, columns, npy,
+    self, Clock, Form, Gaps, Head, NamePattern, Read, Said, SessionOf, array, columns,
 };
 use crate::library::{LibraryError, files};
 use crate::record::importing::Importing;
@@ -15,9 +15,10 @@ use crate::scene::{LibraryToml, Scene, SourceId};
 use crate::trial::{Series, Signal, Trial, TrialKey};
 
 /// Extensions of the tables that are looked for in folders.
-const TABLES: [&str; 10] = ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz", "npy", "npz"];
+const TABLES: [&str; 12] =
+    ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz", "npy", "npz", "mat", "parquet"];
 /// Extensions of tables that are refused, with the reason.
-const REFUSED: [&str; 9] = ["xlsx", "xls", "ods", "mat", "parquet", "feather", "h5", "tdms", "zip"];
+const REFUSED: [&str; 7] = ["xlsx", "xls", "ods", "feather", "h5", "tdms", "zip"];
 
 /// Make a library from CSV tables, one for each trial, or a long one with columns that name trials
 ///
@@ -68,10 +69,11 @@ pub(super) struct CsvArgs {
     /// Pattern of the file names without extension; * matches any text
     #[arg(long, value_name = "PATTERN", default_value = "{surface}/{trial}", value_parser = pattern)]
     names: NamePattern,
-    /// Labels of the trials of a NumPy array: an array of the .npz, or a file (.npy, or a label a line)
+    /// Labels of the trials of an array: an array of the .npz or .mat, or a file (.npy, or a label a line)
     #[arg(long, value_name = "ARRAY|FILE")]
     labels: Option<String>,
-    /// Array of an .npz that holds the trials (default: the only one of two or three dimensions)
+    /// Array of an .npz or .mat that holds the trials, or cell array whose cells are trials (default: the
+    /// only one of two or three dimensions)
     #[arg(long, value_name = "ARRAY")]
     variable: Option<String>,
     /// What to do where more than 5 samples in a row are missing; fewer are filled in, up to 5 % of a channel
@@ -203,7 +205,7 @@ fn understood(
     bad: &mut Vec<LibraryError>,
 ) -> Result<Form, Failure> {
     let most_unpacked = args.max_gb << 30;
-    if let Some(path) = tables.first().filter(|path| npy::is_array(path)) {
+    if let Some(path) = tables.first().filter(|path| array::is_array(path)) {
         return array_form(args, path, most_unpacked);
     }
     let heads = tables.iter().map(|path| (path, Head::read(path, most_unpacked)));
@@ -250,7 +252,7 @@ fn understood(
     Ok(Form { sources, clock, labels, ..form(args, most_unpacked) })
 }
 
-/// How to read a NumPy array, whose channels are called 1, 2, …
+/// How to read an array, whose channels are called 1, 2, …
 fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Result<Form, Failure> {
     let Some(rate_hz) = args.rate else {
         return Err(Failure::Usage("the rate is not known: give --rate HZ".into()));
@@ -262,8 +264,8 @@ fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Result<Form, F
     }
     let mut sources = args.source.clone();
     if sources.is_empty() {
-        let array = npy::Array::open(path, args.variable.as_deref(), most_unpacked)?;
-        let channels = array.channels().map_err(|problem| LibraryError::file(path, problem))?;
+        let variable = args.variable.as_deref();
+        let channels = array::Trials::open(path, variable, most_unpacked)?.channels;
         let names = (1..=channels).map(|channel| channel.to_string()).collect();
         sources = vec![(SourceId::new("sensor")?, names)];
     }

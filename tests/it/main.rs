@@ -30,12 +30,14 @@ mod live_scan;
 mod lmt108;
 #[cfg(feature = "lossy")]
 mod lossy_sounds;
+mod mat_forms;
 mod methods;
 mod microphone;
 mod no_stderr;
 mod openapi;
 mod pages;
 mod paper;
+mod parquet_forms;
 mod plan;
 mod ready_model;
 mod reload;

@@ -11,7 +11,7 @@ use surfaced::library::{About, Library};
 use surfaced::trial::{Series, Signal};
 
 #[path = "../fuzz/files.rs"]
-mod files;
+pub(crate) mod files;
 
 const ROWS: usize = 300;
 
@@ -52,18 +52,18 @@ fn gz(text: &str) -> Vec<u8> {
 }
 
 /// What an import made of one file.
-struct Imported {
+pub(crate) struct Imported {
     output: Output,
     out: PathBuf,
     _dir: tempfile::TempDir,
 }
 
 impl Imported {
-    fn said(&self) -> String {
+    pub(crate) fn said(&self) -> String {
         said(&self.output) + &String::from_utf8_lossy(&self.output.stdout)
     }
 
-    fn library(&self) -> Library {
+    pub(crate) fn library(&self) -> Library {
         open(&self.out).unwrap_or_else(|error| panic!("{error}\n{}", self.said()))
     }
 
@@ -76,7 +76,7 @@ impl Imported {
     }
 }
 
-fn import(file: &str, bytes: &[u8], args: &[&str]) -> Imported {
+pub(crate) fn import(file: &str, bytes: &[u8], args: &[&str]) -> Imported {
     let (dir, path) = temp();
     let (file, out) = (path.join(file), dir.path().join("out"));
     write_file(&file, bytes);
@@ -583,6 +583,7 @@ proptest::proptest! {
     ) {
         let mut bytes = match files::KINDS[kind as usize] {
             "npy" => npy("<f4", "(2, 2, 10)", &[1; 160]),
+            "mat" => crate::mat_forms::sample(),
             "npz" => npz(&[("X.npy", npy("<f4", "(2, 2, 10)", &[1; 160]))], true),
             "wav" => {
                 let spec = hound::WavSpec {

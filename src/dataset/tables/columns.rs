@@ -223,7 +223,8 @@ pub(crate) fn sources(
         }
         let (base, name) = (plain(&column.base), &column.name);
         let cells = head.cells(at);
-        let is_pandas = base.starts_with("unnamed") || base.starts_with("level");
+        let is_pandas =
+            ["unnamed", "level", "indexlevel"].iter().any(|name| base.starts_with(name));
         if (COUNTERS.contains(&&*base) || is_pandas) && counts(&cells) {
             notes.push(format!("column `{name}` only counts the rows, and is left out"));
         } else if LABELS.contains(&&*base) || is_label(&cells) {

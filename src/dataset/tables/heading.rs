@@ -25,6 +25,15 @@ pub(crate) struct Column {
     pub is_numeric: bool,
 }
 
+#[cfg(feature = "parquet")]
+impl Column {
+    /// The columns of these names.
+    pub(super) fn named(names: Vec<String>) -> Vec<Self> {
+        let width = names.len();
+        Names { rows: vec![names], ..Names::default() }.columns(width, false)
+    }
+}
+
 /// A line of the head of a file: its number, and its cells by one delimiter.
 pub(super) struct HeadLine {
     pub number: u64,

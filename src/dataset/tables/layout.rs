@@ -21,9 +21,24 @@ pub(crate) struct Layout {
     pub names_at: u64,
     /// What people should know about how the table was understood.
     pub notes: Vec<String>,
+    /// Whether the lines are made of cells with types: without comments and quotes.
+    is_typed: bool,
 }
 
 impl Layout {
+    /// What is between typed cells; none of them holds it.
+    #[cfg(feature = "parquet")]
+    pub(super) const BETWEEN: u8 = 0x1f;
+
+    /// The layout of a table that says its columns itself.
+    #[cfg(feature = "parquet")]
+    pub(super) fn typed(mut columns: Vec<Column>) -> Self {
+        let mut notes = Vec::new();
+        distinct(&mut columns, &mut notes);
+        let (delimiter, first) = (Self::BETWEEN, 1);
+        Self { delimiter, has_arrows: false, columns, first, names_at: 0, notes, is_typed: true }
+    }
+
     /// Finds out the layout from the `head` of a file: its first lines with their numbers.
     ///
     /// # Errors
@@ -102,7 +117,8 @@ impl Layout {
             column.is_numeric = is_numeric;
         }
         distinct(&mut columns, &mut notes);
-        Ok(Self { delimiter, has_arrows, columns, first, names_at: names.at, notes })
+        let names_at = names.at;
+        Ok(Self { delimiter, has_arrows, columns, first, names_at, notes, is_typed: false })
     }
 
     /// Splits a line into the cells of a row. `false` for a line that is no row: blank or a comment.
@@ -115,6 +131,10 @@ impl Layout {
         cells: &mut Vec<&'a [u8]>,
     ) -> Result<bool, String> {
         cells.clear();
+        if self.is_typed {
+            cells.extend(line.split(|byte| *byte == self.delimiter).map(<[u8]>::trim_ascii));
+            return Ok(cells.iter().any(|cell| !cell.is_empty()));
+        }
         split(line, self.delimiter, self.has_arrows, cells);
         let width = self.columns.len();
         if cells.len() != width {

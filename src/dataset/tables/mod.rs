@@ -1,19 +1,23 @@
-//! Reads recordings from tables: text with a row for each sample, or arrays of NumPy. A table holds one
-//! trial, or many trials named by columns. Other columns become sources. The rows have a fixed rate, or a
-//! column of times.
+//! Reads recordings from tables: text or Parquet with a row for each sample, or arrays of NumPy and MATLAB.
+//! A table holds one trial, or many trials named by columns. Other columns become sources. The rows have a
+//! fixed rate, or a column of times.
 //!
 //! A table is read once, row by row, so that its size does not matter: [`layout`] finds out how it is
 //! written, [`columns`] what its columns are, [`gather`] collects rows by trial, and [`mend`] makes trials
 //! with a fixed rate of them.
 
+pub(crate) mod array;
 mod cell;
 pub(crate) mod columns;
 mod gather;
 mod heading;
 mod layout;
+mod mat;
 mod mend;
 mod names;
-pub(crate) mod npy;
+mod npy;
+#[cfg(feature = "parquet")]
+mod parquet;
 mod stamp;
 mod text;
 mod zip;
@@ -73,8 +77,8 @@ pub(crate) struct Form {
     pub session: SessionOf,
     /// Pattern of the file's path, which names the trial if no column names the surface.
     pub names: NamePattern,
-    /// The array of an `.npz` that holds the trials, and the labels of the trials: an array of the `.npz`,
-    /// or a file.
+    /// The array of an `.npz` or `.mat` that holds the trials, and the labels of the trials: an array of
+    /// the same file, or another file.
     pub variable: Option<String>,
     pub array_labels: Option<String>,
     pub gaps: Gaps,
@@ -111,7 +115,10 @@ impl Head {
                 break;
             }
         }
-        let layout = Layout::of(&head)?;
+        let layout = match lines.layout.take() {
+            Some(layout) => layout,
+            None => Layout::of(&head)?,
+        };
         let mut rows = Vec::new();
         for (number, line) in head.iter().filter(|(number, _)| *number >= layout.first) {
             let mut cells = Vec::new();
@@ -172,8 +179,8 @@ pub(crate) fn read(
     on: OnRead<'_>,
 ) -> Result<Said, LibraryError> {
     let fail = |problem: String| LibraryError::file(path, problem);
-    if npy::is_array(path) {
-        return npy::read(path, form, on);
+    if array::is_array(path) {
+        return array::read(path, form, on);
     }
     let head = Head::read(path, form.most_unpacked)?;
     let mut lines = Lines::open(path, form.most_unpacked)?;
@@ -558,9 +565,8 @@ pub(crate) fn try_read(path: &Path) -> Result<usize, LibraryError> {
         from_1904: false,
         most_unpacked: 1 << 24,
     };
-    if npy::is_array(path) {
-        let channels =
-            npy::Array::open(path, None, form.most_unpacked)?.channels().map_err(fail)?;
+    if array::is_array(path) {
+        let channels = array::Trials::open(path, None, form.most_unpacked)?.channels;
         let names = (1..=channels).map(|channel| channel.to_string()).collect();
         form.sources.extend(SourceId::new("x").map(|id| (id, names)));
     } else {

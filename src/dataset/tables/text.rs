@@ -2,11 +2,13 @@
 //! LF, CR LF or CR. Text that is not UTF-8 is read as Latin-1 where it is shown.
 
 use std::borrow::Cow;
+use std::fs::File;
 use std::io::{self, Cursor, Read};
 use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
 
+use super::layout::Layout;
 use crate::library::LibraryError;
 use crate::library::files::{self, EMPTY_FILE};
 
@@ -17,12 +19,16 @@ const BLOCK: usize = 1 << 17;
 const HEAD: usize = 4096;
 
 /// Forms of files that are no text, by their first bytes, with what to do instead.
-const OTHERS: [(&[u8], &str); 11] = [
+const OTHERS: [(&[u8], &str); 12] = [
     (b"PK\x03\x04", "a ZIP file or an Excel workbook; unpack it, or save the table as CSV"),
     (b"\xd0\xcf\x11\xe0", "an Excel workbook of the old form; save the table as CSV"),
-    (b"PAR1", "a Parquet file, which is not read; write it as CSV or .npy"),
-    (b"\x89HDF", "an HDF5 file (MATLAB v7.3 is one), which is not read; write it as CSV or .npy"),
-    (b"MATLAB 5.0", "a MATLAB file, which is not read; write it by `writematrix`, or as .npy"),
+    #[cfg(not(feature = "parquet"))]
+    (b"PAR1", "a Parquet file; build with --features parquet to read it, or write it as CSV"),
+    #[cfg(feature = "parquet")]
+    (b"PAR1", "a packed Parquet file; unpack it first (`gunzip FILE`)"),
+    (b"\x89HDF", "an HDF5 file, which is not read; write it as CSV or .npy"),
+    (b"MATLAB 7.3", "a MATLAB file of v7.3 (HDF5), which is not read; save it by `save -v7`"),
+    (b"MATLAB 5.0", "a MATLAB file; let its name end with .mat"),
     (b"TDSm", "a TDMS file, which is not read; export it as CSV"),
     (b"\x28\xb5\x2f\xfd", "packed by zstd; unpack it first (`unzstd FILE`)"),
     (b"\xfd7zXZ", "packed by xz; unpack it first (`unxz FILE`)"),
@@ -40,16 +46,53 @@ pub(crate) struct Lines {
     is_over: bool,
     line_end: u8,
     number: u64,
+    /// How the lines are laid out, where the file says it.
+    pub layout: Option<Layout>,
 }
 
 impl Lines {
+    /// What ends the lines that are made of rows; no cell holds it.
+    #[cfg(feature = "parquet")]
+    pub(super) const RECORD_END: u8 = 0x1e;
+
     /// Opens a file; `most` is the largest number of bytes that a packed file may unpack to.
     pub(crate) fn open(path: &Path, most: u64) -> Result<Self, LibraryError> {
         let (file, length) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
         if length == 0 {
             return Err(LibraryError::file(path, EMPTY_FILE));
         }
-        Self::new(Box::new(file), most).map_err(|problem| LibraryError::file(path, problem))
+        Self::of(file, most).map_err(|problem| LibraryError::file(path, problem))
+    }
+
+    #[cfg(feature = "parquet")]
+    fn of(mut file: File, most: u64) -> Result<Self, String> {
+        let mut start = [0; 4];
+        let read = fully(&mut file, &mut start).and_then(|_| io::Seek::rewind(&mut file));
+        read.map_err(|error| error.to_string())?;
+        match start == super::parquet::MAGIC {
+            true => super::parquet::lines(file, most),
+            false => Self::new(Box::new(file), most),
+        }
+    }
+
+    #[cfg(not(feature = "parquet"))]
+    fn of(file: File, most: u64) -> Result<Self, String> {
+        Self::new(Box::new(file), most)
+    }
+
+    /// Lines that are made of rows, of a known layout.
+    #[cfg(feature = "parquet")]
+    pub(super) fn records(from: Box<dyn Read>, layout: Layout) -> Self {
+        Self {
+            from,
+            buffer: Vec::new(),
+            start: 0,
+            end: 0,
+            is_over: false,
+            line_end: Self::RECORD_END,
+            number: 0,
+            layout: Some(layout),
+        }
     }
 
     pub(crate) fn new(from: Box<dyn Read>, most: u64) -> Result<Self, String> {
@@ -82,6 +125,7 @@ impl Lines {
             is_over: false,
             line_end: if only_returns { b'\r' } else { b'\n' },
             number: 0,
+            layout: None,
         };
         lines.fill()?;
         if lines.buffer[..lines.end].starts_with(b"\xef\xbb\xbf") {
@@ -125,7 +169,10 @@ impl Lines {
             self.buffer.resize(self.end + BLOCK, 0);
         }
         let read = fully(&mut self.from, &mut self.buffer[self.end..]);
-        let read = read.map_err(|error| format!("after line {}: {error}", self.number))?;
+        let read = read.map_err(|error| match self.number {
+            0 => error.to_string(),
+            line => format!("after line {line}: {error}"),
+        })?;
         self.is_over = read == 0;
         self.end += read;
         Ok(())
