@@ -302,8 +302,8 @@ pub enum Over {
 }
 
 /// The 95 % confidence interval of an accuracy. It is over people or sessions if at least three were
-/// left out ([`wilson_of_groups`]), since one person's queries say little about another person. Otherwise
-/// it is over queries ([`Share::interval`]).
+/// left out, since one person's queries say little about another person. Otherwise it is over queries
+/// ([`Share::interval`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Interval {
     #[serde(rename = "accuracy_low")]
