@@ -54,3 +54,16 @@ fn the_open_api_document_is_what_the_router_has() {
     }
     assert_eq!(described, routes());
 }
+
+#[test]
+fn each_kind_of_doubt_has_its_row_among_the_remedies() {
+    let document: Value =
+        serde_json::from_str(include_str!("../../src/serve/openapi.json")).unwrap();
+    let kinds = &document["components"]["schemas"]["Doubt"]["properties"]["kind"]["enum"];
+    let kinds: BTreeSet<&str> =
+        kinds.as_array().unwrap().iter().filter_map(Value::as_str).collect();
+    let page = include_str!("../../src/serve/remedies.md");
+    let rows = page.lines().filter_map(|line| line.strip_prefix("| `")?.split_once("` | "));
+    let rows: BTreeSet<&str> = rows.map(|(kind, _)| kind).filter(|kind| *kind != "kind").collect();
+    assert_eq!(rows, kinds);
+}
