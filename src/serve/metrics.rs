@@ -193,7 +193,7 @@ mod tests {
     use crate::station::StationEvent;
 
     #[test]
-    fn buckets_add_up_and_labels_are_escaped() {
+    fn buckets_add_up_labels_are_escaped_and_the_dashboard_shows_what_is_there() {
         let mut state = State::new();
         state.take(&StationEvent::Device {
             device: "a \"b\"\\\n\u{202e}".into(),
@@ -239,6 +239,11 @@ mod tests {
             "surfaced_scans_total{answer=\"named\"} 0",
         ] {
             assert!(text.lines().any(|l| l == line), "{line}\n{text}");
+        }
+        let dashboard = include_str!("../../configs/grafana.json");
+        for part in dashboard.split("surfaced_").skip(1) {
+            let name = part.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap();
+            assert!(text.contains(&format!("surfaced_{name}")), "the dashboard shows {name}");
         }
     }
 }

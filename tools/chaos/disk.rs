@@ -137,7 +137,8 @@ impl Disk {
         for line in &kept {
             let of = |key: &str| line[key].as_str().unwrap_or_default();
             let number = line["trial"].as_u64().unwrap_or_default() as u32;
-            let key = TrialKey::new(of("surface"), of("user"), number);
+            let session = line["session"].as_str().map(String::from);
+            let key = TrialKey::new(of("surface"), of("user"), number).with_session(session);
             let folder = Path::new(of("folder"));
             let entry = opened.library.entries.iter().find(|entry| entry.key == key);
             match entry.map(|entry| entry.load()) {
