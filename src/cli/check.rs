@@ -4,8 +4,10 @@ use std::path::{Path, PathBuf};
 
 use super::condition::WhereArgs;
 use super::method::{Comparing, ComparingArgs};
+use super::show::{Made, MadeBy};
 use super::{Done, Failure, say, show};
 use crate::dataset;
+use crate::library::Library;
 use crate::evaluate::{Audited, CheckReport, Finding, ProgressFn, check};
 use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
@@ -32,9 +34,11 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
-    let report = audit(&args.library, &how, &args.only, &say::progress)?;
-    show::report(args.json, &report, print);
-    match report.findings.len() {
+    let (report, library) = audited(&args.library, &how, &args.only, &say::progress)?;
+    let made_by = MadeBy::this(how.seed, if args.json { library.digest() } else { String::new() });
+    let made = Made { of: report, made_by };
+    show::result(args.json, &made, |made| print(&made.of));
+    match made.of.findings.len() {
         0 => Ok(()),
         n => Err(Failure::Damaged(format!("{} to fix", show::counted(n, "thing")))),
     }
@@ -46,6 +50,15 @@ pub(super) fn audit(
     only: &WhereArgs,
     progress: ProgressFn<'_>,
 ) -> Result<CheckReport, Failure> {
+    Ok(audited(library, how, only, progress)?.0)
+}
+
+fn audited(
+    library: &Path,
+    how: &Comparing,
+    only: &WhereArgs,
+    progress: ProgressFn<'_>,
+) -> Result<(CheckReport, Library), Failure> {
     let _lock = LibraryLock::for_reading(library);
     let mut opened = dataset::open_usable(library, &Scene::lmt108())?;
     only.keep(library, &mut opened.library)?;
@@ -59,7 +72,8 @@ pub(super) fn audit(
         method: &*method,
         cache: cache.as_deref(),
     };
-    Ok(check(opened, &audited, progress))
+    let used = opened.library.clone();
+    Ok((check(opened, &audited, progress), used))
 }
 
 fn print(report: &CheckReport) {

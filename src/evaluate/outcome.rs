@@ -297,8 +297,17 @@ const LEAST_GROUPS: usize = 3;
 pub enum Over {
     People,
     Sessions,
+    /// The values of a key by which trials are left out.
+    Groups,
     #[default]
     Queries,
+}
+
+impl Over {
+    /// These groups if there are at least three of them, else queries.
+    pub(crate) fn counted(self, groups: usize) -> Self {
+        if groups >= LEAST_GROUPS { self } else { Self::Queries }
+    }
 }
 
 /// The 95 % confidence interval of an accuracy. It is over people or sessions if at least three were
@@ -317,7 +326,8 @@ pub struct Interval {
 impl Interval {
     /// The interval of the accuracy on all queries of some folds, which are groups of this kind.
     pub(crate) fn of(groups: &[FoldAccuracy], over: Over) -> Self {
-        if over != Over::Queries && groups.len() >= LEAST_GROUPS {
+        let over = over.counted(groups.len());
+        if over != Over::Queries {
             let counts = groups.iter().map(|group| (group.share.right, group.share.of));
             let (low, high) = wilson_of_groups(&counts.collect::<Vec<_>>());
             return Self { low, high, over };

@@ -8,7 +8,7 @@ use plotters::coord::ranged1d::Ranged;
 use plotters::prelude::*;
 
 use crate::draw::{Area, COLOURS, Drawn, FigureError, GREY, Panel, axes, put, svg, three_digits};
-use crate::evaluate::{FoldAccuracy, Interval, Outcome, Over, Protocol};
+use crate::evaluate::{FoldAccuracy, Interval, Outcome, Over};
 use crate::scene::SourceId;
 
 /// The measured accuracy and latency of one setting of one method.
@@ -40,13 +40,13 @@ pub(crate) struct ChartPoint {
 impl ChartPoint {
     pub(crate) fn new(
         outcome: &Outcome,
-        protocol: Protocol,
+        over: Over,
         setting: &str,
         query_seconds: Option<f64>,
         control: bool,
     ) -> Self {
-        let users = if protocol.folds_are_users() { outcome.folds.clone() } else { Vec::new() };
-        let interval = Interval::of(&outcome.folds, protocol.over());
+        let users = if over == Over::People { outcome.folds.clone() } else { Vec::new() };
+        let interval = Interval::of(&outcome.folds, over);
         Self {
             method: if control { "control".into() } else { outcome.method.clone() },
             setting: setting.into(),
@@ -100,6 +100,8 @@ pub(crate) struct Chart {
     pub data: String,
     pub synthetic: bool,
     pub protocol: String,
+    /// Which trials are left out, and what that leaves untold.
+    pub left_out: String,
     /// All sources; a point may have used fewer.
     pub sources: Vec<String>,
     pub surfaces: usize,
@@ -135,6 +137,7 @@ impl Chart {
         match self.points.first().map(|point| point.interval.over) {
             Some(Over::People) => "95 % interval over people",
             Some(Over::Sessions) => "95 % interval over sessions",
+            Some(Over::Groups) => "95 % interval over groups",
             _ => "95 % interval over queries",
         }
     }

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::evaluate::loudness::level_of;
 use crate::evaluate::{
-    EvaluateError, EvaluatedTrials, Evaluation, Fold, LeftOutSources, Measured, Protocol,
+    EvaluateError, EvaluatedTrials, Evaluation, LeftOutSources, Measured, Split,
 };
 use crate::library::Entry;
 use crate::recognise::features::{FeatureVector, SourceFeatures};
@@ -130,8 +130,8 @@ fn of_domain(scene: &Scene, is: impl Fn(&Domain) -> bool) -> Option<Scene> {
 /// Measures one setting, with the sources of its own scene. Returns a point for each scan time, and
 /// the sources that were left out. `name` is the setting's name in the chart.
 pub(crate) fn measure(
-    (entries, folds): (&[Entry], &[Fold]),
-    protocol: Protocol,
+    entries: &[Entry],
+    Split { folds, over, .. }: &Split,
     charted: &Charted,
     name: &str,
 ) -> Result<(Vec<ChartPoint>, LeftOutSources), EvaluateError> {
@@ -145,7 +145,7 @@ pub(crate) fn measure(
     let method = charted.method.clone().unwrap_or(MethodName::Knn.into()).build(scene);
     let measured = on.prepare(&*method)?.measure_by(folds, &charted.seconds)?;
     let point = |(seconds, measured): (&Option<f64>, &Measured)| {
-        ChartPoint::new(&measured.outcome, protocol, name, *seconds, charted.control.is_some())
+        ChartPoint::new(&measured.outcome, *over, name, *seconds, charted.control.is_some())
     };
     let points = charted.seconds.iter().zip(&measured).map(point).collect();
     let left_out = measured.into_iter().flat_map(|measured| measured.left_out).collect();

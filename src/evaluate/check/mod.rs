@@ -14,7 +14,7 @@ use super::evaluation::{Evaluation, Measured, ProgressFn};
 use super::fold::{Fold, by_user, enough, known_only};
 use super::leak::Leaks;
 use super::outcome::{Confusion, Prediction, Share};
-use super::plain::better_plain;
+use super::paired::better_plain;
 use crate::library::{Entry, Opened};
 use crate::recognise::{Method, MethodName};
 use crate::scene::{Scene, SourceId};

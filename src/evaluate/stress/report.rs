@@ -76,6 +76,9 @@ pub(crate) struct StressReport {
     pub data: String,
     pub synthetic: bool,
     pub protocol: String,
+    /// Which trials are left out, and what that leaves untold.
+    #[serde(default)]
+    pub left_out: String,
     pub sources: Vec<String>,
     pub queries: usize,
     /// Number of queries that were also compared with a library without their surface.
