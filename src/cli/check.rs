@@ -80,9 +80,12 @@ fn print(report: &CheckReport) {
     let trials = show::counted(report.trials, "trial");
     let surfaces = show::counted(report.surfaces.len(), "surface");
     result!("{trials} of {surfaces}");
-    if let Some(share) = report.share {
-        let (accuracy, interval) = (show::percent(share.value()), show::interval(share));
-        result!("cross-validated accuracy: {accuracy} (95 % interval {interval})");
+    if let Some((share, interval)) = report.share {
+        let [accuracy, low, high] =
+            [share.value(), interval.low, interval.high].map(show::percent);
+        let over = show::over(interval.over);
+        result!("cross-validated accuracy: {accuracy} (95 % interval {low} to {high} {over})");
+        result!("{}", report.left_out);
     }
     result!();
     let rows = report.surfaces.iter().map(|surface| {
@@ -104,9 +107,9 @@ fn print(report: &CheckReport) {
         result!("  {text}");
         command.iter().for_each(|command| result!("    {command}"));
     }
-    if let (Some(mended), Some(share)) = (report.accuracy_mended, report.share) {
+    if let (Some(mended), Some((share, _))) = (report.accuracy_mended, report.share) {
         let (mended, now) = (show::percent(mended), show::percent(share.value()));
-        result!("  mended, the cross-validated accuracy would be {mended} instead of {now}");
+        result!("  without the damaged trials, the accuracy is {mended} instead of {now}");
     }
     if !report.advice.is_empty() {
         result!("\nnext:");

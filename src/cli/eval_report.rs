@@ -124,7 +124,7 @@ impl EvalTable {
             over => {
                 // Even if all of n groups favour one method, p is 2 / 2^n.
                 let least = p_value(0.5f64.powi(folds as i32 - 1));
-                format!("exact sign test over {folds} {}, at best {least}", groups(over))
+                format!("exact sign test over {folds} {}, at best {least}", over.plural())
             }
         };
         result!("p          {test}, with Holm's correction for {pairs}");
@@ -144,21 +144,10 @@ fn p_value(p: f64) -> String {
     if p < 1e-4 { "< 0.0001".into() } else { format!("{p:.4}") }
 }
 
-fn groups(over: Over) -> &'static str {
-    match over {
-        Over::People => "people",
-        Over::Sessions => "sessions",
-        Over::Groups => "groups",
-        Over::Queries => "queries",
-    }
-}
-
 /// What an interval is for, and how many groups it comes from.
 fn over_words(over: Over, folds: usize) -> String {
-    match over {
-        Over::Queries => "for more scans like these".into(),
-        over => format!("for other {}, by {folds}", groups(over)),
-    }
+    let by = if over == Over::Queries { String::new() } else { format!(", by {folds}") };
+    format!("{}{by}", show::over(over))
 }
 
 /// Writes a row for each query, as CSV. Columns `p: SURFACE` hold the probabilities.

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::Path;
 
 use super::say;
-use crate::evaluate::{LeftOutSources, Share};
+use crate::evaluate::{LeftOutSources, Over, Share};
 use crate::library::Library;
 use crate::printable;
 pub(super) use crate::printable::{counted, json_text};
@@ -135,6 +135,14 @@ pub(super) fn percent(fraction: f64) -> String {
 pub(super) fn interval(share: Share) -> String {
     let (low, high) = share.interval();
     format!("{} to {}", percent(low), percent(high))
+}
+
+/// What an interval is for.
+pub(super) fn over(over: Over) -> String {
+    match over {
+        Over::Queries => "for more scans like these".into(),
+        over => format!("for other {}", over.plural()),
+    }
 }
 
 /// An answer in one or two words, for the surface and a mark of doubt.

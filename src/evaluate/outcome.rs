@@ -304,6 +304,15 @@ pub enum Over {
 }
 
 impl Over {
+    pub(crate) fn plural(self) -> &'static str {
+        match self {
+            Self::People => "people",
+            Self::Sessions => "sessions",
+            Self::Groups => "groups",
+            Self::Queries => "queries",
+        }
+    }
+
     /// These groups if there are at least three of them, else queries.
     pub(crate) fn counted(self, groups: usize) -> Self {
         if groups >= LEAST_GROUPS { self } else { Self::Queries }

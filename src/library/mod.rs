@@ -205,11 +205,6 @@ impl Entry {
         Self { key, sources, loader: Arc::new(Changed { entry: self, change }) }
     }
 
-    pub(crate) fn renamed(self, key: TrialKey) -> Self {
-        let is = key.clone();
-        Self { key, ..self.changed(move |trial| Trial { key: is.clone(), ..trial }) }
-    }
-
     pub(crate) fn with_only(&self, source: &SourceId) -> Self {
         Self { sources: vec![source.clone()], ..self.clone() }
     }

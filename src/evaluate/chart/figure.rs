@@ -133,13 +133,9 @@ impl Chart {
     }
 
     /// The kind of interval that the bars show, for the legend.
-    pub(super) fn bars(&self) -> &'static str {
-        match self.points.first().map(|point| point.interval.over) {
-            Some(Over::People) => "95 % interval over people",
-            Some(Over::Sessions) => "95 % interval over sessions",
-            Some(Over::Groups) => "95 % interval over groups",
-            _ => "95 % interval over queries",
-        }
+    pub(super) fn bars(&self) -> String {
+        let over = self.points.first().map_or(Over::Queries, |point| point.interval.over);
+        format!("95 % interval over {}", over.plural())
     }
 
     /// Whether a point used only some of the sources.
