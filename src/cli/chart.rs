@@ -7,7 +7,7 @@ use std::time::Instant;
 use super::choose::choose;
 use super::condition::WhereArgs;
 use super::figure::{FigureArgs, is_earlier};
-use super::method::{at_least_one, options_of};
+use super::method::{OneOrAll, at_least_one, options_of};
 use super::show::{Made, MadeBy, quoted};
 use super::{Done, Failure, bad_files, show};
 use crate::evaluate::chart::{Chart, charted, drag_s, figure, measure};
@@ -31,6 +31,9 @@ pub(super) struct Args {
     surfaces: Option<usize>,
     #[command(flatten)]
     only: WhereArgs,
+    /// Methods, with commas between them; `reference` is the slowest by far
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…", default_value = "all")]
+    methods: Vec<OneOrAll>,
     /// Measure only one setting of each method, on whole drags with all sources
     #[arg(long)]
     brief: bool,
@@ -45,7 +48,11 @@ pub(super) fn run(args: &Args) -> Done {
     let mut library = super::open(&args.lib)?;
     args.only.keep(&args.lib, &mut library)?;
     let made = bad_files::work(&args.lib, library, |library| measured(args, library))?;
-    show::wrote(&args.figure.keep(&figure(&made.of)?, &made)?);
+    say!(
+        "bars: {}; hollow: some of the sources; grey line: the best trade-offs; dashed: negative controls",
+        made.of.bars()
+    );
+    show::wrote(&args.figure.keep(&figure(&made.of, args.figure.look)?, &made)?);
     let lib = quoted(&args.lib);
     let next = format!("surfaced plan {lib} chooses the cheapest setting that is good enough");
     show::result(args.figure.json, &made, |_| show::next(&next));
@@ -74,7 +81,7 @@ fn measured(args: &Args, library: &Library) -> Result<Made<Chart>, Failure> {
         drag_s: drag_s(&choice.entries, &choice.scene)?,
         points: Vec::new(),
     };
-    let all = charted(&choice.scene, chart.drag_s, args.brief);
+    let all = charted(&choice.scene, chart.drag_s, &OneOrAll::list(&args.methods), args.brief);
     // Every method of a chart has its default seed.
     let mut made = Made { of: chart, made_by: MadeBy::this(1, library.digest()) };
     let (start, mut warned) = (Instant::now(), BTreeSet::new());
@@ -103,7 +110,7 @@ fn measured(args: &Args, library: &Library) -> Result<Made<Chart>, Failure> {
             say!("       {part}: {accuracy} ({low} to {high}), {:.2} ms", point.query_ms_p50);
             made.of.points.push(point);
         }
-        args.figure.keep(&figure(&made.of)?, &made)?;
+        args.figure.keep(&figure(&made.of, args.figure.look)?, &made)?;
     }
     Ok(made)
 }

@@ -7,8 +7,8 @@ use super::method::{Comparing, ComparingArgs};
 use super::show::{Made, MadeBy};
 use super::{Done, Failure, say, show};
 use crate::dataset;
-use crate::library::Library;
 use crate::evaluate::{Audited, CheckReport, Finding, ProgressFn, check};
+use crate::library::Library;
 use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
 
@@ -81,8 +81,7 @@ fn print(report: &CheckReport) {
     let surfaces = show::counted(report.surfaces.len(), "surface");
     result!("{trials} of {surfaces}");
     if let Some((share, interval)) = report.share {
-        let [accuracy, low, high] =
-            [share.value(), interval.low, interval.high].map(show::percent);
+        let [accuracy, low, high] = [share.value(), interval.low, interval.high].map(show::percent);
         let over = show::over(interval.over);
         result!("cross-validated accuracy: {accuracy} (95 % interval {low} to {high} {over})");
         result!("{}", report.left_out);

@@ -120,7 +120,8 @@ fn from_table(path: &Path, trials: Splittable<'_>) -> Result<Vec<String>, Failur
         let line = row.position().map_or(0, csv::Position::line);
         let wrong = |problem: String| Failure::usage_at(path, format!("line {line}: {problem}"));
         let (Some(trial), Some(fold), None) = (row.get(0), row.get(1), row.get(2)) else {
-            let expected = "expected two cells, the folder of a trial (such as oak/trial1) and its fold";
+            let expected =
+                "expected two cells, the folder of a trial (such as oak/trial1) and its fold";
             return Err(wrong(expected.into()));
         };
         let trial = trial.replace('\\', "/").trim_end_matches('/').to_string();
@@ -139,14 +140,19 @@ fn from_table(path: &Path, trials: Splittable<'_>) -> Result<Vec<String>, Failur
         }
         let is_part = |fold: &str| [TRAIN, TEST].contains(&fold);
         if let Some(other) = of.values().find(|other| is_part(other) != is_part(fold)) {
-            let problem = format!("`{fold}` and `{other}` do not go together: use {TRAIN} and {TEST}, or folds");
+            let problem = format!(
+                "`{fold}` and `{other}` do not go together: use {TRAIN} and {TEST}, or folds"
+            );
             return Err(wrong(problem));
         }
     }
-    let fold = |name: &String| of.get(name).cloned().ok_or_else(|| {
-        let problem = format!("{name} has no line; give it a fold, or leave it out with --where");
-        Failure::usage_at(path, problem)
-    });
+    let fold = |name: &String| {
+        of.get(name).cloned().ok_or_else(|| {
+            let problem =
+                format!("{name} has no line; give it a fold, or leave it out with --where");
+            Failure::usage_at(path, problem)
+        })
+    };
     names.iter().map(fold).collect()
 }
 
@@ -247,7 +253,8 @@ impl Choice {
 
     /// The sources that are held by trials of the folds, sorted.
     pub(super) fn held(&self) -> Vec<SourceId> {
-        let of_folds = self.split.folds.iter().flat_map(|fold| fold.library.iter().chain(&fold.queries));
+        let of_folds =
+            self.split.folds.iter().flat_map(|fold| fold.library.iter().chain(&fold.queries));
         let held: BTreeSet<&SourceId> = of_folds.flat_map(|&i| &self.entries[i].sources).collect();
         held.into_iter().cloned().collect()
     }

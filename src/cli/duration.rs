@@ -9,6 +9,7 @@ use super::figure::write;
 use super::method::{at_least_one, honoured};
 use super::show::{Made, MadeBy};
 use super::{Done, Failure, bad_files, say, share, show};
+use crate::draw::Look;
 use crate::duration::{
     AccuracyCurve, Algorithm1Settings, CORRELATION, DurationReport, Estimator, PooledSettings,
     Question, ReportError, Rule, figure, report,
@@ -69,6 +70,8 @@ pub(super) struct Args {
     /// Draw the dependence against the lag, and the accuracy against the scan time, as SVG
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
+    #[command(flatten)]
+    look: Look,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -203,7 +206,8 @@ pub(super) fn run(args: &Args) -> Done {
     };
     if let Some(path) = &args.svg {
         let curve = AccuracyCurve { points, target: answer.target, enough_s: answer.scan_s() };
-        write(path, &figure(&found.durations, Some(&curve))?)?;
+        let data = (found.library.as_str(), found.synthetic);
+        write(path, &figure(&found.durations, Some(&curve), data, args.look)?)?;
         show::wrote(&[path]);
     }
     let refused = match args.accuracy {

@@ -130,10 +130,11 @@ impl EvalTable {
         result!("p          {test}, with Holm's correction for {pairs}");
         self.methods.iter().for_each(EvalReport::print_seeds);
         if say::is_verbose() {
-            let rows = self.paired.iter().map(|Paired { methods, only_right, p_value_holm, .. }| {
-                let [a, b] = only_right.map(|count| count.to_string());
-                vec![methods.join(" : "), a, b, p_value(*p_value_holm)]
-            });
+            let rows =
+                self.paired.iter().map(|Paired { methods, only_right, p_value_holm, .. }| {
+                    let [a, b] = only_right.map(|count| count.to_string());
+                    vec![methods.join(" : "), a, b, p_value(*p_value_holm)]
+                });
             result!();
             show::table(&["pair", ">only the first", ">only the second", ">p"], rows);
         }
@@ -321,7 +322,12 @@ impl EvalAnswer {
         let named = [self.fold.clone(), self.truth.clone(), self.answer.clone(), margin];
         let stated = [number(self.confidence), number(self.p_value)];
         let of = surfaces.iter().map(|name| number(self.probabilities.get(*name).copied()));
-        std::iter::once(method.to_string()).chain(known).chain(named).chain(stated).chain(of).collect()
+        std::iter::once(method.to_string())
+            .chain(known)
+            .chain(named)
+            .chain(stated)
+            .chain(of)
+            .collect()
     }
 }
 

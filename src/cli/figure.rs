@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::choose::SplitArgs;
 use super::{Done, Failure, SourceArgs};
+use crate::draw::Look;
 
 /// The data of a figure, and the file to write.
 #[derive(clap::Args)]
@@ -13,6 +14,8 @@ pub(super) struct FigureArgs {
     /// SVG file to write; the JSON and any other pictures are written beside it
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
+    #[command(flatten)]
+    pub look: Look,
     #[command(flatten)]
     pub split: SplitArgs,
     #[command(flatten)]

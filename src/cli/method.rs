@@ -11,8 +11,8 @@ use super::show::joined;
 use super::{Done, Failure, SourceArgs, parsed, share, show};
 use crate::evaluate::plan::Plan;
 use crate::recognise::{
-    LeftOutBy, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode, ReferenceOptions, Rejection,
-    RejectionError, STAGES, ScanTime, Settling, SumPrecision,
+    LeftOutBy, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode, ReferenceOptions,
+    Rejection, RejectionError, STAGES, ScanTime, Settling, SumPrecision,
 };
 use crate::scene::Scene;
 use crate::station::Recogniser;

@@ -73,8 +73,7 @@ fn earlier(path: &Path) -> Result<Made<StressReport>, Failure> {
 
 fn measured(args: &Args, library: &Library) -> Result<Made<StressReport>, Failure> {
     let scene = args.figure.sources.narrow(library.scene.clone())?;
-    let Choice { scene, entries, split } =
-        choose(&args.lib, library, scene, &args.figure.split)?;
+    let Choice { scene, entries, split } = choose(&args.lib, library, scene, &args.figure.split)?;
     let folds = StressPlan::limited(split.folds, args.queries);
     let held: Vec<&SourceSpec> = (scene.sources())
         .filter(|spec| entries.iter().any(|entry| entry.sources.contains(&spec.id)))
@@ -130,7 +129,8 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
         return Err(Failure::Usage(format!("no disturbance `{unknown}`; there are {known}")));
     }
     let wanted = |d: &Disturbance| only.is_empty() || only.iter().any(|name| name == d.name);
-    let found: Vec<_> = all.into_iter().filter(|d| wanted(d) && d.fits(held)).collect();
+    let wanted = all.into_iter().filter(wanted);
+    let found: Vec<_> = wanted.filter_map(|d| d.fitted(held)).collect();
     if found.is_empty() {
         return Err(Failure::Usage("these disturbances change nothing of these sources".into()));
     }
@@ -140,7 +140,8 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
 /// Writes the pictures and their numbers, and returns the paths of the files.
 fn keep(args: &Args, made: &Made<StressReport>) -> Result<Vec<PathBuf>, Failure> {
     let (out, report) = (&args.figure.out, &made.of);
-    let mut written = args.figure.keep(&figure(report, Measure::Accuracy)?, made)?;
+    let mut written =
+        args.figure.keep(&figure(report, Measure::Accuracy, args.figure.look)?, made)?;
     let table = out.with_extension("md");
     write(&table, &report.markdown())?;
     written.push(table);
@@ -149,7 +150,7 @@ fn keep(args: &Args, made: &Made<StressReport>) -> Result<Vec<PathBuf>, Failure>
         [("unknown", Measure::UnknownRejected), ("calibration", Measure::CalibrationError)]
     {
         // If no method gives probabilities, there is no figure.
-        if let Ok(svg) = figure(report, measure) {
+        if let Ok(svg) = figure(report, measure, args.figure.look) {
             let path = out.with_file_name(format!("{stem}-{name}.svg"));
             write(&path, &svg)?;
             written.push(path);

@@ -115,7 +115,10 @@ pub(crate) struct Split {
 
 impl Split {
     /// Folds by a protocol; see [`folds`].
-    pub(crate) fn by_protocol(protocol: Protocol, keys: &[TrialKey]) -> Result<Self, EvaluateError> {
+    pub(crate) fn by_protocol(
+        protocol: Protocol,
+        keys: &[TrialKey],
+    ) -> Result<Self, EvaluateError> {
         let (name, left_out) = (protocol.name().into(), protocol.left_out().into());
         Ok(Self { name, left_out, over: protocol.over(), folds: folds(protocol, keys)? })
     }

@@ -140,7 +140,10 @@ mod tests {
         assert_eq!((found[1].only_right, found[0].only_right), ([6, 0], [3, 0]));
         let holm: Vec<f64> = found.iter().map(|p| p.p_value_holm).collect();
         assert_eq!(holm, [0.5, 0.09375, 0.5]);
-        let two = paired(&[("x", named(&["a", "b"], "11")), ("y", named(&["a", "b"], "00"))], Over::People);
+        let two = paired(
+            &[("x", named(&["a", "b"], "11")), ("y", named(&["a", "b"], "00"))],
+            Over::People,
+        );
         assert_eq!((two[0].test_over, two[0].p_value), (Over::Queries, 0.5));
     }
 

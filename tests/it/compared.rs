@@ -74,7 +74,8 @@ fn several_methods_name_the_same_queries_and_are_tested_in_pairs() {
     assert_eq!(rows.headers().unwrap().iter().next(), Some("method"));
     assert_eq!(rows.records().count(), 3 * 12);
     let shown = done(&some);
-    for part in ["on synthetic data", "p against ", "McNemar's exact test over queries", "3 pairs"] {
+    for part in ["on synthetic data", "p against ", "McNemar's exact test over queries", "3 pairs"]
+    {
         assert!(shown.contains(part), "expected `{part}` in: {shown}");
     }
     refused(&["eval", &library, "--method", "svm,knn", "--n", "9"], &["--method reference alone"]);
@@ -95,7 +96,17 @@ fn several_seeds_give_a_mean_and_a_spread_where_a_method_has_a_seed() {
     let mean = all.iter().sum::<f64>() / 3.0;
     assert!((seeds["mean"].as_f64().unwrap() - mean).abs() < 1e-12);
     // The second seed of these is the first of another run.
-    let next = document(&["eval", &library, "--sources", "ir", "--seed", "8", "--json", "--method", "random-forest"]);
+    let next = document(&[
+        "eval",
+        &library,
+        "--sources",
+        "ir",
+        "--seed",
+        "8",
+        "--json",
+        "--method",
+        "random-forest",
+    ]);
     assert_eq!(next["accuracy"].as_f64().unwrap(), all[1]);
     assert!(done(&forest).contains("seeds      1 to 3, random-forest: "));
     refused(&of("svm"), &["svm draws nothing at random"]);
@@ -129,7 +140,8 @@ fn a_table_splits_trials_and_what_does_not_fit_is_named_by_line_or_trial() {
     assert_eq!((&report["queries"], report["folds"].as_array().unwrap().len()), (&json!(12), 4));
     // The chart splits in the same way.
     let out = dir.path().join("chart.svg").to_str().unwrap().to_string();
-    let chart = ["chart", &library, "--sources", "ir", "--brief", "--methods", "knn", "--out", &out];
+    let chart =
+        ["chart", &library, "--sources", "ir", "--brief", "--methods", "knn", "--out", &out];
     let chart = document(&[&chart[..], &["--split", at, "--json"]].concat());
     let point = chart["points"].as_array().unwrap().iter().find(|p| p["method"] == "knn").unwrap();
     assert_eq!(point["accuracy"], report["accuracy"]);
@@ -161,7 +173,8 @@ fn trials_are_grouped_by_a_key_of_their_own() {
     for (i, name) in all.iter().enumerate() {
         let about = Path::new(&library).join(name).join("trial.toml");
         let text = std::fs::read_to_string(&about).unwrap();
-        std::fs::write(&about, format!("{text}\n[meta]\ntool = \"{}\"\n", tools[i % 4 % 3])).unwrap();
+        std::fs::write(&about, format!("{text}\n[meta]\ntool = \"{}\"\n", tools[i % 4 % 3]))
+            .unwrap();
     }
     let by = |key| ["eval", &library, "--sources", "ir", "--method", "knn,svm", "--group-by", key];
     let report = document(&[&by("tool")[..], &["--json"]].concat());
@@ -172,7 +185,10 @@ fn trials_are_grouped_by_a_key_of_their_own() {
     assert_eq!(first["interval_over"], "groups");
     assert_eq!(report["paired"][0]["test_over"], "groups");
     let shown = done(&by("tool"));
-    for part in ["each tool left out in turn; trials of one session", "sign test over 3 groups, at best 0.25"] {
+    for part in [
+        "each tool left out in turn; trials of one session",
+        "sign test over 3 groups, at best 0.25",
+    ] {
         assert!(shown.contains(part), "expected `{part}` in: {shown}");
     }
     refused(&by("force"), &["has no `force`", "[meta]", &all[0]]);
@@ -183,7 +199,8 @@ fn a_digest_changes_with_a_sample_or_a_label_and_not_with_folders() {
     let dir = tempfile::tempdir().unwrap();
     let library = library(dir.path());
     let made = || {
-        let args = ["eval", &library, "--sources", "ir", "--method", "knn", "--json", "--seed", "3"];
+        let args =
+            ["eval", &library, "--sources", "ir", "--method", "knn", "--json", "--seed", "3"];
         let mut made = document(&args)["made_by"].take();
         assert_eq!(made["seed"], 3);
         made["library"].take().as_str().unwrap().to_string()

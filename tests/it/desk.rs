@@ -223,7 +223,8 @@ fn a_messy_folder_stops_no_command_and_check_prints_what_mends_it() {
         expected.map(|(kind, name)| (kind, format!("\"K\u{fc}che alt/{name}.wav\""))).into();
     assert_eq!(found, expected, "{findings:?}");
     // Nothing is promised for another label.
-    let [mended, accuracy] = ["accuracy_mended", "accuracy"].map(|key| report[key].as_f64().unwrap());
+    let [mended, accuracy] =
+        ["accuracy_mended", "accuracy"].map(|key| report[key].as_f64().unwrap());
     assert!(accuracy < mended && mended < 1.0, "{report}");
 
     // The commands as a person pastes them.
@@ -250,7 +251,8 @@ fn a_messy_folder_stops_no_command_and_check_prints_what_mends_it() {
 fn a_session_that_differs_is_named_with_what_differs_and_its_labels_are_not_suspected() {
     let (_dir, path) = temp();
     let days = ["monday", "tuesday", "wednesday", "thursday", "friday"];
-    let each = days.iter().enumerate().flat_map(|(day, name)| (1..=6).map(move |n| (6 * day + n, *name)));
+    let each =
+        days.iter().enumerate().flat_map(|(day, name)| (1..=6).map(move |n| (6 * day + n, *name)));
     for (n, day) in each {
         for (surface, tau) in [("oak", 40.0), ("felt", 3.0)] {
             // On Friday something lies between the stylus and oak.
@@ -259,7 +261,8 @@ fn a_session_that_differs_is_named_with_what_differs_and_its_labels_are_not_susp
                 continue;
             }
             let trial = path.join(format!("{surface}/trial{n}"));
-            let samples = sound(if is_odd { 1.5 } else { tau }, 1.0, 10_000, n as u64 + tau as u64 * 1000);
+            let samples =
+                sound(if is_odd { 1.5 } else { tau }, 1.0, 10_000, n as u64 + tau as u64 * 1000);
             write_wav(&trial.join("ir.wav"), 10_000, 1, &samples);
             write_file(&trial.join("trial.toml"), format!("session = \"{day}\"\n"));
         }
@@ -276,7 +279,10 @@ fn a_session_that_differs_is_named_with_what_differs_and_its_labels_are_not_susp
     says(said, &["session friday of expert differs", "ir has ", " times the band"]);
     assert!(!said.contains("the rate"), "{said}");
     assert!(report["accuracy_mended"].is_null(), "nothing is promised: {report}");
-    assert_eq!((&report["interval_over"], &report["left_out"]), (&"sessions".into(), &"each session left out in turn".into()));
+    assert_eq!(
+        (&report["interval_over"], &report["left_out"]),
+        (&"sessions".into(), &"each session left out in turn".into())
+    );
     // The number is that of `eval`.
     let measured = surfaced(&["eval", text(&path), "--json"]);
     let measured: Value = serde_json::from_slice(&measured.stdout).unwrap();

@@ -106,7 +106,10 @@ fn pooled_ends_with_what_t_star_means_for_each_source() {
     let last = stdout.lines().find(|line| line.starts_with("ir:")).unwrap();
     assert!(last.contains("by less than a correlation of 0.1; a mean over a"), "{last}");
     assert!(last.contains("independent samples or more (foam)"), "{last}");
-    assert!(last.contains("one of 400 samples of it") && last.contains("; no T* on chalk"), "{last}");
+    assert!(
+        last.contains("one of 400 samples of it") && last.contains("; no T* on chalk"),
+        "{last}"
+    );
 }
 
 #[test]

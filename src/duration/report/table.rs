@@ -3,7 +3,8 @@
 use std::fmt::Write;
 
 use super::{
-    ByRule, CORRELATION, DurationReport, Estimator, PooledRow, PooledSettings, Second, SourceDuration,
+    ByRule, CORRELATION, DurationReport, Estimator, PooledRow, PooledSettings, Second,
+    SourceDuration,
 };
 use crate::duration::algorithm1::Algorithm1Settings;
 use crate::printable::table;
@@ -59,7 +60,8 @@ impl DurationReport {
             Estimator::Pooled(PooledSettings { dependence }) => dependence,
             Estimator::Algorithm1(_) => CORRELATION,
         };
-        let so_far = format!("apart depend on each other by less than a correlation of {dependence}");
+        let so_far =
+            format!("apart depend on each other by less than a correlation of {dependence}");
         let mut text = match spacings[..] {
             [] => format!("{source}: no surface has a T*"),
             [first, .., last] if ms(first) != ms(last) => format!(

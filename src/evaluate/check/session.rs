@@ -93,8 +93,7 @@ pub(super) fn differing(
 
 /// How the series of a session differ from those of the others: a text for each source.
 fn differences(own: &[&Inspected], others: &[&Inspected]) -> Vec<String> {
-    let sources: BTreeSet<&SourceId> =
-        own.iter().flat_map(|one| one.series.keys()).collect();
+    let sources: BTreeSet<&SourceId> = own.iter().flat_map(|one| one.series.keys()).collect();
     let of_source = |id: &SourceId| {
         let usual = |surface: Option<&str>, of: fn(&Measured) -> f64| {
             let is_of =
@@ -135,9 +134,8 @@ mod tests {
     fn predictions(wrong: impl Fn(&TrialKey) -> bool) -> Vec<Prediction> {
         let keys = ["monday", "friday"].into_iter().flat_map(|session| {
             (1..=6).flat_map(move |n| {
-                ["a", "b"].map(|s| {
-                    TrialKey::new(s, "anna", n).with_session(Some(session.to_string()))
-                })
+                ["a", "b"]
+                    .map(|s| TrialKey::new(s, "anna", n).with_session(Some(session.to_string())))
             })
         });
         let other = |key: &TrialKey| if key.surface == "a" { "b" } else { "a" };
