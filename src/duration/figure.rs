@@ -138,9 +138,7 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
     let line = |f: fn(&CurvePoint) -> f64| inside.iter().map(move |p| (ms(p.lag), f(p)));
     let band = line(|p| p.hsic_high).chain(line(|p| p.hsic_low).rev());
     let key = |style: ShapeStyle, dash: i32| {
-        move |(x, y): (i32, i32)| {
-            DashedPathElement::new([(x, y), (x + 22, y)], dash, 4, style)
-        }
+        move |(x, y): (i32, i32)| DashedPathElement::new([(x, y), (x + 22, y)], dash, 4, style)
     };
     chart
         .draw_series([Polygon::new(band.collect::<Vec<_>>(), HSIC.mix(0.25))])?
