@@ -133,7 +133,7 @@ const WIDTH: u32 = 1400;
 const SIDE_BY_SIDE: u32 = 800;
 const FONT: i32 = 13;
 /// Distance in pixels between the points of different methods at one scan time.
-const BESIDE: i32 = 7;
+const BESIDE: f64 = 7.0;
 
 /// An SVG with accuracy against median latency (log axis), and accuracy against scan time if there are
 /// several. Bars are intervals, and ticks are users. The grey line is the Pareto front, grey dashed lines
@@ -204,9 +204,9 @@ fn latency_panel(area: &Area<'_>, chart: &Chart, whole: &[&ChartPoint]) -> Drawn
     let line = front(whole, ms).into_iter().map(|p| (ms(p), p.accuracy));
     panel.draw_series(LineSeries::new(line, BLACK.mix(0.18).stroke_width(4)))?;
     let mut labels = controls(area, &mut panel, chart, (from, to))?;
-    let at = |point: &&ChartPoint| place(area, &panel, ms(point), point.accuracy, 0);
+    let at = |point: &&ChartPoint| place(area, &panel, ms(point), point.accuracy);
     for point in whole {
-        bar(area, &panel, chart, point, ms(point), 0)?;
+        bar(area, &panel, chart, point, ms(point))?;
         let (x, y) = at(point);
         labels.take([x - 7, y - 7, x + 7, y + 7]);
     }
@@ -234,10 +234,17 @@ fn time_panel(area: &Area<'_>, chart: &Chart, points: &[&ChartPoint]) -> Drawn {
     let to = end / (1.0 - share.min(0.5));
     let (x, y) = ((0.0..to, "scan time used [s]"), (axis(chart, points), "accuracy"));
     let mut panel = axes(area, "", x, y, percent)?;
+    // Methods stand beside each other, so that their intervals can be told apart.
+    let count = points.iter().map(|p| curve(chart, &p.method)).max().unwrap_or(0) as f64;
+    let [left, top, right, bottom] = frame(area, &panel);
+    let step = BESIDE * to / f64::from(right - left);
+    let x = |point: &ChartPoint| {
+        chart.scan_s(point) + step * (curve(chart, &point.method) as f64 - count / 2.0)
+    };
     let mut lines: BTreeMap<(&str, &str), Vec<(f64, f64)>> = BTreeMap::new();
     for point in points {
         let line = lines.entry((&point.method, &point.setting)).or_default();
-        line.push((chart.scan_s(point), point.accuracy));
+        line.push((x(point), point.accuracy));
     }
     for ((method, _), mut points) in lines.into_iter().filter(|(_, points)| points.len() > 1) {
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -245,24 +252,21 @@ fn time_panel(area: &Area<'_>, chart: &Chart, points: &[&ChartPoint]) -> Drawn {
     }
     controls(area, &mut panel, chart, (0.0, end))?;
     let mut last: BTreeMap<usize, (&ChartPoint, (i32, i32))> = BTreeMap::new();
-    let count = points.iter().map(|p| curve(chart, &p.method)).max().unwrap_or(0) as i32;
     for point in points {
-        let (x, number) = (chart.scan_s(point), curve(chart, &point.method));
-        let beside = (2 * number as i32 - count) * BESIDE / 2;
-        bar(area, &panel, chart, point, x, beside)?;
-        let at = place(area, &panel, x, point.accuracy, beside);
-        if last
-            .get(&number)
-            .is_none_or(|(best, _)| (chart.scan_s(best), best.accuracy) <= (x, point.accuracy))
-        {
-            last.insert(number, (point, at));
+        bar(area, &panel, chart, point, x(point))?;
+        let number = curve(chart, &point.method);
+        let is_last = |(best, _): &(&ChartPoint, _)| {
+            (chart.scan_s(best), best.accuracy) <= (chart.scan_s(point), point.accuracy)
+        };
+        if last.get(&number).is_none_or(is_last) {
+            last.insert(number, (point, place(area, &panel, x(point), point.accuracy)));
         }
     }
-    let heights: Vec<i32> = last.values().map(|(_, (_, y))| *y).collect();
-    let [_, top, _, bottom] = frame(area, &panel);
+    // Of points at one height, the rightmost has the highest name, so that lines do not cross.
+    let heights: Vec<i32> = last.values().rev().map(|(_, (_, y))| *y).collect();
     let moved = apart(&heights, FONT + 3, top + FONT / 2..bottom - FONT / 2);
-    let right = place(area, &panel, end, 0.5, count * BESIDE / 2 + 26).0;
-    for ((point, at), y) in last.values().zip(moved) {
+    let right = place(area, &panel, end + step * count / 2.0, 0.5).0 + 26;
+    for ((point, at), y) in last.values().rev().zip(moved) {
         area.draw(&PathElement::new([*at, (right - 3, y)], GREY.stroke_width(1)))?;
         put(area, point.method.as_str(), (right, y - FONT / 2), FONT)?;
     }
@@ -274,16 +278,15 @@ fn percent(y: &f64) -> String {
     if *y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
 }
 
-/// The pixel of a point within `area`, `beside` pixels to the right.
+/// The pixel of a point within `area`.
 fn place<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,
     x: f64,
     accuracy: f64,
-    beside: i32,
 ) -> (i32, i32) {
     let ((x, y), (left, top)) = (panel.backend_coord(&(x, accuracy)), area.get_base_pixel());
-    (x - left + beside, y - top)
+    (x - left, y - top)
 }
 
 /// The box of a panel's axes within `area`.
@@ -303,7 +306,8 @@ fn controls<X: Ranged<ValueType = f64>>(
     for control in chart.controls() {
         let line = [ends.0, ends.1].map(|x| (x, control.accuracy));
         panel.draw_series(DashedLineSeries::new(line, 3, 4, GREY.stroke_width(1)))?;
-        let (x, y) = place(area, panel, ends.0, control.accuracy, 0);
+        let (x, y) = place(area, panel, ends.0, control.accuracy);
+        labels.take([x, y - 2, place(area, panel, ends.1, control.accuracy).0, y + 2]);
         let text = format!("control: {}", control.setting.trim_end_matches(" alone"));
         let width = text_width(&text, FONT - 2);
         labels.put(area, &text, (x + width / 2 + 2, y), FONT - 2)?;
@@ -318,9 +322,8 @@ fn bar<X: Ranged<ValueType = f64>>(
     chart: &Chart,
     point: &ChartPoint,
     x: f64,
-    beside: i32,
 ) -> Drawn {
-    let at = |accuracy: f64| place(area, panel, x, accuracy, beside);
+    let at = |accuracy: f64| place(area, panel, x, accuracy);
     let number = curve(chart, &point.method);
     let ends = [point.interval.low, point.interval.high].map(at);
     area.draw(&PathElement::new(ends, colour(number).mix(0.6).stroke_width(1)))?;
