@@ -7,8 +7,8 @@ use std::time::Instant;
 use super::choose::choose;
 use super::condition::WhereArgs;
 use super::figure::{FigureArgs, is_earlier};
-use super::method::{at_least_one, options_of};
-use super::show::quoted;
+use super::method::{OneOrAll, at_least_one, options_of};
+use super::show::{Made, MadeBy, quoted};
 use super::{Done, Failure, bad_files, show};
 use crate::evaluate::chart::{Chart, charted, drag_s, figure, measure};
 use crate::library::Library;
@@ -31,6 +31,9 @@ pub(super) struct Args {
     surfaces: Option<usize>,
     #[command(flatten)]
     only: WhereArgs,
+    /// Methods, with commas between them; `reference` is the slowest by far
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…", default_value = "all")]
+    methods: Vec<OneOrAll>,
     /// Measure only one setting of each method, on whole drags with all sources
     #[arg(long)]
     brief: bool,
@@ -44,37 +47,43 @@ pub(super) fn run(args: &Args) -> Done {
     }
     let mut library = super::open(&args.lib)?;
     args.only.keep(&args.lib, &mut library)?;
-    let chart = bad_files::work(&args.lib, library, |library| measured(args, library))?;
-    show::wrote(&args.figure.keep(&figure(&chart)?, &chart)?);
+    let made = bad_files::work(&args.lib, library, |library| measured(args, library))?;
+    say!(
+        "bars: {}; hollow: some of the sources; grey line: the best trade-offs; dashed: negative controls",
+        made.of.bars()
+    );
+    show::wrote(&args.figure.keep(&figure(&made.of, args.figure.look)?, &made)?);
     let lib = quoted(&args.lib);
     let next = format!("surfaced plan {lib} chooses the cheapest setting that is good enough");
-    show::report(args.figure.json, &chart, |_| show::next(&next));
+    show::result(args.figure.json, &made, |_| show::next(&next));
     Ok(())
 }
 
 /// Measures one setting after the other, and writes the results after each one. They remain if a
 /// later setting fails or the run is interrupted.
-fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
+fn measured(args: &Args, library: &Library) -> Result<Made<Chart>, Failure> {
     let scene = args.figure.sources.narrow(library.scene.clone())?;
-    let mut choice = choose(library, scene, args.figure.protocol)?;
+    let mut choice = choose(&args.lib, library, scene, &args.figure.split)?;
     if let Some(most) = args.surfaces {
         choice.keep_surfaces(most)?;
     }
     let sources = choice.held();
     choice.scene = choice.scene.only(&sources)?;
-    let mut chart = Chart {
+    let chart = Chart {
         data: library.name.clone(),
         synthetic: library.synthetic,
-        protocol: choice.protocol.name().into(),
+        protocol: choice.split.name.clone(),
+        left_out: choice.split.left_out.clone(),
         sources: sources.iter().map(SourceId::to_string).collect(),
         surfaces: choice.surfaces().collect::<BTreeSet<_>>().len(),
-        library_trials: choice.folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0),
+        library_trials: choice.split.folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0),
         threads: rayon::current_num_threads(),
         drag_s: drag_s(&choice.entries, &choice.scene)?,
         points: Vec::new(),
     };
-    let all = charted(&choice.scene, chart.drag_s, args.brief);
-    let on = (&*choice.entries, &*choice.folds);
+    let all = charted(&choice.scene, chart.drag_s, &OneOrAll::list(&args.methods), args.brief);
+    // Every method of a chart has its default seed.
+    let mut made = Made { of: chart, made_by: MadeBy::this(1, library.digest()) };
     let (start, mut warned) = (Instant::now(), BTreeSet::new());
     for (done, one) in all.iter().enumerate() {
         let so_far_s = start.elapsed().as_secs_f64();
@@ -88,7 +97,7 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
         let options = one.method.as_ref().map(options_of).unwrap_or_default();
         let name = one.control.clone().unwrap_or(options);
         say!("{}/{}  {name}{left}", done + 1, all.len());
-        let (measured, left_out) = measure(on, choice.protocol, one, &name)?;
+        let (measured, left_out) = measure(&choice.entries, &choice.split, one, &name)?;
         for line in show::left_out(&left_out) {
             if warned.insert(line.clone()) {
                 say!("warning: {line}");
@@ -99,11 +108,11 @@ fn measured(args: &Args, library: &Library) -> Result<Chart, Failure> {
             let [accuracy, low, high] =
                 [point.accuracy, point.interval.low, point.interval.high].map(show::percent);
             say!("       {part}: {accuracy} ({low} to {high}), {:.2} ms", point.query_ms_p50);
-            chart.points.push(point);
+            made.of.points.push(point);
         }
-        args.figure.keep(&figure(&chart)?, &chart)?;
+        args.figure.keep(&figure(&made.of, args.figure.look)?, &made)?;
     }
-    Ok(chart)
+    Ok(made)
 }
 
 #[cfg(test)]

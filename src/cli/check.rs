@@ -4,9 +4,11 @@ use std::path::{Path, PathBuf};
 
 use super::condition::WhereArgs;
 use super::method::{Comparing, ComparingArgs};
+use super::show::{Made, MadeBy};
 use super::{Done, Failure, say, show};
 use crate::dataset;
 use crate::evaluate::{Audited, CheckReport, Finding, ProgressFn, check};
+use crate::library::Library;
 use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
 
@@ -32,9 +34,11 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
-    let report = audit(&args.library, &how, &args.only, &say::progress)?;
-    show::report(args.json, &report, print);
-    match report.findings.len() {
+    let (report, library) = audited(&args.library, &how, &args.only, &say::progress)?;
+    let made_by = MadeBy::this(how.seed, if args.json { library.digest() } else { String::new() });
+    let made = Made { of: report, made_by };
+    show::result(args.json, &made, |made| print(&made.of));
+    match made.of.findings.len() {
         0 => Ok(()),
         n => Err(Failure::Damaged(format!("{} to fix", show::counted(n, "thing")))),
     }
@@ -46,6 +50,15 @@ pub(super) fn audit(
     only: &WhereArgs,
     progress: ProgressFn<'_>,
 ) -> Result<CheckReport, Failure> {
+    Ok(audited(library, how, only, progress)?.0)
+}
+
+fn audited(
+    library: &Path,
+    how: &Comparing,
+    only: &WhereArgs,
+    progress: ProgressFn<'_>,
+) -> Result<(CheckReport, Library), Failure> {
     let _lock = LibraryLock::for_reading(library);
     let mut opened = dataset::open_usable(library, &Scene::lmt108())?;
     only.keep(library, &mut opened.library)?;
@@ -59,16 +72,19 @@ pub(super) fn audit(
         method: &*method,
         cache: cache.as_deref(),
     };
-    Ok(check(opened, &audited, progress))
+    let used = opened.library.clone();
+    Ok((check(opened, &audited, progress), used))
 }
 
 fn print(report: &CheckReport) {
     let trials = show::counted(report.trials, "trial");
     let surfaces = show::counted(report.surfaces.len(), "surface");
     result!("{trials} of {surfaces}");
-    if let Some(share) = report.share {
-        let (accuracy, interval) = (show::percent(share.value()), show::interval(share));
-        result!("cross-validated accuracy: {accuracy} (95 % interval {interval})");
+    if let Some((share, interval)) = report.share {
+        let [accuracy, low, high] = [share.value(), interval.low, interval.high].map(show::percent);
+        let over = show::over(interval.over);
+        result!("cross-validated accuracy: {accuracy} (95 % interval {low} to {high} {over})");
+        result!("{}", report.left_out);
     }
     result!();
     let rows = report.surfaces.iter().map(|surface| {
@@ -90,9 +106,9 @@ fn print(report: &CheckReport) {
         result!("  {text}");
         command.iter().for_each(|command| result!("    {command}"));
     }
-    if let (Some(mended), Some(share)) = (report.accuracy_mended, report.share) {
+    if let (Some(mended), Some((share, _))) = (report.accuracy_mended, report.share) {
         let (mended, now) = (show::percent(mended), show::percent(share.value()));
-        result!("  mended, the cross-validated accuracy would be {mended} instead of {now}");
+        result!("  without the damaged trials, the accuracy is {mended} instead of {now}");
     }
     if !report.advice.is_empty() {
         result!("\nnext:");

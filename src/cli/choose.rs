@@ -1,10 +1,12 @@
 //! Chooses the trials, sources and folds that a measurement works with.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 
+use super::condition::value_of;
 use super::show::{counted, listed};
 use super::{Failure, say};
-use crate::evaluate::{self, EvaluateError, Fold, Leaks, Protocol, in_libraries};
+use crate::evaluate::{self, Fold, Leaks, Protocol, Split, TEST, TRAIN, in_libraries};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
@@ -14,9 +16,144 @@ pub(super) struct Choice {
     pub scene: Scene,
     /// Trials that hold at least one of the scene's sources.
     pub entries: Vec<Entry>,
-    pub protocol: Protocol,
-    pub folds: Vec<Fold>,
-    pub leaks: Leaks,
+    pub split: Split,
+}
+
+/// How queries and library are split.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub(super) struct SplitArgs {
+    /// How queries and library are split (default: the hardest that the data allow: other people, else other sessions, else other trials)
+    #[arg(long, value_enum)]
+    pub protocol: Option<Protocol>,
+    /// Split as a table says: a line for each trial, with its folder and its fold, or `train` or `test`
+    #[arg(long, value_name = "FILE.csv", conflicts_with = "protocol")]
+    pub split: Option<PathBuf>,
+    /// Leave out the trials of each person (user), session, or value of a key under [meta] in turn
+    #[arg(long, value_name = "KEY", conflicts_with_all = ["protocol", "split"])]
+    pub group_by: Option<String>,
+}
+
+/// The trials to split: recordings below a folder, or feature tables.
+#[derive(Clone, Copy)]
+pub(super) enum Splittable<'a> {
+    Recordings(&'a Path, &'a [Entry]),
+    Features(&'a [TrialKey]),
+}
+
+impl Splittable<'_> {
+    pub(super) fn keys(self) -> Vec<TrialKey> {
+        match self {
+            Self::Recordings(_, entries) => entries.iter().map(|entry| entry.key.clone()).collect(),
+            Self::Features(keys) => keys.to_vec(),
+        }
+    }
+
+    pub(super) fn names(self) -> Vec<String> {
+        match self {
+            Self::Recordings(data, entries) => entries.iter().map(|e| e.name_in(data)).collect(),
+            Self::Features(keys) => keys.iter().map(ToString::to_string).collect(),
+        }
+    }
+
+    /// Whether a trial of this name is there, but not used, such as one that `--where` leaves out.
+    fn is_unused(self, name: &str) -> bool {
+        matches!(self, Self::Recordings(data, _) if data.join(name).exists())
+    }
+}
+
+impl SplitArgs {
+    /// The folds that the user asked for, or of the hardest protocol that fits (which is printed).
+    ///
+    /// # Errors
+    /// If the trials cannot be split so; the error names a line or a trial that does not fit.
+    pub(super) fn split(&self, trials: Splittable<'_>) -> Result<Split, Failure> {
+        let keys = trials.keys();
+        let protocol = match (&self.split, self.group_by.as_deref(), self.protocol) {
+            (Some(path), ..) => return Ok(Split::by_table(&from_table(path, trials)?, &keys)?),
+            (_, Some("user"), _) => Some(Protocol::AllVsOneUser),
+            (_, Some("session"), _) => Some(Protocol::LeaveOneSessionOut),
+            (_, Some(key), _) => return Ok(Split::by_key(key, &groups(key, trials)?, &keys)?),
+            (.., named) => named,
+        };
+        let fitting = || Protocol::fitting(&keys).unwrap_or(Protocol::LeaveOneTrialOut);
+        let split = Split::by_protocol(protocol.unwrap_or_else(fitting), &keys)?;
+        if protocol.is_none() {
+            say!("protocol: {} ({})", split.name, split.left_out);
+        }
+        Ok(split)
+    }
+}
+
+/// The value of a key of each trial.
+fn groups(key: &str, trials: Splittable<'_>) -> Result<Vec<String>, Failure> {
+    let Splittable::Recordings(data, entries) = trials else {
+        let problem = "--group-by takes user or session here; feature tables have no [meta]";
+        return Err(Failure::Usage(problem.into()));
+    };
+    let of = |entry: &Entry| match value_of(entry, &entry.about()?.meta, key) {
+        Some(toml::Value::String(text)) => Ok(text),
+        Some(value) => Ok(value.to_string()),
+        None => {
+            let name = entry.name_in(data);
+            let problem = format!(
+                "{name} has no `{key}`; write it under [meta] of its trial.toml, or leave such trials \
+                 out with --where"
+            );
+            Err(Failure::usage_at(data, problem))
+        }
+    };
+    entries.iter().map(of).collect()
+}
+
+/// The fold of each trial, from a table of trials and folds.
+fn from_table(path: &Path, trials: Splittable<'_>) -> Result<Vec<String>, Failure> {
+    let names = trials.names();
+    let mut rows = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .trim(csv::Trim::All)
+        .from_path(path)
+        .map_err(|error| Failure::usage_at(path, error))?;
+    let mut of: BTreeMap<String, String> = BTreeMap::new();
+    for (at, row) in rows.records().enumerate() {
+        let row = row.map_err(|error| Failure::usage_at(path, error))?;
+        let line = row.position().map_or(0, csv::Position::line);
+        let wrong = |problem: String| Failure::usage_at(path, format!("line {line}: {problem}"));
+        let (Some(trial), Some(fold), None) = (row.get(0), row.get(1), row.get(2)) else {
+            let expected =
+                "expected two cells, the folder of a trial (such as oak/trial1) and its fold";
+            return Err(wrong(expected.into()));
+        };
+        let trial = trial.replace('\\', "/").trim_end_matches('/').to_string();
+        if at == 0 && trial == "trial" && !names.contains(&trial) {
+            continue;
+        }
+        if trial.is_empty() || fold.is_empty() {
+            return Err(wrong("a cell is empty; each trial needs a fold".into()));
+        }
+        if !names.contains(&trial) && !trials.is_unused(&trial) {
+            let such = names.first().map(|name| format!(", such as {name}")).unwrap_or_default();
+            return Err(wrong(format!("the data have no trial `{trial}`; write its folder{such}")));
+        }
+        if of.insert(trial.clone(), fold.into()).is_some() {
+            return Err(wrong(format!("{trial} has a fold already, in a line above")));
+        }
+        let is_part = |fold: &str| [TRAIN, TEST].contains(&fold);
+        if let Some(other) = of.values().find(|other| is_part(other) != is_part(fold)) {
+            let problem = format!(
+                "`{fold}` and `{other}` do not go together: use {TRAIN} and {TEST}, or folds"
+            );
+            return Err(wrong(problem));
+        }
+    }
+    let fold = |name: &String| {
+        of.get(name).cloned().ok_or_else(|| {
+            let problem =
+                format!("{name} has no line; give it a fold, or leave it out with --where");
+            Failure::usage_at(path, problem)
+        })
+    };
+    names.iter().map(fold).collect()
 }
 
 /// The trials that hold any source of `scene`, limited to these sources.
@@ -36,33 +173,21 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Fai
     Ok(entries)
 }
 
-/// The folds of the protocol `named` by the user, or of the hardest that fits (which is printed).
-pub(super) fn split(
-    keys: &[TrialKey],
-    named: Option<Protocol>,
-) -> Result<(Protocol, Vec<Fold>), EvaluateError> {
-    let fitting = || Protocol::fitting(keys).unwrap_or(Protocol::LeaveOneTrialOut);
-    let protocol = named.unwrap_or_else(fitting);
-    let folds = evaluate::folds(protocol, keys)?;
-    if named.is_none() {
-        say!("protocol: {} ({})", protocol.name(), protocol.left_out());
-    }
-    Ok((protocol, folds))
-}
-
-/// Limits recordings to the sources of a scene, and splits them into folds; see [`split`].
+/// Limits the recordings of the library at `data` to the sources of a scene, and splits them.
 pub(super) fn choose(
+    data: &Path,
     library: &Library,
     scene: Scene,
-    protocol: Option<Protocol>,
+    how: &SplitArgs,
 ) -> Result<Choice, Failure> {
     let entries = within(library, &scene)?;
-    let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let (protocol, folds) = split(&keys, protocol)?;
+    let trials = Splittable::Recordings(data, &entries);
+    let (mut split, keys) = (how.split(trials)?, trials.keys());
     let leaks = leaks(library, &entries);
-    let (folds, warning) = kept_apart(folds, &keys, &leaks);
+    let warning;
+    (split.folds, warning) = kept_apart(split.folds, &keys, &leaks);
     warning.iter().for_each(|warning| say!("warning: {warning}"));
-    Ok(Choice { scene, entries, protocol, folds, leaks })
+    Ok(Choice { scene, entries, split })
 }
 
 /// Which trials share samples. Synthetic ones are made one by one, so they share none.
@@ -99,33 +224,37 @@ pub(super) fn kept_apart(
 }
 
 impl Choice {
-    /// Keeps at most `most` of the surfaces in the folds, evenly spread over their sorted names,
-    /// and drops the trials of all other surfaces.
+    /// Keeps at most `most` of the surfaces in the folds, evenly spread over their sorted names.
+    ///
+    /// # Errors
+    /// If fewer than two are kept.
     pub(super) fn keep_surfaces(&mut self, most: usize) -> Result<(), Failure> {
         let all: BTreeSet<&str> = self.surfaces().collect();
         let kept: BTreeSet<String> = (all.iter().enumerate())
             .filter(|(i, _)| (i + 1) * most / all.len() > i * most / all.len())
             .map(|(_, name)| (*name).to_string())
             .collect();
-        let places: Vec<usize> = (0..self.entries.len())
-            .filter(|&i| kept.contains(&self.entries[i].key.surface))
-            .collect();
-        self.leaks = self.leaks.among(&places);
-        self.entries.retain(|entry| kept.contains(&entry.key.surface));
-        let keys: Vec<TrialKey> = self.entries.iter().map(|entry| entry.key.clone()).collect();
-        let folds = evaluate::folds(self.protocol, &keys)?;
-        self.folds = kept_apart(folds, &keys, &self.leaks).0;
+        if kept.len() < 2 {
+            return Err(Failure::Usage("a chart takes at least two surfaces".into()));
+        }
+        let is_kept = |i: &usize| kept.contains(&self.entries[*i].key.surface);
+        for fold in &mut self.split.folds {
+            fold.library.retain(is_kept);
+            fold.queries.retain(is_kept);
+        }
+        self.split.folds.retain(|fold| !fold.queries.is_empty());
         Ok(())
     }
 
     /// The surface of each trial that is in the library of at least one fold.
     pub(super) fn surfaces(&self) -> impl Iterator<Item = &str> {
-        in_libraries(&self.folds).into_iter().map(|i| self.entries[i].key.surface.as_str())
+        in_libraries(&self.split.folds).into_iter().map(|i| self.entries[i].key.surface.as_str())
     }
 
     /// The sources that are held by trials of the folds, sorted.
     pub(super) fn held(&self) -> Vec<SourceId> {
-        let of_folds = self.folds.iter().flat_map(|fold| fold.library.iter().chain(&fold.queries));
+        let of_folds =
+            self.split.folds.iter().flat_map(|fold| fold.library.iter().chain(&fold.queries));
         let held: BTreeSet<&SourceId> = of_folds.flat_map(|&i| &self.entries[i].sources).collect();
         held.into_iter().cloned().collect()
     }

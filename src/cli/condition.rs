@@ -84,7 +84,7 @@ impl Condition {
 }
 
 /// The value of a key of a trial: its surface, user, session or number, or a key under `[meta]`.
-fn value_of(entry: &Entry, meta: &toml::Table, key: &str) -> Option<Value> {
+pub(super) fn value_of(entry: &Entry, meta: &toml::Table, key: &str) -> Option<Value> {
     match key {
         "surface" => Some(entry.key.surface.clone().into()),
         "user" => Some(entry.key.user.clone().into()),

@@ -7,7 +7,9 @@ use serde::Serialize;
 use super::condition::WhereArgs;
 use super::figure::write;
 use super::method::{at_least_one, honoured};
+use super::show::{Made, MadeBy};
 use super::{Done, Failure, bad_files, say, share, show};
+use crate::draw::Look;
 use crate::duration::{
     AccuracyCurve, Algorithm1Settings, CORRELATION, DurationReport, Estimator, PooledSettings,
     Question, ReportError, Rule, figure, report,
@@ -68,6 +70,8 @@ pub(super) struct Args {
     /// Draw the dependence against the lag, and the accuracy against the scan time, as SVG
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
+    #[command(flatten)]
+    look: Look,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -183,12 +187,15 @@ pub(super) fn run(args: &Args) -> Done {
     let question = args.question()?;
     let mut library = super::open(&args.lib)?;
     args.only.keep(&args.lib, &mut library)?;
-    let (found, by_time) = bad_files::work(&args.lib, library, |library| {
+    let (found, by_time, digest) = bad_files::work(&args.lib, library, |library| {
         let found = report(library, &question, |done, of| say::progress("surfaces", done, of));
         let found = found.map_err(|error| args.failure(error))?;
         match args.by_time(library) {
             Err(RecogniseError::Library(error)) => Err(error.into()),
-            by_time => Ok((found, by_time)),
+            by_time => {
+                let digest = if args.json { library.digest() } else { String::new() };
+                Ok((found, by_time, digest))
+            }
         }
     })?;
     let goal = Goal::wanted(args.accuracy);
@@ -199,7 +206,8 @@ pub(super) fn run(args: &Args) -> Done {
     };
     if let Some(path) = &args.svg {
         let curve = AccuracyCurve { points, target: answer.target, enough_s: answer.scan_s() };
-        write(path, &figure(&found.durations, Some(&curve))?)?;
+        let data = (found.library.as_str(), found.synthetic);
+        write(path, &figure(&found.durations, Some(&curve), data, args.look)?)?;
         show::wrote(&[path]);
     }
     let refused = match args.accuracy {
@@ -207,7 +215,9 @@ pub(super) fn run(args: &Args) -> Done {
         None => Ok(()),
     };
     if args.json {
-        show::json(&DurationDocument { report: &found, answer: &answer });
+        let seed = args.algorithm1.as_ref().and_then(|published| published.seed).unwrap_or(1);
+        let of = DurationDocument { report: &found, answer: &answer };
+        show::json(&Made { of, made_by: MadeBy::this(seed, digest) });
         return refused;
     }
     if refused.is_ok() {

@@ -4,20 +4,20 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use super::bad_files;
-use super::choose::{kept_apart, leaks, split, within};
+use super::choose::{SplitArgs, Splittable, kept_apart, leaks, within};
 use super::condition::WhereArgs;
-use super::eval_report::{EvalAnswer, EvalReport};
-use super::method::{AnswerArgs, MethodArgs};
-use super::show::{listed, quoted};
+use super::eval_report::{EvalAnswer, EvalReport, EvalTable, Seeds, write_predictions};
+use super::method::{AnswerArgs, MethodOptions, OneOrAll};
+use super::show::{Made, MadeBy, listed, quoted};
 use super::{Done, Failure, SourceArgs, paper, parsed, say, show};
 use crate::dataset::feature_tables::{self, FeatureTables};
 use crate::evaluate::paper::Shard;
 use crate::evaluate::{
-    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Leaks, Prediction,
-    Protocol, SettledOutcome, UnknownOutcome, better_plain, enrol,
+    EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Leaks, Over, Prediction,
+    SettledOutcome, Split, UnknownOutcome, better_plain, enrol,
 };
 use crate::recognise::features::{FeatureVector, SourceFeatures};
-use crate::recognise::{MethodName, RecogniseError};
+use crate::recognise::{MethodName, MethodSpec, RecogniseError};
 use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
@@ -29,8 +29,9 @@ use crate::trial::TrialKey;
     subcommand_negates_reqs = true,
     after_help = "Examples:\n  surfaced eval LMT_108_SurfaceMaterials_Database \
                   --protocol leave-one-trial-out --sources mi2 --json\n  surfaced eval my-library \
-                  --enrolled 1\n  surfaced eval \
-                  LMT_108_SurfaceMaterials_Database --paper --out results\n\nTime: 5 s for LMT108's 200 dragging sounds, on two cores; --method reference 10 s; --paper hours, see --shard"
+                  --method embedding,svm --group-by tool\n  surfaced eval my-library --split folds.csv \
+                  --predictions answers.csv\n  surfaced eval \
+                  LMT_108_SurfaceMaterials_Database --paper --out results\n\nTime: 5 s for LMT108's 200 dragging sounds, on two cores; --method reference 10 s, --method all a minute; --paper hours, see --shard"
 )]
 pub(super) struct Args {
     #[command(subcommand)]
@@ -38,12 +39,12 @@ pub(super) struct Args {
     /// Recordings: a library, or the LMT108 database; or feature tables
     #[arg(required = true)]
     data: Option<PathBuf>,
-    /// How queries and library are split (default: the hardest that the data allow: other people, else other sessions, else other trials)
-    #[arg(long, value_enum)]
-    protocol: Option<Protocol>,
+    #[command(flatten)]
+    split: SplitArgs,
     /// Compute the paper's tables, each result beside the paper's
     #[arg(long, conflicts_with_all = [
-        "protocol", "sources", "query_seconds", "method", "neighbours", "halving", "enrolled"
+        "protocol", "split", "group_by", "sources", "query_seconds", "method", "neighbours", "halving",
+        "enrolled", "seeds"
     ])]
     paper: bool,
     /// Do one part of the work, such as 3/64, and write it to the folder that --out names
@@ -54,8 +55,15 @@ pub(super) struct Args {
     out: Option<PathBuf>,
     #[command(flatten)]
     sources: SourceArgs,
+    /// How trials are compared (default: embedding, or the one whose options are given). Several, with
+    /// commas between them, name the same queries, and are compared by paired tests
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…")]
+    method: Vec<OneOrAll>,
     #[command(flatten)]
-    method: MethodArgs,
+    options: MethodOptions,
+    /// Also measure with the next seeds, N in all, and print mean and spread
+    #[arg(long, value_name = "N", value_parser = seeds)]
+    seeds: Option<u64>,
     /// Use only the first seconds of each query's drag
     #[arg(long, value_name = "X", value_parser = super::seconds)]
     query_seconds: Option<f64>,
@@ -90,6 +98,10 @@ fn groups(text: &str) -> Result<usize, String> {
     parsed(text, |groups| *groups >= 2, "a whole number, 2 or more")
 }
 
+fn seeds(text: &str) -> Result<u64, String> {
+    parsed(text, |seeds| (2..=1000).contains(seeds), "a whole number from 2 to 1000")
+}
+
 pub(super) fn run(args: &Args) -> Done {
     if let Some(Then::Merge(args)) = &args.then {
         return paper::merge(args);
@@ -98,37 +110,45 @@ pub(super) fn run(args: &Args) -> Done {
         return Err(Failure::Usage("name the recordings".into()));
     };
     let _lock = LibraryLock::for_reading(data);
-    let mut report = match feature_tables::open(data)? {
-        Some(tables) => on_tables(args, &tables)?,
+    let (mut reports, digest) = match feature_tables::open(data)? {
+        Some(tables) => (on_tables(args, &tables)?, tables.digest()),
         None => {
             let mut library = super::open_held(data)?;
             args.only.keep(data, &mut library)?;
             if args.paper {
                 return bad_files::work(data, library, |library| {
-                    paper::run(library, &args.method, args.shard, args.out.as_deref(), args.json)
+                    paper::run(library, &args.options, args.shard, args.out.as_deref(), args.json)
                 });
             }
             bad_files::work(data, library, |library| {
                 let scene = args.sources.narrow(library.scene.clone())?;
                 let entries = within(library, &scene)?;
-                let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-                let cache = (!args.method.no_cache).then_some(data.as_path());
+                let cache = (!args.options.no_cache).then_some(data.as_path());
                 let on = Evaluation { cache, ..Evaluation::new(&scene, &entries, &[]) };
                 let leaks = leaks(library, &entries);
                 let of = (library.name.as_str(), library.synthetic);
-                let mut report = evaluated(args, of, on, &keys, &leaks)?;
-                let names =
-                    keys.iter().zip(&entries).map(|(key, entry)| (key, entry.name_in(data)));
-                report.name_trials(&names.collect());
-                Ok(report)
+                let trials = Splittable::Recordings(data, &entries);
+                let (mut reports, keys) = (evaluated(args, of, on, trials, &leaks)?, trials.keys());
+                let names: BTreeMap<_, _> = keys.iter().zip(trials.names()).collect();
+                reports.iter_mut().for_each(|report| report.name_trials(&names));
+                let digest = if args.json { library.digest() } else { String::new() };
+                Ok((reports, digest))
             })?
         }
     };
-    report.warnings.extend(bad_files::skipped());
+    reports.iter_mut().for_each(|report| report.warnings.extend(bad_files::skipped()));
     if let Some(path) = &args.predictions {
-        report.write_predictions(path)?;
+        write_predictions(&reports, path)?;
     }
-    show::report(args.json, &report, |report| {
+    let made_by = MadeBy::this(args.options.seed, digest);
+    if reports.len() > 1 {
+        let made = Made { of: EvalTable::new(reports), made_by };
+        show::result(args.json, &made, |made| made.of.print());
+        return Ok(());
+    }
+    // Without several methods, there is one report.
+    let Some(report) = reports.pop() else { return Ok(()) };
+    show::result(args.json, &Made { of: report, made_by }, |Made { of: report, .. }| {
         report.print();
         let lib = quoted(data);
         show::next(&match report.outcome.method == MethodName::Embedding.as_str() {
@@ -142,7 +162,7 @@ pub(super) fn run(args: &Args) -> Done {
     Ok(())
 }
 
-fn on_tables(args: &Args, tables: &FeatureTables) -> Result<EvalReport, Failure> {
+fn on_tables(args: &Args, tables: &FeatureTables) -> Result<Vec<EvalReport>, Failure> {
     if args.paper || args.query_seconds.is_some() {
         let problem = "--paper and --query-seconds need recordings; these are feature tables";
         return Err(Failure::Usage(problem.into()));
@@ -151,7 +171,7 @@ fn on_tables(args: &Args, tables: &FeatureTables) -> Result<EvalReport, Failure>
     let keys: Vec<TrialKey> = trials.iter().map(|trial| trial.key.clone()).collect();
     let (scene, trials) = (Scene::lmt108(), EvaluatedTrials::Features(&trials));
     let on = Evaluation { trials, ..Evaluation::new(&scene, &[], &[]) };
-    evaluated(args, (&tables.name, false), on, &keys, &Leaks::default())
+    evaluated(args, (&tables.name, false), on, Splittable::Features(&keys), &Leaks::default())
 }
 
 /// The trials, with the features of the chosen tables. If no table is chosen, all are used.
@@ -174,62 +194,108 @@ fn vectors(tables: &FeatureTables, chosen: &[SourceId]) -> Result<Vec<FeatureVec
     Ok(trials)
 }
 
-/// Evaluates the trials of `on`, which have these keys, on folds of the wanted protocol.
+/// Evaluates the trials of `on` by each method, on the same folds.
 fn evaluated(
+    args: &Args,
+    of: (&str, bool),
+    on: Evaluation<'_>,
+    trials: Splittable<'_>,
+    leaks: &Leaks,
+) -> Result<Vec<EvalReport>, Failure> {
+    let named = OneOrAll::list(&args.method);
+    let specs = args.options.specs(&named)?;
+    if args.seeds.is_some() && specs.iter().all(|spec| spec.seeded(1).is_none()) {
+        return Err(Failure::Usage(format!(
+            "--seeds changes nothing: {} draws nothing at random",
+            listed(specs.iter().map(|spec| spec.name().as_str()))
+        )));
+    }
+    let keys = trials.keys();
+    let mut split = args.split.split(trials)?;
+    if args.enrolled > 0 && split.over != Over::People {
+        return Err(Failure::Usage(format!(
+            "--enrolled goes with expert-vs-users and all-vs-one-user, not with {}",
+            split.name
+        )));
+    }
+    let folds = enrol(&split.folds, &keys, args.enrolled)?;
+    let (before, _) = kept_apart(split.folds, &keys, leaks);
+    let (folds, leak) = kept_apart(folds, &keys, leaks);
+    split.folds = folds;
+    leak.iter().for_each(|line| say!("warning: {line}"));
+    let measured = |spec| {
+        let mut report = measured(args, of, on, (&split, &before), spec).map_err(mended)?;
+        report.warnings.splice(0..0, leak.clone());
+        report.not_asked = not_asked(&split.folds, &keys);
+        if named.len() > 1 {
+            let (method, accuracy) = (&report.outcome.method, report.outcome.share.value());
+            say!("{method}: {}", show::percent(accuracy));
+        }
+        Ok(report)
+    };
+    specs.iter().map(measured).collect()
+}
+
+/// Evaluates one method on the folds of `split`; `before` are those without enrolled trials.
+fn measured(
     args: &Args,
     (data, synthetic): (&str, bool),
     on: Evaluation<'_>,
-    keys: &[TrialKey],
-    leaks: &Leaks,
-) -> Result<EvalReport, Failure> {
-    let (protocol, before) = split(keys, args.protocol)?;
-    if args.enrolled > 0 && !protocol.folds_are_users() {
-        return Err(Failure::Usage(format!(
-            "--enrolled goes with expert-vs-users and all-vs-one-user, not with {}",
-            protocol.name()
-        )));
-    }
-    let folds = enrol(&before, keys, args.enrolled)?;
-    let (before, _) = kept_apart(before, keys, leaks);
-    let (folds, leak) = kept_apart(folds, keys, leaks);
-    let method = args.method.spec()?.build(on.scene);
+    (split, before): (&Split, &[Fold]),
+    spec: &MethodSpec,
+) -> Result<EvalReport, EvaluateError> {
     let query_seconds = args.query_seconds;
-    let on = Evaluation { folds: &folds, query_seconds, progress: &say::progress, ..on };
-    let measured = || -> Result<EvalReport, EvaluateError> {
-        let run = on.prepare(&*method)?;
-        run.library.remarks.iter().for_each(|remark| say!("{remark}"));
-        let settled = args.settle.then(|| SettledOutcome::of(&run, args.answers.settle_loss));
-        let settled = settled.transpose()?;
-        let rate = args.answers.false_rejections;
-        let unknown = args.leave_surfaces_out.map(|groups| UnknownOutcome::of(&run, groups, rate));
-        let unknown = unknown.transpose()?;
-        let measured = run.measure()?;
-        let mut warnings: Vec<String> = leak.iter().cloned().collect();
-        warnings.extend(show::left_out(&measured.left_out));
-        if args.method.is_default() {
-            warnings.extend(better_plain(on, &measured.predictions));
-        }
-        warnings.iter().for_each(|line| say!("warning: {line}"));
-        let enrolled = match args.enrolled {
-            0 => None,
-            count => Some(EnrolmentOutcome::of(&run, &measured, &before, count)?),
-        };
-        let answer = |p: Prediction| EvalAnswer::new(folds[p.fold].name.clone(), p);
-        Ok(EvalReport {
-            outcome: measured.outcome.over(protocol.over()),
-            protocol,
-            data: data.into(),
-            synthetic,
-            query_seconds,
-            settled,
-            unknown,
-            enrolled,
-            not_asked: not_asked(&folds, keys),
-            predictions: measured.predictions.into_iter().map(answer).collect(),
-            warnings,
-        })
+    let on = Evaluation { folds: &split.folds, query_seconds, progress: &say::progress, ..on };
+    let method = spec.build(on.scene);
+    let run = on.prepare(&*method)?;
+    run.library.remarks.iter().for_each(|remark| say!("{remark}"));
+    let settled = args.settle.then(|| SettledOutcome::of(&run, args.answers.settle_loss));
+    let settled = settled.transpose()?;
+    let rate = args.answers.false_rejections;
+    let unknown = args.leave_surfaces_out.map(|groups| UnknownOutcome::of(&run, groups, rate));
+    let unknown = unknown.transpose()?;
+    let measured = run.measure()?;
+    let mut warnings = show::left_out(&measured.left_out);
+    if args.method.is_empty() && spec.name() == MethodName::Embedding {
+        warnings.extend(better_plain(on, &measured.predictions));
+    }
+    warnings.iter().for_each(|line| say!("warning: {line}"));
+    let enrolled = match args.enrolled {
+        0 => None,
+        count => Some(EnrolmentOutcome::of(&run, &measured, before, count)?),
     };
-    measured().map_err(mended)
+    let outcome = measured.outcome.over(split.over);
+    // Other seeds are not cached, since the cache holds the trials of one seed.
+    let of_seed = |seed: u64| -> Result<f64, EvaluateError> {
+        let spec = spec.seeded(seed).unwrap_or_else(|| spec.clone());
+        let method = spec.build(on.scene);
+        let run = Evaluation { cache: None, ..on }.prepare(&*method)?;
+        Ok(run.measure()?.outcome.share.value())
+    };
+    let first = args.options.seed;
+    let seeds = args.seeds.filter(|_| spec.seeded(first).is_some());
+    let seeds = seeds.map(|count| {
+        let others = (1..count).map(|more| of_seed(first.wrapping_add(more)));
+        let all = std::iter::once(Ok(outcome.share.value())).chain(others);
+        Ok::<_, EvaluateError>(Seeds::new(first, all.collect::<Result<_, _>>()?))
+    });
+    let answer = |p: Prediction| EvalAnswer::new(split.folds[p.fold].name.clone(), p);
+    Ok(EvalReport {
+        outcome,
+        protocol: split.name.clone(),
+        left_out: split.left_out.clone(),
+        over: split.over,
+        data: data.into(),
+        synthetic,
+        query_seconds,
+        seeds: seeds.transpose()?,
+        settled,
+        unknown,
+        enrolled,
+        not_asked: BTreeMap::new(),
+        predictions: measured.predictions.into_iter().map(answer).collect(),
+        warnings,
+    })
 }
 
 /// The surfaces of trials that no fold asks and no library holds, with how many.

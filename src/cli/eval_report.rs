@@ -1,12 +1,13 @@
 //! What `surfaced eval` found, as JSON, as a table of all queries, and for people.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::show::{self, listed};
 use super::{Failure, say};
 use crate::evaluate::{
-    EnrolmentOutcome, Interval, Outcome, Over, Prediction, Protocol, SettledOutcome, UnknownOutcome,
+    EnrolmentOutcome, Interval, Named, Outcome, Over, Paired, Prediction, SettledOutcome,
+    UnknownOutcome, paired,
 };
 use crate::record::replace_file;
 use crate::trial::TrialKey;
@@ -16,10 +17,18 @@ use crate::trial::TrialKey;
 pub(super) struct EvalReport {
     #[serde(flatten)]
     pub(super) outcome: Outcome,
-    pub(super) protocol: Protocol,
+    pub(super) protocol: String,
+    /// Which trials are left out, and what that leaves untold.
+    pub(super) left_out: String,
+    /// What each fold leaves out, if that is more than trials.
+    #[serde(skip)]
+    pub(super) over: Over,
     pub(super) data: String,
     pub(super) synthetic: bool,
     pub(super) query_seconds: Option<f64>,
+    /// Present only with `--seeds`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) seeds: Option<Seeds>,
     /// Present only with `--settle`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) settled: Option<SettledOutcome>,
@@ -34,6 +43,135 @@ pub(super) struct EvalReport {
     pub(super) predictions: Vec<EvalAnswer>,
     /// Sources that were left out, and the reasons, a line each.
     pub(super) warnings: Vec<String>,
+}
+
+/// Accuracies with several seeds, from `first_seed` on.
+#[derive(serde::Serialize)]
+pub(super) struct Seeds {
+    first_seed: u64,
+    accuracies: Vec<f64>,
+    mean: f64,
+    /// The sample standard deviation (n − 1).
+    std: f64,
+}
+
+impl Seeds {
+    /// At least two accuracies.
+    pub(super) fn new(first_seed: u64, accuracies: Vec<f64>) -> Self {
+        let all = ndarray::aview1(&accuracies);
+        let (mean, std) = (all.sum() / accuracies.len() as f64, all.std(1.0));
+        Self { first_seed, accuracies, mean, std }
+    }
+}
+
+/// The JSON document of several methods.
+#[derive(serde::Serialize)]
+pub(super) struct EvalTable {
+    data: String,
+    synthetic: bool,
+    protocol: String,
+    left_out: String,
+    methods: Vec<EvalReport>,
+    /// Paired tests of all pairs of methods.
+    paired: Vec<Paired>,
+}
+
+impl EvalTable {
+    /// The reports, of which there are several, of methods that named the same queries.
+    pub(super) fn new(methods: Vec<EvalReport>) -> Self {
+        let all = methods.iter().map(|one| (&*one.outcome.method, one.named()));
+        let all: Vec<_> = all.collect();
+        let first = &methods[0];
+        Self {
+            data: first.data.clone(),
+            synthetic: first.synthetic,
+            protocol: first.protocol.clone(),
+            left_out: first.left_out.clone(),
+            paired: paired(&all, first.over),
+            methods,
+        }
+    }
+
+    pub(super) fn print(&self) {
+        let first = &self.methods[0];
+        let mark = if self.synthetic { ", on synthetic data" } else { "" };
+        let (of, folds) = (first.outcome.share.of, first.outcome.folds.len());
+        result!();
+        result!("{} · {}: {of} queries{mark}", self.data, self.protocol);
+        result!("{}", self.left_out);
+        first.print_not_asked();
+        let best = self.methods.iter().rev().max_by_key(|one| one.outcome.share.right);
+        let best = best.map_or("", |one| &*one.outcome.method);
+        let against = |method: &str| {
+            let pair = |p: &&Paired| {
+                p.methods.iter().all(|name| name == best || name == method) && method != best
+            };
+            self.paired.iter().find(pair).map_or("-".into(), |p| p_value(p.p_value_holm))
+        };
+        let rows = self.methods.iter().map(|one| {
+            let Outcome { method, share, interval, log_loss, .. } = &one.outcome;
+            let interval = [interval.low, interval.high].map(show::percent).join(" to ");
+            let loss = log_loss.map_or("-".into(), |loss| format!("{loss:.2}"));
+            let accuracy = show::percent(share.value());
+            vec![method.clone(), accuracy, interval, loss, against(method)]
+        });
+        let head = format!(">p against {best}");
+        show::table(&["method", ">accuracy", "95 % interval", ">log loss", &head], rows);
+        result!("intervals  {}", over_words(first.outcome.interval.over, folds));
+        let pairs = show::counted(self.paired.len(), "pair");
+        let test = match self.paired.first().map_or(Over::Queries, |pair| pair.test_over) {
+            Over::Queries => "McNemar's exact test over queries".into(),
+            over => {
+                // Even if all of n groups favour one method, p is 2 / 2^n.
+                let least = p_value(0.5f64.powi(folds as i32 - 1));
+                format!("exact sign test over {folds} {}, at best {least}", over.plural())
+            }
+        };
+        result!("p          {test}, with Holm's correction for {pairs}");
+        self.methods.iter().for_each(EvalReport::print_seeds);
+        if say::is_verbose() {
+            let rows =
+                self.paired.iter().map(|Paired { methods, only_right, p_value_holm, .. }| {
+                    let [a, b] = only_right.map(|count| count.to_string());
+                    vec![methods.join(" : "), a, b, p_value(*p_value_holm)]
+                });
+            result!();
+            show::table(&["pair", ">only the first", ">only the second", ">p"], rows);
+        }
+    }
+}
+
+fn p_value(p: f64) -> String {
+    if p < 1e-4 { "< 0.0001".into() } else { format!("{p:.4}") }
+}
+
+/// What an interval is for, and how many groups it comes from.
+fn over_words(over: Over, folds: usize) -> String {
+    let by = if over == Over::Queries { String::new() } else { format!(", by {folds}") };
+    format!("{}{by}", show::over(over))
+}
+
+/// Writes a row for each query, as CSV. Columns `p: SURFACE` hold the probabilities.
+pub(super) fn write_predictions(reports: &[EvalReport], path: &Path) -> Result<(), Failure> {
+    let labels = reports.iter().flat_map(|report| &report.outcome.confusion.labels);
+    let surfaces: BTreeSet<&str> = labels.map(String::as_str).collect();
+    let mut table = csv::Writer::from_writer(Vec::new());
+    let head =
+        "method path person trial session fold truth answer margin confidence p_value".split(' ');
+    let head = head.map(String::from).chain(surfaces.iter().map(|name| format!("p: {name}")));
+    let of = |report: &EvalReport| -> Vec<Vec<String>> {
+        let method = &report.outcome.method;
+        report.predictions.iter().map(|one| one.cells(method, &surfaces)).collect()
+    };
+    let written = std::iter::once(head.collect())
+        .chain(reports.iter().flat_map(of))
+        .try_for_each(|row: Vec<String>| table.write_record(row));
+    let written = written.map_err(std::io::Error::from);
+    let bytes = written.and_then(|()| table.into_inner().map_err(|error| error.into_error()));
+    let bytes = bytes.map_err(|error| Failure::at(path, error))?;
+    replace_file(path, &bytes)?;
+    show::wrote(&[path]);
+    Ok(())
 }
 
 #[derive(serde::Serialize)]
@@ -82,25 +220,6 @@ impl EvalReport {
         }
     }
 
-    /// Writes a row for each query, as CSV. Columns `p: SURFACE` hold the probabilities.
-    pub(super) fn write_predictions(&self, path: &Path) -> Result<(), Failure> {
-        let surfaces = &self.outcome.confusion.labels;
-        let mut table = csv::Writer::from_writer(Vec::new());
-        let head =
-            "path person trial session fold truth answer margin confidence p_value".split(' ');
-        let head = head.map(String::from).chain(surfaces.iter().map(|name| format!("p: {name}")));
-        let rows = self.predictions.iter().map(|one| one.cells(surfaces));
-        let written = std::iter::once(head.collect())
-            .chain(rows)
-            .try_for_each(|row: Vec<String>| table.write_record(row));
-        let written = written.map_err(std::io::Error::from);
-        let bytes = written.and_then(|()| table.into_inner().map_err(|error| error.into_error()));
-        let bytes = bytes.map_err(|error| Failure::at(path, error))?;
-        replace_file(path, &bytes)?;
-        show::wrote(&[path]);
-        Ok(())
-    }
-
     pub(super) fn print(&self) {
         let Outcome { share, method, classes, library_trials, .. } = &self.outcome;
         let Outcome { query_ms_p50, query_ms_p99, confusion, never_queried, .. } = &self.outcome;
@@ -111,21 +230,18 @@ impl EvalReport {
         result!("accuracy   {accuracy} ({right} of {of} queries)");
         let Interval { low, high, over } = self.outcome.interval;
         let folds = self.outcome.folds.len();
-        let over = match over {
-            Over::People => format!("for other people, by {folds}"),
-            Over::Sessions => format!("for other sessions, by {folds}"),
-            Over::Queries => "for more scans like these".into(),
-        };
+        let over = over_words(over, folds);
         result!("           95 % interval {} to {} {over}", percent(low), percent(high));
         let sources = listed(&self.outcome.sources);
-        result!("           {} · {method} · {sources}{mark}", self.protocol.name());
-        result!("           {}", self.protocol.left_out());
-        if self.protocol.folds_are_users() {
+        result!("           {} · {method} · {sources}{mark}", self.protocol);
+        result!("           {}", self.left_out);
+        if self.over == Over::People {
             let users = show::counted(self.outcome.folds.len(), "user");
             let std = self.outcome.accuracy_std.map(|std| format!(" ± {}", percent(std)));
             let mean = percent(self.outcome.accuracy_mean);
             result!("           mean over {users}: {mean}{}", std.unwrap_or_default());
         }
+        self.print_seeds();
         self.print_stated();
         self.enrolled.iter().for_each(print_enrolled);
         let surfaces = show::counted(*classes, "surface");
@@ -134,11 +250,7 @@ impl EvalReport {
         if !never_queried.is_empty() {
             result!("           never queried: {}", never_queried.join(", "));
         }
-        if !self.not_asked.is_empty() {
-            let of = self.not_asked.iter().map(|(surface, count)| format!("{surface} ({count})"));
-            let of = listed(of);
-            result!("           not asked, since no library without them has their surface: {of}");
-        }
+        self.print_not_asked();
         if say::is_verbose() {
             self.print_surfaces();
             result!("precision  {}", percent(self.outcome.precision_mean));
@@ -156,6 +268,28 @@ impl EvalReport {
 }
 
 impl EvalReport {
+    fn named(&self) -> Named<'_> {
+        let right = |one: &EvalAnswer| one.answer == one.truth;
+        self.predictions.iter().map(|one| (&*one.fold, right(one))).collect()
+    }
+
+    fn print_not_asked(&self) {
+        if !self.not_asked.is_empty() {
+            let of = self.not_asked.iter().map(|(surface, count)| format!("{surface} ({count})"));
+            let of = listed(of);
+            result!("           not asked, since no library without them has their surface: {of}");
+        }
+    }
+
+    fn print_seeds(&self) {
+        if let Some(Seeds { first_seed, accuracies, mean, std }) = &self.seeds {
+            let last = first_seed.wrapping_add(accuracies.len() as u64 - 1);
+            let (mean, std) = (show::percent(*mean), show::percent(*std));
+            let method = &self.outcome.method;
+            result!("seeds      {first_seed} to {last}, {method}: {mean} ± {std}");
+        }
+    }
+
     /// What the answers say of themselves, beside what is true.
     fn print_stated(&self) {
         let stated = self.predictions.iter().filter_map(|one| one.confidence);
@@ -180,15 +314,20 @@ impl EvalReport {
 }
 
 impl EvalAnswer {
-    fn cells(&self, surfaces: &[String]) -> Vec<String> {
+    fn cells(&self, method: &str, surfaces: &BTreeSet<&str>) -> Vec<String> {
         let number = |value: Option<f64>| value.map(|x| x.to_string()).unwrap_or_default();
         let text = |text: &Option<String>| text.clone().unwrap_or_default();
         let (trial, margin) = (self.trial.to_string(), self.margin.to_string());
         let known = [text(&self.path), self.user.clone(), trial, text(&self.session)];
         let named = [self.fold.clone(), self.truth.clone(), self.answer.clone(), margin];
         let stated = [number(self.confidence), number(self.p_value)];
-        let of = surfaces.iter().map(|name| number(self.probabilities.get(name).copied()));
-        known.into_iter().chain(named).chain(stated).chain(of).collect()
+        let of = surfaces.iter().map(|name| number(self.probabilities.get(*name).copied()));
+        std::iter::once(method.to_string())
+            .chain(known)
+            .chain(named)
+            .chain(stated)
+            .chain(of)
+            .collect()
     }
 }
 

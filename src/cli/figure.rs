@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::choose::SplitArgs;
 use super::{Done, Failure, SourceArgs};
-use crate::evaluate::Protocol;
+use crate::draw::Look;
 
 /// The data of a figure, and the file to write.
 #[derive(clap::Args)]
@@ -13,9 +14,10 @@ pub(super) struct FigureArgs {
     /// SVG file to write; the JSON and any other pictures are written beside it
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// How queries and library are split (default: the hardest that the data allow: other people, else other sessions, else other trials)
-    #[arg(long, value_enum)]
-    pub protocol: Option<Protocol>,
+    #[command(flatten)]
+    pub look: Look,
+    #[command(flatten)]
+    pub split: SplitArgs,
     #[command(flatten)]
     pub sources: SourceArgs,
     /// Print the JSON on stdout, too

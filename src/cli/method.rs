@@ -11,9 +11,8 @@ use super::show::joined;
 use super::{Done, Failure, SourceArgs, parsed, share, show};
 use crate::evaluate::plan::Plan;
 use crate::recognise::{
-    EmbeddingOptions, LeftOutBy, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode,
-    ReferenceOptions, Rejection, RejectionError, STAGES, ScanTime, Settling, SumPrecision,
-    TreeOptions,
+    LeftOutBy, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode, ReferenceOptions,
+    Rejection, RejectionError, STAGES, ScanTime, Settling, SumPrecision,
 };
 use crate::scene::Scene;
 use crate::station::Recogniser;
@@ -28,11 +27,53 @@ impl ValueEnum for MethodName {
     }
 }
 
+/// A method, or (`None`) all of them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OneOrAll(Option<MethodName>);
+
+impl OneOrAll {
+    const EACH: [Self; MethodName::ALL.len() + 1] = {
+        let mut each = [Self(None); MethodName::ALL.len() + 1];
+        let mut at = 0;
+        while at < MethodName::ALL.len() {
+            each[at] = Self(Some(MethodName::ALL[at]));
+            at += 1;
+        }
+        each
+    };
+
+    /// The methods of a list, each once.
+    pub(super) fn list(of: &[Self]) -> Vec<MethodName> {
+        let is_in = |name: &MethodName| of.iter().any(|one| one.0.is_none_or(|it| it == *name));
+        MethodName::ALL.into_iter().filter(is_in).collect()
+    }
+}
+
+impl ValueEnum for OneOrAll {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::EACH
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        match &self.0 {
+            Some(name) => name.to_possible_value(),
+            None => Some(PossibleValue::new("all").help("All of them")),
+        }
+    }
+}
+
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct MethodArgs {
     /// How trials are compared (default: embedding, or the one whose options are given)
     #[arg(long, value_enum, value_name = "METHOD")]
     method: Option<MethodName>,
+    #[command(flatten)]
+    options: MethodOptions,
+}
+
+/// The settings of methods.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct MethodOptions {
     /// With `reference`: how sample positions are drawn (default: shared)
     #[arg(long, value_enum)]
     positions: Option<PositionMode>,
@@ -47,7 +88,7 @@ pub(super) struct MethodArgs {
     neighbours: Option<usize>,
     /// Seed of all random draws
     #[arg(long, default_value_t = 1, value_name = "SEED")]
-    seed: u64,
+    pub seed: u64,
     /// With `reference`: sum kernels in f64 throughout, which is slower; scores agree to within 1e-4
     #[arg(long)]
     exact: bool,
@@ -65,41 +106,38 @@ pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
 }
 
 impl MethodArgs {
-    /// The method that the user named, or else the one that the given options belong to.
-    fn name(&self) -> Result<MethodName, Failure> {
+    pub(super) fn spec(&self) -> Result<MethodSpec, Failure> {
+        Ok(self.options.specs(self.method.as_slice())?.swap_remove(0))
+    }
+}
+
+impl MethodOptions {
+    /// The methods that the user named, or else the one that the given options belong to.
+    ///
+    /// # Errors
+    /// If an option was given that goes with none of them.
+    pub(super) fn specs(&self, named: &[MethodName]) -> Result<Vec<MethodSpec>, Failure> {
         let counts = [self.n, self.repetitions, self.neighbours];
         let of_reference = counts.iter().any(Option::is_some)
             || self.positions.is_some()
             || self.exact
             || self.halving;
-        match self.method {
-            None if of_reference => Ok(MethodName::Reference),
-            None => Ok(MethodName::Embedding),
-            Some(other) if of_reference && other != MethodName::Reference => {
-                Err(Failure::Usage(format!(
-                    "an option was given that goes with --method reference alone, not with {}; \
-                     see --help",
-                    other.as_str()
-                )))
-            }
-            Some(name) => Ok(name),
+        let default = if of_reference { MethodName::Reference } else { MethodName::Embedding };
+        let named = if named.is_empty() { &[default] } else { named };
+        if of_reference && !named.contains(&MethodName::Reference) {
+            return Err(Failure::Usage(format!(
+                "an option was given that goes with --method reference alone, not with {}; see --help",
+                show::listed(named.iter().map(|name| name.as_str()))
+            )));
         }
+        Ok(named.iter().map(|name| self.spec(*name)).collect())
     }
 
-    pub(super) fn spec(&self) -> Result<MethodSpec, Failure> {
-        let trees = TreeOptions { seed: self.seed };
-        Ok(match self.name()? {
+    fn spec(&self, name: MethodName) -> MethodSpec {
+        match name {
             MethodName::Reference => MethodSpec::Reference(self.reference_options()),
-            MethodName::Embedding => MethodSpec::Embedding(EmbeddingOptions { seed: self.seed }),
-            MethodName::Adaboost => MethodSpec::Adaboost(trees),
-            MethodName::RandomForest => MethodSpec::RandomForest(trees),
-            other => other.into(),
-        })
-    }
-
-    /// Whether the user chose no method.
-    pub(super) fn is_default(&self) -> bool {
-        self.method.is_none() && self.name().is_ok_and(|name| name == MethodName::Embedding)
+            other => MethodSpec::from(other).seeded(self.seed).unwrap_or(other.into()),
+        }
     }
 
     pub(super) fn reference_options(&self) -> ReferenceOptions {
@@ -146,17 +184,18 @@ pub(super) struct ComparingArgs {
 impl ComparingArgs {
     /// Reads the plan if one is given, and prints its settings; without a plan, uses the options.
     pub(super) fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
-        let (sources, cache) = (self.sources.clone(), !self.method.no_cache);
+        let MethodOptions { seed, no_cache, .. } = self.method.options;
+        let (sources, cache) = (self.sources.clone(), !no_cache);
         let Some(path) = &self.plan else {
             let method = self.method.spec()?;
-            return Ok(Comparing { plan: None, sources, method, cache, query_seconds });
+            return Ok(Comparing { plan: None, sources, method, seed, cache, query_seconds });
         };
         let plan = Plan::read(path).map_err(Failure::usage)?;
         let used = plan.scan_s.map(|s| format!(", first {s} s of the drag")).unwrap_or_default();
         let (names, method) = (joined(&plan.sources, " + "), plan.method.name().as_str());
         say!("plan for {}: {names} by {method}{used}", plan.library);
         let (method, query_seconds) = (plan.method.clone(), plan.scan_s);
-        Ok(Comparing { plan: Some(plan), sources, method, cache, query_seconds })
+        Ok(Comparing { plan: Some(plan), sources, method, seed, cache, query_seconds })
     }
 }
 
@@ -165,6 +204,8 @@ pub(super) struct Comparing {
     pub plan: Option<Plan>,
     sources: SourceArgs,
     pub method: MethodSpec,
+    /// Seed of all random draws.
+    pub seed: u64,
     /// Whether prepared trials are cached beside the library.
     cache: bool,
     /// Seconds of each drag that are used; `None` for the whole drag.

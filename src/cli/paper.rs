@@ -1,10 +1,9 @@
 //! `surfaced eval DATA --paper`: computes the paper's tables, whole or shard by shard, beside the
 //! paper's numbers; `surfaced eval merge` joins shards.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use super::method::MethodArgs;
+use super::method::MethodOptions;
 use super::{Done, Failure, say, show};
 use crate::evaluate::paper::{self, PaperPart, PaperReport, ReportRow, Shard};
 use crate::library::Library;
@@ -28,7 +27,7 @@ pub(super) struct MergeArgs {
 /// Runs the evaluation, or one shard of the evaluation.
 pub(super) fn run(
     library: &Library,
-    method: &MethodArgs,
+    method: &MethodOptions,
     shard: Option<Shard>,
     out: Option<&Path>,
     json: bool,
@@ -103,19 +102,21 @@ fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {
         say!("wrote {} to {}", show::listed(files.iter().map(|(name, _)| name)), out.display());
     }
     show::result(json, &report, print);
-    Ok(())
+    report.lacking().map_or(Ok(()), |lacking| Err(Failure::Damaged(lacking)))
 }
 
 fn print(report: &PaperReport) {
     let mark = if report.synthetic { ", on synthetic data" } else { "" };
+    let measured = || report.rows.iter().filter(|row| row.not_run.is_none());
+    if measured().next().is_none() {
+        return;
+    }
     result!();
     result!("{}{mark} · reference · {}", report.data, report.settings);
     result!("accuracies in percent, mean ± sd over folds");
-    let (measured, not_run): (Vec<_>, Vec<_>) =
-        report.rows.iter().partition(|row| row.not_run.is_none());
     let mut rows = Vec::new();
     let mut head = String::new();
-    for row in &measured {
+    for row in measured() {
         let of_row = format!("{} · {}", row.row.place, row.row.protocol.name());
         if of_row != head {
             rows.push(vec![of_row.clone()]);
@@ -124,12 +125,6 @@ fn print(report: &PaperReport) {
         add_cells(row, &mut rows);
     }
     show::table(&["", ">ours", ">paper", ">points", ""], rows);
-    if !not_run.is_empty() {
-        let why: BTreeSet<&str> = not_run.iter().filter_map(|row| row.not_run.as_deref()).collect();
-        let why = why.into_iter().collect::<Vec<_>>().join("; ");
-        let all = show::counted(report.rows.len(), "row");
-        result!("\nmeasured {} of {all}; not measured: {why}", measured.len());
-    }
 }
 
 /// Adds the cells of a row. If the paper prints a precision, adds a second row for it.

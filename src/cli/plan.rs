@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use super::choose::{split, within};
+use super::choose::within;
 use super::figure::write;
-use super::show::quoted;
+use super::show::{Made, MadeBy, quoted};
 use super::{Done, Failure, SourceArgs, bad_files, say, share, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Expected, Plan, PlanOptions, Planned, search};
@@ -44,15 +44,18 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Done {
     let library = super::open(&args.lib)?;
-    let planned = bad_files::work(&args.lib, library, |library| {
+    let (planned, digest) = bad_files::work(&args.lib, library, |library| {
         let scene = args.sources.narrow(library.scene.clone())?;
         let entries = within(library, &scene)?;
         let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-        let (protocol, _) = split(&keys, args.protocol)?;
+        let fitting = || Protocol::fitting(&keys).unwrap_or(Protocol::LeaveOneTrialOut);
+        let protocol = args.protocol.unwrap_or_else(fitting);
+        say!("protocol: {} ({})", protocol.name(), protocol.left_out());
         let target = args.target.unwrap_or(TARGET);
         let options = PlanOptions { target, accuracy: args.target, protocol };
+        let digest = if args.json { library.digest() } else { String::new() };
         let library = Library { scene, entries, ..library.clone() };
-        Ok(search(&library, options, &say::progress)?)
+        Ok((search(&library, options, &say::progress)?, digest))
     })?;
     let text = planned.plan.to_toml();
     if let Some(out) = &args.out {
@@ -60,7 +63,8 @@ pub(super) fn run(args: &Args) -> Done {
     }
     say::results_aside(args.json);
     if args.json {
-        show::json(&planned);
+        // The search draws with the default seed.
+        show::json(&Made { of: &planned, made_by: MadeBy::this(1, digest) });
     }
     print(&planned);
     if args.out.is_none() && say::is_verbose() {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::choose::{Choice, choose, within};
+use super::choose::{Choice, SplitArgs, choose, within};
 use super::condition::WhereArgs;
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
@@ -144,12 +144,13 @@ fn by_protocol(
 ) -> Result<ReplayStage, Failure> {
     let scene = how.narrow(data.scene.clone())?;
     let named = protocol.is_some();
-    let Choice { scene, entries, protocol, folds, .. } = choose(&data, scene, protocol)?;
+    let how_split = SplitArgs { protocol, ..SplitArgs::default() };
+    let Choice { scene, entries, split } = choose(folder, &data, scene, &how_split)?;
     if named {
-        say!("protocol: {}", protocol.name());
+        say!("protocol: {}", split.name);
     }
     let (name, synthetic, cache) = (data.name, data.synthetic, how.cache_in(folder));
-    Ok(ReplayStage { name, scene, entries, folds, synthetic, cache })
+    Ok(ReplayStage { name, scene, entries, folds: split.folds, synthetic, cache })
 }
 
 fn against(

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::Path;
 
 use super::say;
-use crate::evaluate::{LeftOutSources, Share};
+use crate::evaluate::{LeftOutSources, Over, Share};
 use crate::library::Library;
 use crate::printable;
 pub(super) use crate::printable::{counted, json_text};
@@ -44,27 +44,32 @@ pub(super) fn result<T: serde::Serialize>(as_json: bool, value: &T, print: impl 
 }
 
 /// A report, and what it was made by.
-#[derive(serde::Serialize)]
-struct Made<'a, T> {
+#[derive(serde::Serialize, serde::Deserialize)]
+pub(super) struct Made<T> {
     #[serde(flatten)]
-    of: &'a T,
-    made_by: MadeBy,
+    pub(super) of: T,
+    #[serde(default)]
+    pub(super) made_by: MadeBy,
 }
 
-#[derive(serde::Serialize)]
-struct MadeBy {
-    version: &'static str,
+#[derive(Clone, Default, serde::Serialize, serde::Deserialize)]
+pub(super) struct MadeBy {
+    version: String,
     /// The command line.
     command: String,
+    seed: u64,
+    /// The digest of the trials that were used; see [`Library::digest`].
+    library: String,
 }
 
-/// Shows a report like [`result`]; its JSON says by which program and command it was made.
-pub(super) fn report<T: serde::Serialize>(as_json: bool, of: &T, print: impl FnOnce(&T)) {
-    let words = std::env::args_os().skip(1);
-    let words = words.map(|word| printable::quoted(&word.to_string_lossy()));
-    let command = joined(std::iter::once("surfaced".to_string()).chain(words), " ");
-    let made_by = MadeBy { version: env!("CARGO_PKG_VERSION"), command };
-    result(as_json, &Made { of, made_by }, |made| print(made.of));
+impl MadeBy {
+    /// This program and its command line.
+    pub(super) fn this(seed: u64, library: String) -> Self {
+        let words = std::env::args_os().skip(1);
+        let words = words.map(|word| printable::quoted(&word.to_string_lossy()));
+        let command = joined(std::iter::once("surfaced".to_string()).chain(words), " ");
+        Self { version: env!("CARGO_PKG_VERSION").into(), command, seed, library }
+    }
 }
 
 /// The sources that were left out of queries, and the reasons. There is one line for each source and
@@ -130,6 +135,14 @@ pub(super) fn percent(fraction: f64) -> String {
 pub(super) fn interval(share: Share) -> String {
     let (low, high) = share.interval();
     format!("{} to {}", percent(low), percent(high))
+}
+
+/// What an interval is for.
+pub(super) fn over(over: Over) -> String {
+    match over {
+        Over::Queries => "for more scans like these".into(),
+        over => format!("for other {}", over.plural()),
+    }
 }
 
 /// An answer in one or two words, for the surface and a mark of doubt.

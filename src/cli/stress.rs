@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, is_earlier, write};
-use super::method::at_least_one;
+use super::method::{OneOrAll, at_least_one};
+use super::show::{Made, MadeBy};
 use super::{Done, Failure, bad_files, say, show};
 use crate::evaluate::stress::{
     self, Disturbance, Measure, StressPlan, StressReport, disturb, figure,
@@ -29,9 +30,9 @@ pub(super) struct Args {
     lib: PathBuf,
     #[command(flatten)]
     figure: FigureArgs,
-    /// Methods, with commas between them (default: all)
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…")]
-    methods: Vec<MethodName>,
+    /// Methods, with commas between them
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…", default_value = "all")]
+    methods: Vec<OneOrAll>,
     /// Disturbances, with commas between them (default: all that the data can show)
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
     only: Vec<String>,
@@ -52,7 +53,7 @@ pub(super) fn run(args: &Args) -> Done {
     };
     show::wrote(&keep(args, &report)?);
     say::results_aside(args.figure.json);
-    result!("\n{}", report.markdown());
+    result!("\n{}", report.of.markdown());
     if args.figure.json {
         show::json(&report);
     }
@@ -61,7 +62,7 @@ pub(super) fn run(args: &Args) -> Done {
 }
 
 /// Reads the report that an earlier run wrote beside its chart.
-fn earlier(path: &Path) -> Result<StressReport, Failure> {
+fn earlier(path: &Path) -> Result<Made<StressReport>, Failure> {
     let failed = |error: &dyn Display| {
         let expected = "expected what `surfaced stress` writes beside its picture";
         Failure::at(path, format!("{error}; {expected}"))
@@ -70,11 +71,10 @@ fn earlier(path: &Path) -> Result<StressReport, Failure> {
     serde_json::from_str(&text).map_err(|error| failed(&error))
 }
 
-fn measured(args: &Args, library: &Library) -> Result<StressReport, Failure> {
+fn measured(args: &Args, library: &Library) -> Result<Made<StressReport>, Failure> {
     let scene = args.figure.sources.narrow(library.scene.clone())?;
-    let Choice { scene, entries, protocol, folds, .. } =
-        choose(library, scene, args.figure.protocol)?;
-    let folds = StressPlan::limited(folds, args.queries);
+    let Choice { scene, entries, split } = choose(&args.lib, library, scene, &args.figure.split)?;
+    let folds = StressPlan::limited(split.folds, args.queries);
     let held: Vec<&SourceSpec> = (scene.sources())
         .filter(|spec| entries.iter().any(|entry| entry.sources.contains(&spec.id)))
         .collect();
@@ -87,10 +87,11 @@ fn measured(args: &Args, library: &Library) -> Result<StressReport, Failure> {
         seed: args.seed,
     };
     let unknown = plan.unknown();
-    let mut report = StressReport {
+    let report = StressReport {
         data: library.name.clone(),
         synthetic: library.synthetic,
-        protocol: protocol.name().into(),
+        protocol: split.name,
+        left_out: split.left_out,
         sources: held.iter().map(|spec| spec.id.to_string()).collect(),
         queries: folds.iter().map(|fold| fold.queries.len()).sum(),
         unknown_queries: (folds.iter().flat_map(|fold| &fold.queries))
@@ -98,14 +99,12 @@ fn measured(args: &Args, library: &Library) -> Result<StressReport, Failure> {
             .count(),
         methods: Vec::new(),
     };
-    let methods: Vec<MethodName> = match args.methods.as_slice() {
-        [] => MethodName::ALL.to_vec(),
-        named => named.to_vec(),
-    };
+    let mut report = Made { of: report, made_by: MadeBy::this(args.seed, library.digest()) };
+    let methods = OneOrAll::list(&args.methods);
     for (done, method) in methods.iter().enumerate() {
         say!("{}/{}  {}", done + 1, methods.len(), method.as_str());
         let method = quick(*method).build(&scene);
-        report.methods.push(stress::run(&*method, &plan, &say::progress)?);
+        report.of.methods.push(stress::run(&*method, &plan, &say::progress)?);
         // The report is written after each method, so that it remains if a later method fails.
         keep(args, &report)?;
     }
@@ -130,7 +129,8 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
         return Err(Failure::Usage(format!("no disturbance `{unknown}`; there are {known}")));
     }
     let wanted = |d: &Disturbance| only.is_empty() || only.iter().any(|name| name == d.name);
-    let found: Vec<_> = all.into_iter().filter(|d| wanted(d) && d.fits(held)).collect();
+    let wanted = all.into_iter().filter(wanted);
+    let found: Vec<_> = wanted.filter_map(|d| d.fitted(held)).collect();
     if found.is_empty() {
         return Err(Failure::Usage("these disturbances change nothing of these sources".into()));
     }
@@ -138,9 +138,10 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
 }
 
 /// Writes the pictures and their numbers, and returns the paths of the files.
-fn keep(args: &Args, report: &StressReport) -> Result<Vec<PathBuf>, Failure> {
-    let out = &args.figure.out;
-    let mut written = args.figure.keep(&figure(report, Measure::Accuracy)?, report)?;
+fn keep(args: &Args, made: &Made<StressReport>) -> Result<Vec<PathBuf>, Failure> {
+    let (out, report) = (&args.figure.out, &made.of);
+    let mut written =
+        args.figure.keep(&figure(report, Measure::Accuracy, args.figure.look)?, made)?;
     let table = out.with_extension("md");
     write(&table, &report.markdown())?;
     written.push(table);
@@ -149,7 +150,7 @@ fn keep(args: &Args, report: &StressReport) -> Result<Vec<PathBuf>, Failure> {
         [("unknown", Measure::UnknownRejected), ("calibration", Measure::CalibrationError)]
     {
         // If no method gives probabilities, there is no figure.
-        if let Ok(svg) = figure(report, measure) {
+        if let Ok(svg) = figure(report, measure, args.figure.look) {
             let path = out.with_file_name(format!("{stem}-{name}.svg"));
             write(&path, &svg)?;
             written.push(path);

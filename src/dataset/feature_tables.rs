@@ -9,9 +9,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::csv::CsvTable;
-use crate::library::LibraryError;
 use crate::library::files::{self, Listed};
+use crate::library::{LibraryError, digest_of};
 use crate::scene::SourceId;
+use crate::seed;
 use crate::trial::{EXPERT, TrialKey};
 
 const NAMES: &str = "file,surface,split,trial,";
@@ -22,6 +23,14 @@ pub(crate) struct FeatureTables {
     pub sources: Vec<SourceId>,
     /// The features of each trial and source, in the order of the file's columns.
     pub trials: BTreeMap<TrialKey, BTreeMap<SourceId, Vec<f64>>>,
+}
+
+impl FeatureTables {
+    /// Like [`crate::library::Library::digest`].
+    pub(crate) fn digest(&self) -> String {
+        let of = |trial| seed::stable_hash(&[format!("{trial:?}").as_bytes()]);
+        digest_of(self.trials.iter().map(of).collect())
+    }
 }
 
 /// Opens the feature tables in a folder; `None` if the folder has none.

@@ -1,27 +1,40 @@
 //! Draws dependence against the lag, with a mark at T*, and accuracy against scan time.
 
+use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
 use super::algorithm1::CurvePoint;
 use super::pooled::PooledDependence;
 use super::report::{ByRule, PooledRow, Second, SourceDuration};
-use crate::draw::{Area, COLOURS, Drawn, FigureError, GREY, axes, plain, svg, three_digits};
+use crate::draw::{
+    Area, COLOURS, Drawn, FigureError, GREY, Look, axes, draw_head, head_height, plain, svg,
+    three_digits,
+};
 use crate::recognise::AccuracyAt;
 use crate::scene::SourceId;
 
-const PANEL: (u32, u32) = (640, 380);
+/// Width of the figure on a screen, least width of a panel, and a panel's height.
+const WIDTH: u32 = 1280;
+const LEAST: u32 = 400;
+const PANEL: u32 = 380;
+/// Height of a line of text above a panel, and its font.
+const LINE: i32 = 18;
+const SMALL: i32 = 13;
 const FONT: &str = "sans-serif";
 
 type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
 
 /// An SVG with two panels a row. `pooled` has a panel for each source, with all surfaces; Algorithm
-/// 1 has one for each surface and source. The last panel has accuracy against scan time.
+/// 1 has one for each surface and source. The last panel has accuracy against scan time. The title is
+/// the name of the data.
 ///
 /// # Errors
 /// If no surface and source has a curve.
 pub(crate) fn figure(
     durations: &[SourceDuration],
     accuracy: Option<&AccuracyCurve>,
+    (data, synthetic): (&str, bool),
+    look: Look,
 ) -> Result<String, FigureError> {
     let mut panels: Vec<DrawnPanel<'_>> = Vec::new();
     for (i, row) in durations.iter().enumerate() {
@@ -45,11 +58,15 @@ pub(crate) fn figure(
     if let Some(curve) = accuracy.filter(|curve| !curve.points.is_empty()) {
         panels.push(Box::new(move |area| accuracy_panel(area, curve)));
     }
-    let columns = panels.len().min(2);
+    let width = look.pixels(if panels.len() > 1 { WIDTH } else { WIDTH / 2 });
+    let columns = panels.len().min((width / LEAST) as usize).clamp(1, 2);
     let rows = panels.len().div_ceil(columns);
-    let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
-    svg(size, |root| {
-        let areas = root.split_evenly((rows, columns));
+    let lines = look.head(data, synthetic, width);
+    let head = head_height(&lines);
+    svg((width, head + PANEL * rows as u32), look, |root| {
+        draw_head(root, &lines)?;
+        let (_, rest) = root.split_vertically(head);
+        let areas = rest.split_evenly((rows, columns));
         areas.iter().zip(&panels).try_for_each(|(area, panel)| panel(area))
     })
 }
@@ -62,6 +79,15 @@ pub(crate) struct AccuracyCurve {
     pub enough_s: Option<Second>,
 }
 
+/// Writes lines above a panel, each in its colour, and returns the area of the panel.
+fn headed<'a>(area: &Area<'a>, lines: &[(String, RGBColor)]) -> Result<Area<'a>, FigureError> {
+    for (row, (text, colour)) in (0..).zip(lines) {
+        let style = (FONT, SMALL).into_font().color(colour);
+        area.draw(&Text::new(text.as_str(), (24, 8 + row * LINE), style))?;
+    }
+    Ok(area.split_vertically(8 + LINE * lines.len() as i32).1)
+}
+
 /// Draws accuracy against scan time, its confidence band, the target, and how long to drag.
 fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
     let colour = COLOURS[2];
@@ -70,21 +96,23 @@ fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
     let bottom = (10.0 * low).floor() / 10.0;
     let x = (0.0..end, "scan time [s]");
     let y = (100.0 * bottom..100.5, "left-out scans named right [%]");
-    let mut chart = axes(area, "scans named right", x, y, plain)?;
+    let drag = match curve.enough_s {
+        Some(at) => format!("scans named right: drag for {at:.1} s"),
+        None => "scans named right".into(),
+    };
+    let area = headed(area, &[(drag, BLACK)])?;
+    let mut chart = axes(&area, "", x, y, plain)?;
     let line =
         |f: fn(&AccuracyAt) -> f64| curve.points.iter().map(move |p| (p.scan_s, 100.0 * f(p)));
     let band = line(|p| p.accuracy_high).chain(line(|p| p.accuracy_low).rev());
     chart.draw_series([Polygon::new(band.collect::<Vec<_>>(), colour.mix(0.2))])?;
     chart.draw_series(LineSeries::new(line(|p| p.accuracy), colour.stroke_width(2)))?;
     let target = 100.0 * curve.target;
-    let across = LineSeries::new([(0.0, target), (end, target)], BLACK.mix(0.5));
-    chart.draw_series(across)?;
+    let across = [(0.0, target), (end, target)];
+    chart.draw_series(DashedLineSeries::new(across, 5, 4, BLACK.mix(0.6).stroke_width(1)))?;
     if let Some(at) = curve.enough_s {
         let mark = PathElement::new([(at, 100.0 * bottom), (at, target)], BLACK.stroke_width(1));
         chart.draw_series([mark])?;
-        let text = format!("drag for {at:.1} s");
-        let beside = (at + 0.01 * end, 100.0 * bottom + 0.08 * (100.0 - 100.0 * bottom));
-        chart.draw_series([Text::new(text, beside, (FONT, 16))])?;
     }
     Ok(())
 }
@@ -101,34 +129,37 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
     let inside: Vec<&CurvePoint> = curve.iter().filter(|p| p.lag <= end).collect();
     let top = inside.iter().map(|p| p.hsic_high.max(p.hsic_quantile).max(p.kappa));
     let top = 1.25 * top.fold(f64::MIN_POSITIVE, f64::max);
-    let title = format!("{} · {} (Q = {})", row.surface, row.source, row.trials);
+    let t_star_ms = row.t_star_samples.map(ms);
+    let found = t_star_ms.map_or("no T* within the range".into(), |ms| format!("T* = {ms:.2} ms"));
+    let title = format!("{} · {} (Q = {}): {found}", row.surface, row.source, row.trials);
+    let area = headed(area, &[(title, BLACK)])?;
     let x = (0.0..ms(end) * 1.02, "time between samples [ms]");
-    let mut chart = axes(area, &title, x, (0.0..top, "HSIC"), plain)?;
+    let mut chart = axes(&area, "", x, (0.0..top, "HSIC"), plain)?;
     let line = |f: fn(&CurvePoint) -> f64| inside.iter().map(move |p| (ms(p.lag), f(p)));
     let band = line(|p| p.hsic_high).chain(line(|p| p.hsic_low).rev());
-    let key = |style: ShapeStyle| {
-        move |(x, y): (i32, i32)| PathElement::new([(x, y), (x + 22, y)], style)
+    let key = |style: ShapeStyle, dash: i32| {
+        move |(x, y): (i32, i32)| DashedPathElement::new([(x, y), (x + 22, y)], dash, 4, style)
     };
     chart
         .draw_series([Polygon::new(band.collect::<Vec<_>>(), HSIC.mix(0.25))])?
         .label("interval of the mean")
         .legend(|(x, y)| Rectangle::new([(x, y - 4), (x + 22, y + 4)], HSIC.mix(0.25).filled()));
-    for (label, style, f) in [
-        ("mean HSIC", HSIC.stroke_width(2), (|p| p.hsic_mean) as fn(&CurvePoint) -> f64),
-        ("quantile of HSIC", HSIC.mix(0.45).stroke_width(1), |p| p.hsic_quantile),
-        ("mean threshold κ", KAPPA.stroke_width(2), |p| p.kappa),
+    for (label, style, dash, f) in [
+        ("mean HSIC", HSIC.stroke_width(2), 22, (|p| p.hsic_mean) as fn(&CurvePoint) -> f64),
+        ("quantile of HSIC", HSIC.stroke_width(1), 3, |p| p.hsic_quantile),
+        ("mean threshold κ", KAPPA.stroke_width(2), 9, |p| p.kappa),
     ] {
-        chart.draw_series(LineSeries::new(line(f), style))?.label(label).legend(key(style));
+        let points: Vec<(f64, f64)> = line(f).collect();
+        let drawn = match dash {
+            22 => chart.draw_series(LineSeries::new(points, style))?,
+            dash => chart.draw_series(DashedLineSeries::new(points, dash, 4, style))?,
+        };
+        drawn.label(label).legend(key(style, dash));
     }
-    let t_star_ms = row.t_star_samples.map(ms);
     if let Some(at) = t_star_ms {
         let line = [(at, 0.0), (at, 0.55 * top)];
         chart.draw_series([PathElement::new(line, BLACK.stroke_width(1))])?;
     }
-    let text = t_star_ms.map_or("no T* within the range".into(), |ms| format!("T* = {ms:.2} ms"));
-    // Near the bottom, below all curves.
-    let beside = (t_star_ms.unwrap_or(0.0) + 0.01 * ms(end), 0.1 * top);
-    chart.draw_series([Text::new(text, beside, (FONT, 15))])?;
     chart
         .configure_series_labels()
         .position(SeriesLabelPosition::UpperRight)
@@ -170,10 +201,26 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
     let ms = |s: f64| 1e3 * s;
     let lags = || rows.iter().flat_map(|(_, row)| &row.dependence).map(|d| ms(d.lag_s));
     let (first, last) = lags().fold((f64::INFINITY, 0.0f64), |(l, h), x| (l.min(x), h.max(x)));
-    let title = format!("{}: how long a moment lasts", longest.source);
+    let t_star = match (longest.t_star_s, row.t_star_upper_s) {
+        (Some(t_star), Some(upper)) => {
+            let [t_star, upper] = [t_star, upper].map(|s| three_digits(ms(s)));
+            format!("T* = {t_star} ms, surely by {upper} ms")
+        }
+        _ => "no T*".into(),
+    };
+    let (source, threshold) = (&longest.source, row.threshold);
+    let mut lines = vec![
+        (format!("{source}, {} (Q = {}): {t_star}", longest.surface, longest.trials), COLOURS[0]),
+        (format!("dashed, small enough: {threshold}"), BLACK),
+    ];
+    if !others.is_empty() {
+        let name = if others.len() == 1 { "the other surface" } else { "the other surfaces" };
+        lines[1].0 += &format!("; grey: {name}");
+    }
+    let area = headed(area, &lines)?;
     let x = ((first..last).log_scale(), "time between two moments [ms]");
     let y = (0.0..1.0, "dependence (as a correlation)");
-    let mut chart = axes(area, &title, x, y, plain)?;
+    let mut chart = axes(&area, "", x, y, plain)?;
     let line = |row: &PooledRow, f: fn(&PooledDependence) -> f64| {
         row.dependence.iter().map(|d| (ms(d.lag_s), f(d))).collect::<Vec<_>>()
     };
@@ -187,34 +234,8 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
     chart.draw_series(LineSeries::new(line(row, |d| d.fitted), colour.stroke_width(2)))?;
     let measured = line(row, |d| d.dependence).into_iter();
     chart.draw_series(measured.map(|at| Circle::new(at, 2, colour.filled())))?;
-
-    let threshold = row.threshold;
     let across = [(first, threshold), (last, threshold)];
-    chart.draw_series(LineSeries::new(across, COLOURS[1].stroke_width(1)))?;
-    // Text goes to the upper right, where curves are low; `at` turns a share of the axis into a lag.
-    let at = |share: f64| first * (last / first).powf(share);
-    let mut put = |text: String, y: f64, colour: RGBColor| -> Drawn {
-        let style = (FONT, 16).into_font().color(&colour);
-        chart.draw_series([Text::new(text, (at(0.5), y), style)])?;
-        Ok(())
-    };
-    put(format!("{} (Q = {})", longest.surface, longest.trials), 0.97, COLOURS[0])?;
-    let t_star = match (longest.t_star_s, row.t_star_upper_s) {
-        (Some(t_star), Some(upper)) => {
-            format!(
-                "T* = {} ms, surely by {} ms",
-                three_digits(ms(t_star)),
-                three_digits(ms(upper))
-            )
-        }
-        _ => "no T*".into(),
-    };
-    put(t_star, 0.90, BLACK)?;
-    put(format!("small enough: {threshold}"), 0.83, COLOURS[1])?;
-    if !others.is_empty() {
-        let name = if others.len() == 1 { "the other surface" } else { "the other surfaces" };
-        put(name.into(), 0.76, GREY)?;
-    }
+    chart.draw_series(DashedLineSeries::new(across, 5, 4, BLACK.mix(0.6).stroke_width(1)))?;
     for (seconds, width) in [(longest.t_star_s, 2), (row.t_star_upper_s, 1)] {
         let line = |x: f64| PathElement::new([(x, 0.0), (x, threshold)], BLACK.stroke_width(width));
         chart.draw_series(seconds.map(ms).map(line))?;

@@ -57,10 +57,6 @@ impl Protocol {
         }
     }
 
-    pub(crate) fn folds_are_users(self) -> bool {
-        self.over() == Over::People
-    }
-
     pub fn name(self) -> &'static str {
         match self {
             Self::ExpertVsUsers => "expert-vs-users",
@@ -89,7 +85,7 @@ impl Protocol {
         groups.into_iter().filter_map(|fold| known_only(fold, keys)).collect()
     }
 
-    fn needs(self) -> &'static str {
+    pub(crate) fn needs(self) -> &'static str {
         match self {
             Self::ExpertVsUsers => {
                 "trials of at least two surfaces by `expert`, and trials of them by other users"
@@ -105,6 +101,101 @@ impl Protocol {
         }
     }
 }
+
+/// The folds of a measurement, and what they leave out.
+#[derive(Clone, Debug)]
+pub(crate) struct Split {
+    /// The protocol, `split` for folds of a file, or `group-by KEY`.
+    pub name: String,
+    /// Which trials are left out, and what that leaves untold.
+    pub left_out: String,
+    pub over: Over,
+    pub folds: Vec<Fold>,
+}
+
+impl Split {
+    /// Folds by a protocol; see [`folds`].
+    pub(crate) fn by_protocol(
+        protocol: Protocol,
+        keys: &[TrialKey],
+    ) -> Result<Self, EvaluateError> {
+        let (name, left_out) = (protocol.name().into(), protocol.left_out().into());
+        Ok(Self { name, left_out, over: protocol.over(), folds: folds(protocol, keys)? })
+    }
+
+    /// A fold for each of some groups; `groups` holds the group of each trial, a value of `key`.
+    pub(crate) fn by_key(
+        key: &str,
+        groups: &[String],
+        keys: &[TrialKey],
+    ) -> Result<Self, EvaluateError> {
+        let places = by_group(groups, String::as_str, str::to_string);
+        let name = format!("group-by {key}");
+        Self::checked(name, &format!("each {key} left out in turn"), Over::Groups, places, keys)
+    }
+
+    /// The folds that a table gives to trials: `train` and `test`, or any names, each left out in turn.
+    pub(crate) fn by_table(of: &[String], keys: &[TrialKey]) -> Result<Self, EvaluateError> {
+        let places = by_group(of, String::as_str, str::to_string);
+        let is_one = places.iter().any(|fold| fold.name == TEST);
+        let folds: Vec<Fold> =
+            places.into_iter().filter(|fold| !is_one || fold.name == TEST).collect();
+        // An interval is over people or sessions only if each fold is one of them.
+        let each_is = |of: fn(&TrialKey) -> (&str, Option<&str>)| {
+            let of = |fold: &Fold| -> BTreeSet<_> {
+                fold.queries.iter().map(|&i| of(&keys[i])).collect()
+            };
+            let all: Vec<_> = folds.iter().map(of).collect();
+            let union: BTreeSet<_> = all.iter().flatten().collect();
+            all.iter().all(|one| one.len() == 1) && union.len() == all.len()
+        };
+        let over = match () {
+            () if is_one => Over::Queries,
+            () if each_is(|key| (&key.user, None)) => Over::People,
+            () if each_is(TrialKey::of_session) => Over::Sessions,
+            () => Over::Queries,
+        };
+        Self::checked("split".into(), "trials left out as the file says", over, folds, keys)
+    }
+
+    /// Drops what cannot be asked, and adds to `left_out` what is on both sides of a fold.
+    fn checked(
+        name: String,
+        left_out: &str,
+        over: Over,
+        folds: Vec<Fold>,
+        keys: &[TrialKey],
+    ) -> Result<Self, EvaluateError> {
+        let folds: Vec<Fold> =
+            folds.into_iter().filter_map(|fold| known_only(fold, keys)).collect();
+        if !enough(&folds, keys) {
+            return Err(EvaluateError::Trials(format!(
+                "{name} leaves no fold to ask: each needs a library of at least two surfaces, and \
+                 trials of them outside it"
+            )));
+        }
+        let on_both_sides = |of: fn(&TrialKey) -> (&str, Option<&str>)| {
+            folds.iter().any(|fold| {
+                let library: BTreeSet<_> = fold.library.iter().map(|&i| of(&keys[i])).collect();
+                fold.queries.iter().any(|&i| library.contains(&of(&keys[i])))
+            })
+        };
+        let untold = match () {
+            () if on_both_sides(TrialKey::of_session) => {
+                "; trials of one session are on both sides: another day will be worse"
+            }
+            () if on_both_sides(|key| (&key.user, None)) => {
+                "; trials of one person are on both sides: another person will be worse"
+            }
+            () => "",
+        };
+        Ok(Self { name, left_out: format!("{left_out}{untold}"), over, folds })
+    }
+}
+
+/// The names of the two parts of a table that makes one fold.
+pub(crate) const TRAIN: &str = "train";
+pub(crate) const TEST: &str = "test";
 
 /// Queries, and the library that they are compared with. Trials are given by their indices.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -167,9 +258,9 @@ pub(super) fn by_user(keys: &[TrialKey]) -> Vec<Fold> {
 }
 
 /// One fold for each group, which names the group's trials by all others.
-fn by_group<'k, G: Ord + Copy>(
-    keys: &'k [TrialKey],
-    group: impl Fn(&'k TrialKey) -> G,
+fn by_group<'k, K, G: Ord + Copy>(
+    keys: &'k [K],
+    group: impl Fn(&'k K) -> G,
     name: impl Fn(G) -> String,
 ) -> Vec<Fold> {
     let mut groups: BTreeMap<G, Vec<usize>> = BTreeMap::new();

@@ -14,9 +14,9 @@ mod fold;
 mod leak;
 mod loudness;
 mod outcome;
+mod paired;
 #[doc(hidden)]
 pub mod paper;
-mod plain;
 #[doc(hidden)]
 pub mod plan;
 #[doc(hidden)]
@@ -31,12 +31,13 @@ pub use evaluation::{
 };
 pub(crate) use evaluation::{first_seconds, in_libraries, within};
 pub use fold::{Fold, Protocol, folds};
+pub(crate) use fold::{Split, TEST, TRAIN};
 pub(crate) use leak::Leaks;
 pub(crate) use outcome::percentile;
 pub use outcome::{
     Confusion, FoldAccuracy, Interval, Outcome, Over, Prediction, Share, SurfaceAccuracy,
 };
-pub(crate) use plain::better_plain;
+pub(crate) use paired::{Named, Paired, better_plain, paired};
 
 use crate::recognise::{RecogniseError, RejectionError};
 use crate::scene::SceneError;

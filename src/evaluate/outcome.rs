@@ -297,8 +297,26 @@ const LEAST_GROUPS: usize = 3;
 pub enum Over {
     People,
     Sessions,
+    /// The values of a key by which trials are left out.
+    Groups,
     #[default]
     Queries,
+}
+
+impl Over {
+    pub(crate) fn plural(self) -> &'static str {
+        match self {
+            Self::People => "people",
+            Self::Sessions => "sessions",
+            Self::Groups => "groups",
+            Self::Queries => "queries",
+        }
+    }
+
+    /// These groups if there are at least three of them, else queries.
+    pub(crate) fn counted(self, groups: usize) -> Self {
+        if groups >= LEAST_GROUPS { self } else { Self::Queries }
+    }
 }
 
 /// The 95 % confidence interval of an accuracy. It is over people or sessions if at least three were
@@ -317,7 +335,8 @@ pub struct Interval {
 impl Interval {
     /// The interval of the accuracy on all queries of some folds, which are groups of this kind.
     pub(crate) fn of(groups: &[FoldAccuracy], over: Over) -> Self {
-        if over != Over::Queries && groups.len() >= LEAST_GROUPS {
+        let over = over.counted(groups.len());
+        if over != Over::Queries {
             let counts = groups.iter().map(|group| (group.share.right, group.share.of));
             let (low, high) = wilson_of_groups(&counts.collect::<Vec<_>>());
             return Self { low, high, over };

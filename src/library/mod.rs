@@ -18,6 +18,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::scene::{Scene, SourceId};
+use crate::seed;
 use crate::trial::{Signal, Trial, TrialKey, checked_session, normal};
 
 #[derive(Debug, thiserror::Error)]
@@ -204,11 +205,6 @@ impl Entry {
         Self { key, sources, loader: Arc::new(Changed { entry: self, change }) }
     }
 
-    pub(crate) fn renamed(self, key: TrialKey) -> Self {
-        let is = key.clone();
-        Self { key, ..self.changed(move |trial| Trial { key: is.clone(), ..trial }) }
-    }
-
     pub(crate) fn with_only(&self, source: &SourceId) -> Self {
         Self { sources: vec![source.clone()], ..self.clone() }
     }
@@ -276,6 +272,33 @@ impl Library {
         surfaces.dedup();
         surfaces
     }
+
+    /// A hash of all labels and samples, in hexadecimal digits. It is the same on all machines and in any
+    /// order of files. A source that cannot be read counts as missing. Reads all recordings.
+    pub(crate) fn digest(&self) -> String {
+        let of_source = |entry: &Entry, id: &SourceId| -> Option<u64> {
+            let signal = entry.with_only(id).load().ok()?.signals.remove(id)?;
+            let shape = match &signal {
+                Signal::Series(series) => (series.rate_hz().to_bits(), series.channels() as u64),
+                Signal::Image(_) => (0, 3),
+            };
+            let numbers = [shape.0, shape.1, signal.content_hash()].map(u64::to_le_bytes);
+            Some(seed::stable_hash(&[id.as_str().as_bytes(), numbers.as_flattened()]))
+        };
+        let of_entry = |entry: &Entry| {
+            let sources = entry.sources.iter().filter_map(|id| of_source(entry, id));
+            let sources: Vec<u8> = sources.flat_map(u64::to_le_bytes).collect();
+            seed::stable_hash(&[entry.cache_name().as_bytes(), &sources])
+        };
+        digest_of(self.entries.par_iter().map(of_entry).collect())
+    }
+}
+
+/// A digest of trials, from a hash of each, in any order.
+pub(crate) fn digest_of(mut trials: Vec<u64>) -> String {
+    trials.sort_unstable();
+    let bytes: Vec<u8> = trials.into_iter().flat_map(u64::to_le_bytes).collect();
+    format!("{:016x}", seed::stable_hash(&[&bytes]))
 }
 
 #[derive(Debug)]

@@ -62,6 +62,21 @@ macro_rules! methods {
     };
 }
 
+impl MethodSpec {
+    /// The same method with another seed; `None` if it draws nothing at random.
+    pub(crate) fn seeded(&self, seed: u64) -> Option<Self> {
+        match self {
+            Self::Reference(options) => {
+                Some(Self::Reference(ReferenceOptions { seed, ..options.clone() }))
+            }
+            Self::Embedding(_) => Some(Self::Embedding(EmbeddingOptions { seed })),
+            Self::Adaboost(_) => Some(Self::Adaboost(TreeOptions { seed })),
+            Self::RandomForest(_) => Some(Self::RandomForest(TreeOptions { seed })),
+            Self::NaiveBayes(_) | Self::Svm(_) | Self::Knn(_) | Self::Mahalanobis(_) => None,
+        }
+    }
+}
+
 methods! {
     Reference(ReferenceOptions) = "reference", "The paper's method, exactly",
         |scene, options| Reference::new(scene, options.clone());

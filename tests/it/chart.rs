@@ -5,6 +5,7 @@ use std::process::Output;
 
 use assert_cmd::Command;
 use serde_json::{Value, json};
+use surfaced::recognise::MethodName;
 
 fn surfaced(args: &[&str]) -> Output {
     Command::cargo_bin("surfaced").unwrap().args(args).output().unwrap()
@@ -37,12 +38,13 @@ fn a_chart_has_every_method_and_its_controls() {
     let points = chart["points"].as_array().unwrap().clone();
     let with = |key: &str, value: Value| points.iter().filter(|p| p[key] == value).count();
     // Of the scan times, half a second alone is shorter than these drags.
-    for (method, least) in [("reference", 3), ("embedding", 1), ("svm", 1), ("random-forest", 1)] {
-        assert!(with("method", json!(method)) >= least, "{method}");
+    for method in MethodName::ALL {
+        let least = if method == MethodName::Reference { 3 } else { 1 };
+        assert!(with("method", json!(method.as_str())) >= least, "{method:?}");
     }
     assert_eq!(with("control", json!(true)), 2);
-    // Two settings are measured on the first half of a second, too.
-    assert_eq!(with("query_seconds", json!(0.5)), 2);
+    // One setting of each method is measured on the first half of a second, too.
+    assert_eq!(with("query_seconds", json!(0.5)), MethodName::ALL.len());
     assert_eq!(with("sources", json!(["ir"])), 1);
     for point in &points {
         let of = |key: &str| point[key].as_f64().unwrap();
@@ -52,7 +54,7 @@ fn a_chart_has_every_method_and_its_controls() {
         assert_eq!((&user["name"], &user["accuracy"]), (&json!("user1"), &point["accuracy"]));
     }
     let picture = std::fs::read_to_string(&svg).unwrap();
-    assert!(picture.contains("negative control") && picture.contains("SYNTHETIC"));
+    assert!(picture.contains("control: ") && picture.contains("SYNTHETIC"));
 }
 
 #[test]
@@ -68,7 +70,7 @@ fn a_brief_chart_has_one_setting_of_each_method_and_all_of_the_drag() {
     let chart = read(&dir.path().join("brief.json"));
     let points = chart["points"].as_array().unwrap();
     // Nothing of a spectrum to control.
-    assert_eq!(points.len(), 4);
+    assert_eq!(points.len(), MethodName::ALL.len());
     assert!(points.iter().all(|point| point["query_seconds"].is_null()));
 }
 

@@ -172,7 +172,14 @@ fn data_that_lack_a_source_say_so_row_by_row() {
     tree(&root);
     std::fs::remove_dir_all(root.join("ImageScans")).unwrap();
     let args = [&[root.to_str().unwrap(), "--paper", "--json"], &QUICK[..]].concat();
-    let report: Value = serde_json::from_slice(&done(&args).stdout).unwrap();
+    let output = eval(&args);
+    assert_eq!(output.status.code(), Some(3));
+    let said = String::from_utf8_lossy(&output.stderr);
+    let lacking: Vec<&str> = said.trim_end().lines().rev().take(3).collect();
+    assert!(lacking[2].contains(" rows of Table I and "), "{said}");
+    assert!(lacking[1].contains("missing: the sources ca1, ca2"), "{said}");
+    assert!(lacking[0].contains("LMT108"), "{said}");
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     let all = row(&report, "expert-vs-users", "all eight");
     assert_eq!(all["missing"], serde_json::json!(["ca1", "ca2"]));
     assert!(all["difference_points"].is_null(), "it is another setting than the paper's");

@@ -2,10 +2,16 @@
 
 use std::fmt::Write;
 
-use super::{ByRule, DurationReport, Estimator, PooledRow, Second, SourceDuration};
+use super::{
+    ByRule, CORRELATION, DurationReport, Estimator, PooledRow, PooledSettings, Second,
+    SourceDuration,
+};
 use crate::duration::algorithm1::Algorithm1Settings;
 use crate::printable::table;
 use crate::scene::SourceId;
+
+/// Most surfaces that a sentence names.
+const SHOWN: usize = 6;
 
 impl DurationReport {
     pub fn table(&self) -> String {
@@ -30,8 +36,8 @@ impl DurationReport {
         table(&head, &self.durations.iter().map(row).collect::<Vec<_>>())
     }
 
-    /// The result of `pooled` in words, one line for each source: the distance of independent
-    /// samples, and their number in a scan of `scan_s` seconds and a trial. Empty for Algorithm 1.
+    /// The result of `pooled` in words, one line for each source: the distance of nearly independent
+    /// samples, how sure means over a scan of `scan_s` seconds and a trial are, and where there is no T*. Empty for Algorithm 1.
     pub(crate) fn in_words(&self, scan_s: Option<Second>) -> String {
         let mut out = String::new();
         if matches!(self.settings, Estimator::Pooled(_)) {
@@ -50,51 +56,60 @@ impl DurationReport {
         };
         let mut spacings: Vec<Second> = rows().filter_map(|(d, _)| d.spacing_s()).collect();
         spacings.sort_unstable_by(f64::total_cmp);
-        let without = rows().filter(|(d, _)| d.t_star_s.is_none()).count();
+        let dependence = match self.settings {
+            Estimator::Pooled(PooledSettings { dependence }) => dependence,
+            Estimator::Algorithm1(_) => CORRELATION,
+        };
+        let so_far =
+            format!("apart depend on each other by less than a correlation of {dependence}");
         let mut text = match spacings[..] {
             [] => format!("{source}: no surface has a T*"),
             [first, .., last] if ms(first) != ms(last) => format!(
-                "{source}: samples less than {} ms ({}) to {} ms ({}) apart repeat each other",
+                "{source}: samples {} ms ({}) to {} ms ({}) {so_far}",
                 ms(first),
                 named(rows(), first),
                 ms(last),
                 named(rows(), last)
             ),
-            [first, ..] => {
-                format!("{source}: samples less than {} ms apart repeat each other", ms(first))
-            }
+            [first, ..] => format!("{source}: samples {} ms {so_far}", ms(first)),
         };
         let fewest = rows()
-            .filter_map(|(_, row)| Some((row.effective_samples?, row)))
-            .min_by(|(a, _), (b, _)| a.total_cmp(b));
-        if let Some((effective, row)) = fewest {
+            .filter_map(|(d, row)| Some((row.effective_samples?, &d.surface, row)))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        // The effective number says how sure a mean is; it is no count of samples T* apart.
+        if let Some((effective, surface, row)) = fewest {
             let trial_s = row.trial_s.unwrap_or_default();
             let n = self.samples;
             let _ = match scan_s.filter(|s| *s < trial_s - 0.05) {
                 Some(s) => write!(
                     text,
-                    "; a scan of {s:.1} s holds {:.0} independent samples or more, a whole trial \
-                     of {trial_s:.1} s {effective:.0}",
+                    "; a mean over a scan of {s:.1} s is as sure as one of {:.0} independent samples \
+                     or more ({surface}), over a whole trial of {trial_s:.1} s as one of {effective:.0}",
                     effective * s / trial_s
                 ),
                 None => write!(
                     text,
-                    "; a whole trial of {trial_s:.1} s holds {effective:.0} independent samples or \
-                     more"
+                    "; a mean over a whole trial of {trial_s:.1} s is as sure as one of {effective:.0} \
+                     independent samples or more ({surface})"
                 ),
             };
             if let Some(worth) = row.effective_of_n.filter(|worth| *worth < 0.9 * n as f64) {
-                let _ = write!(text, ", so that {n} samples of it are worth {worth:.0}");
+                let _ = write!(text, ", and one of {n} samples of it as one of {worth:.0}");
             }
         }
         let more = rows().filter_map(|(_, row)| row.more_trials).max();
-        if without > 0 {
-            let all = rows().count();
-            let have = if without == 1 { "has" } else { "have" };
-            let _ = write!(text, "; {without} of {all} surfaces {have} no T*");
+        let without = rows().filter(|(d, _)| d.t_star_s.is_none());
+        let without: Vec<&str> = without.map(|(d, _)| d.surface.as_str()).collect();
+        if !without.is_empty() && !spacings.is_empty() {
+            let shown = without[..without.len().min(SHOWN)].join(", ");
+            let others = match without.len().saturating_sub(SHOWN) {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
+            let _ = write!(text, "; no T* on {shown}{others}");
         }
         if let Some(more) = more {
-            let _ = write!(text, " (to show it takes about {more} more trials)");
+            let _ = write!(text, " (about {more} more trials would show it)");
         }
         text
     }

@@ -7,8 +7,11 @@ use std::ops::Range;
 use plotters::coord::ranged1d::Ranged;
 use plotters::prelude::*;
 
-use crate::draw::{Area, COLOURS, Drawn, FigureError, GREY, Panel, axes, put, svg, three_digits};
-use crate::evaluate::{FoldAccuracy, Interval, Outcome, Over, Protocol};
+use crate::draw::{
+    Area, Drawn, FigureError, GREY, Labels, Look, Panel, PixelBox, apart, axes, colour, draw_head,
+    head_height, line, marker, put, svg, text_width,
+};
+use crate::evaluate::{FoldAccuracy, Interval, Outcome, Over};
 use crate::scene::SourceId;
 
 /// The measured accuracy and latency of one setting of one method.
@@ -40,13 +43,13 @@ pub(crate) struct ChartPoint {
 impl ChartPoint {
     pub(crate) fn new(
         outcome: &Outcome,
-        protocol: Protocol,
+        over: Over,
         setting: &str,
         query_seconds: Option<f64>,
         control: bool,
     ) -> Self {
-        let users = if protocol.folds_are_users() { outcome.folds.clone() } else { Vec::new() };
-        let interval = Interval::of(&outcome.folds, protocol.over());
+        let users = if over == Over::People { outcome.folds.clone() } else { Vec::new() };
+        let interval = Interval::of(&outcome.folds, over);
         Self {
             method: if control { "control".into() } else { outcome.method.clone() },
             setting: setting.into(),
@@ -60,19 +63,6 @@ impl ChartPoint {
             queries: outcome.queries,
             control,
             peer: false,
-        }
-    }
-
-    /// Name of the method, followed by its options, if the setting has any.
-    pub(crate) fn name(&self) -> String {
-        let options = self.setting.trim_start_matches("--method ");
-        let options = options.strip_prefix(self.method.as_str()).unwrap_or(options).trim();
-        let options = options.replace("--repetitions ", "R = ").replace("--n ", "n = ");
-        let options = options.replace("--", "");
-        if options.is_empty() {
-            self.method.clone()
-        } else {
-            format!("{} ({options})", self.method)
         }
     }
 }
@@ -100,6 +90,8 @@ pub(crate) struct Chart {
     pub data: String,
     pub synthetic: bool,
     pub protocol: String,
+    /// Which trials are left out, and what that leaves untold.
+    pub left_out: String,
     /// All sources; a point may have used fewer.
     pub sources: Vec<String>,
     pub surfaces: usize,
@@ -119,24 +111,10 @@ impl Chart {
         self.points.iter().filter(|point| point.control)
     }
 
-    /// The points of all settings that were measured at several scan times.
-    pub(crate) fn timed(&self) -> Vec<&ChartPoint> {
-        let same = |a: &ChartPoint, b: &ChartPoint| {
-            (&a.method, &a.setting, &a.sources) == (&b.method, &b.setting, &b.sources)
-        };
-        let has_others = |a: &&ChartPoint| {
-            self.methods().any(|b| same(a, b) && a.query_seconds != b.query_seconds)
-        };
-        self.methods().filter(has_others).collect()
-    }
-
-    /// The kind of interval that the bars show, for the legend.
-    pub(super) fn bars(&self) -> &'static str {
-        match self.points.first().map(|point| point.interval.over) {
-            Some(Over::People) => "95 % interval over people",
-            Some(Over::Sessions) => "95 % interval over sessions",
-            _ => "95 % interval over queries",
-        }
+    /// What interval the bars show.
+    pub(crate) fn bars(&self) -> String {
+        let over = self.points.first().map_or(Over::Queries, |point| point.interval.over);
+        format!("95 % interval over {}", over.plural())
     }
 
     /// Whether a point used only some of the sources.
@@ -150,224 +128,212 @@ impl Chart {
     }
 }
 
+/// Width of the figure on a screen, and from which width on the panels stand side by side.
 const WIDTH: u32 = 1400;
-const HEAD: u32 = 78;
-const PANEL: u32 = 520;
-/// Height of a line of text below the panels.
-const LINE: i32 = 20;
-const MARGIN: i32 = 24;
+const SIDE_BY_SIDE: u32 = 800;
+const FONT: i32 = 13;
+/// Distance in pixels between the points of different methods at one scan time.
+const BESIDE: f64 = 7.0;
 
-/// An SVG with accuracy against median latency (log axis) on the left, and against scan time on the
-/// right. Bars are 95 % intervals, and ticks are users. The thick line is the Pareto front; its points
-/// are numbered and listed below. Dashed lines with letters are negative controls. Hollow points use
-/// only some of the sources.
-pub(crate) fn figure(chart: &Chart) -> Result<String, FigureError> {
-    let colours = colours(chart);
+/// An SVG with accuracy against median latency (log axis), and accuracy against scan time if there are
+/// several. Bars are intervals, and ticks are users. The grey line is the Pareto front, grey dashed lines
+/// are negative controls. Hollow points use only some of the sources.
+pub(crate) fn figure(chart: &Chart, look: Look) -> Result<String, FigureError> {
     let whole: Vec<&ChartPoint> =
         chart.methods().filter(|point| point.query_seconds.is_none()).collect();
     if whole.is_empty() {
         return Err(FigureError("the chart has no point for whole drags".into()));
     }
-    let fronts = [front(&whole, |p| p.query_ms_p50), front(&chart.timed(), |p| chart.scan_s(p))];
-    let longest = fronts.iter().map(Vec::len).max().unwrap_or(0) as i32;
-    let controls = chart.controls().count() as i32;
-    let below = (controls + longest + 2) * LINE + 24 + MARGIN;
-    svg((WIDTH, HEAD + PANEL + below as u32), |root| {
-        head(root, chart)?;
-        let (_, rest) = root.split_vertically(HEAD);
-        let (panels, _) = rest.split_vertically(PANEL);
-        let (left, right) = panels.split_horizontally(WIDTH / 2);
-        latency_panel(&left, chart, &whole, &colours)?;
-        time_panel(&right, chart, &colours)?;
-        let mut top = (HEAD + PANEL) as i32 + 8;
-        legend(root, chart, &colours, (MARGIN, top))?;
-        top += LINE;
-        for (letter, control) in lettered(chart) {
-            let text = format!("{letter}  negative control, {}", line(chart, control));
-            put(root, text, (MARGIN, top), 13)?;
-            top += LINE;
-        }
-        top += 8;
-        for (column, (front, what)) in fronts.iter().zip(["latency", "scan time"]).enumerate() {
-            let x = MARGIN + column as i32 * WIDTH as i32 / 2;
-            let text = format!("Best trade-offs of accuracy and {what} (Pareto front):");
-            put(root, text, (x, top), 14)?;
-            for (row, point) in front.iter().enumerate() {
-                let text = format!("{}  {}", row + 1, line(chart, point));
-                put(root, text, (x, top + LINE * (row as i32 + 1)), 13)?;
-            }
-        }
-        Ok(())
+    let all: Vec<&ChartPoint> = chart.methods().filter(|point| !chart.is_subset(point)).collect();
+    let is_timed = all.iter().any(|point| point.query_seconds.is_some());
+    let width = look.pixels(WIDTH);
+    let columns = if is_timed && width >= SIDE_BY_SIDE { 2 } else { 1 };
+    let rows = if is_timed { 3 - columns } else { 1 };
+    let lines = look.head(&title(chart), chart.synthetic, width);
+    let head = head_height(&lines);
+    let panel = (width / columns * 3 / 4).clamp(300, 520);
+    svg((width, head + panel * rows), look, |root| {
+        draw_head(root, &lines)?;
+        let (_, rest) = root.split_vertically(head);
+        let areas = rest.split_evenly((rows as usize, columns as usize));
+        latency_panel(&areas[0], chart, &whole)?;
+        areas.get(1).map_or(Ok(()), |area| time_panel(area, chart, &all))
     })
 }
 
-fn line(chart: &Chart, point: &ChartPoint) -> String {
-    let name = if point.control { point.setting.clone() } else { point.name() };
-    let sources = match !point.control && chart.is_subset(point) {
-        true => format!(", {} alone", point.sources.join(" + ")),
-        false => String::new(),
-    };
-    let seconds = point.query_seconds.map(|s| format!(", first {s} s")).unwrap_or_default();
-    let [accuracy, low, high] =
-        [point.accuracy, point.interval.low, point.interval.high].map(|share| 100.0 * share);
-    let ms = three_digits(point.query_ms_p50);
-    format!("{name}{sources}{seconds}: {accuracy:.1} % ({low:.1} to {high:.1}), {ms} ms")
-}
-
-fn head(root: &Area<'_>, chart: &Chart) -> Drawn {
-    let title = format!("How well and how fast surfaces are named: {}", chart.data);
-    put(root, title, (MARGIN, 12), 20)?;
-    let kind =
-        if chart.synthetic { "SYNTHETIC data, made by a generator" } else { "recorded data" };
+fn title(chart: &Chart) -> String {
     let queries = chart.points.iter().map(|p| p.queries).max().unwrap_or(0);
-    let facts = format!(
-        "{kind} · {} · {} surfaces, {} library trials, {queries} queries · sources {}",
+    format!(
+        "{} · {} · {} surfaces, {} library trials, n = {queries} queries · {} · bars: {}",
+        chart.data,
         chart.protocol,
         chart.surfaces,
         chart.library_trials,
-        chart.sources.join(", ")
-    );
-    put(root, facts, (MARGIN, 38), 14)?;
-    let has_users = chart.points.iter().any(|point| !point.users.is_empty());
-    let key = format!(
-        "bars: {}{}; thick line: Pareto front, numbered and listed below; dashed: negative \
-         controls, what a room or a session may give away",
-        chart.bars(),
-        if has_users { "; ticks: each user's share" } else { "" }
-    );
-    put(root, key, (MARGIN, 58), 13)
+        chart.sources.join(", "),
+        chart.bars()
+    )
 }
 
-type Colours<'a> = BTreeMap<&'a str, RGBColor>;
-
-fn colours(chart: &Chart) -> Colours<'_> {
+/// The number of a method's curve, by which it is drawn.
+fn curve(chart: &Chart, method: &str) -> usize {
     let mut methods: Vec<&str> = Vec::new();
     for point in chart.methods() {
         if !methods.contains(&point.method.as_str()) {
             methods.push(&point.method);
         }
     }
-    methods.into_iter().zip(COLOURS.into_iter().cycle()).collect()
-}
-
-/// The negative controls, each with the letter that its line has in the chart.
-fn lettered(chart: &Chart) -> impl Iterator<Item = (String, &ChartPoint)> {
-    ('a'..='z').map(String::from).zip(chart.controls())
-}
-
-/// A dot in a colour; `hollow` if its point uses only some of the sources.
-fn dot<C>(at: C, colour: RGBColor, hollow: bool) -> Circle<C, i32> {
-    Circle::new(at, 5, if hollow { colour.stroke_width(2) } else { colour.filled() })
-}
-
-/// Draws a row with the colour and the name of each method; its upper left corner is `(x, top)`.
-fn legend(
-    area: &Area<'_>,
-    chart: &Chart,
-    colours: &Colours<'_>,
-    (mut x, top): (i32, i32),
-) -> Drawn {
-    let mut named: Vec<String> = Vec::new();
-    for point in chart.methods() {
-        let hollow = chart.is_subset(point);
-        let name = format!("{}{}", point.method, if hollow { ", some sources" } else { "" });
-        if !named.contains(&name) {
-            area.draw(&dot((x + 6, top + 7), colours[point.method.as_str()], hollow))?;
-            put(area, name.as_str(), (x + 18, top), 13)?;
-            // A letter is about 7 pixels wide.
-            x += name.chars().count() as i32 * 7 + 40;
-            named.push(name);
-        }
-    }
-    Ok(())
+    methods.iter().position(|name| *name == method).unwrap_or(0)
 }
 
 /// The range of an accuracy axis: from below all intervals (also of controls) to above 100 %.
 fn axis(chart: &Chart, points: &[&ChartPoint]) -> Range<f64> {
     let all = points.iter().copied().chain(chart.controls());
     let low = all.map(|p| p.interval.low).fold(1.0, f64::min);
-    (low * 10.0 - 0.01).floor().max(0.0) / 10.0..1.08
+    (low * 10.0 - 0.01).floor().max(0.0) / 10.0..1.04
 }
 
-/// Draws accuracy against median latency, on a logarithmic axis.
-fn latency_panel(
-    area: &Area<'_>,
-    chart: &Chart,
-    whole: &[&ChartPoint],
-    colours: &Colours<'_>,
-) -> Drawn {
+/// Draws accuracy against median latency, on a logarithmic axis. Each method is named at its most
+/// accurate point, and each part of the sources at its own.
+fn latency_panel(area: &Area<'_>, chart: &Chart, whole: &[&ChartPoint]) -> Drawn {
     let ms = |p: &ChartPoint| p.query_ms_p50.max(1e-3);
-    let from = whole.iter().map(|p| ms(p)).fold(f64::INFINITY, f64::min) / 1.6;
-    let to = whole.iter().map(|p| ms(p)).fold(0.0, f64::max) * 1.6;
-    let of_x = "median latency of a query [ms], from raw samples to the answer, whole drag";
+    let from = whole.iter().map(|p| ms(p)).fold(f64::INFINITY, f64::min) / 1.8;
+    let to = whole.iter().map(|p| ms(p)).fold(0.0, f64::max) * 1.8;
+    let of_x = "median latency of a query [ms]";
     let (x, y) = (((from..to).log_scale(), of_x), (axis(chart, whole), "accuracy"));
     let mut panel = axes(area, "", x, y, percent)?;
-    marks(&mut panel, chart, (from, to), whole, colours, ms)
+    let line = front(whole, ms).into_iter().map(|p| (ms(p), p.accuracy));
+    panel.draw_series(LineSeries::new(line, BLACK.mix(0.18).stroke_width(4)))?;
+    let mut labels = controls(area, &mut panel, chart, (from, to))?;
+    let at = |point: &&ChartPoint| place(area, &panel, ms(point), point.accuracy);
+    for point in whole {
+        bar(area, &panel, chart, point, ms(point))?;
+        let (x, y) = at(point);
+        labels.take([x - 7, y - 7, x + 7, y + 7]);
+    }
+    let best = |point: &&&ChartPoint| {
+        let same = whole.iter().filter(|p| p.method == point.method && !chart.is_subset(p));
+        let most = same.max_by(|a, b| a.accuracy.total_cmp(&b.accuracy));
+        most.is_some_and(|most| std::ptr::eq(*most, **point))
+    };
+    for point in whole.iter().filter(best) {
+        labels.put(area, &point.method, at(point), FONT)?;
+    }
+    for point in whole.iter().filter(|point| chart.is_subset(point)) {
+        labels.put(area, &point.sources.join("+"), at(point), FONT - 2)?;
+    }
+    Ok(())
 }
 
-fn time_panel(area: &Area<'_>, chart: &Chart, colours: &Colours<'_>) -> Drawn {
-    let shown = chart.timed();
-    let end = chart.points.iter().map(|p| chart.scan_s(p)).fold(0.1, f64::max) * 1.06;
-    let of_x = "scan time used [s]; settings measured at several scan times";
-    let (x, y) = ((0.0..end, of_x), (axis(chart, &shown), "accuracy"));
+/// Draws accuracy against scan time for `points`, with a line for each setting of a method that was
+/// measured at several times. Methods are named at the right, in the order of their last points.
+fn time_panel(area: &Area<'_>, chart: &Chart, points: &[&ChartPoint]) -> Drawn {
+    let end = points.iter().map(|p| chart.scan_s(p)).fold(0.1, f64::max);
+    // Names take a third of a narrow panel.
+    let names = points.iter().map(|p| text_width(&p.method, FONT)).max().unwrap_or(0) + 50;
+    let share = f64::from(names) / f64::from(area.dim_in_pixel().0 - 100);
+    let to = end / (1.0 - share.min(0.5));
+    let (x, y) = ((0.0..to, "scan time used [s]"), (axis(chart, points), "accuracy"));
     let mut panel = axes(area, "", x, y, percent)?;
+    // Methods stand beside each other, so that their intervals can be told apart.
+    let count = points.iter().map(|p| curve(chart, &p.method)).max().unwrap_or(0) as f64;
+    let [left, top, right, bottom] = frame(area, &panel);
+    let step = BESIDE * to / f64::from(right - left);
+    let x = |point: &ChartPoint| {
+        chart.scan_s(point) + step * (curve(chart, &point.method) as f64 - count / 2.0)
+    };
     let mut lines: BTreeMap<(&str, &str), Vec<(f64, f64)>> = BTreeMap::new();
-    for point in &shown {
+    for point in points {
         let line = lines.entry((&point.method, &point.setting)).or_default();
-        line.push((chart.scan_s(point), point.accuracy));
+        line.push((x(point), point.accuracy));
     }
-    for ((method, _), mut line) in lines {
-        line.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let style = colours[method].mix(0.6).stroke_width(1);
-        panel.draw_series(LineSeries::new(line, style))?;
+    for ((method, _), mut points) in lines.into_iter().filter(|(_, points)| points.len() > 1) {
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        line(&mut panel, points, curve(chart, method))?;
     }
-    marks(&mut panel, chart, (0.0, end), &shown, colours, |p| chart.scan_s(p))
+    controls(area, &mut panel, chart, (0.0, end))?;
+    let mut last: BTreeMap<usize, (&ChartPoint, (i32, i32))> = BTreeMap::new();
+    for point in points {
+        bar(area, &panel, chart, point, x(point))?;
+        let number = curve(chart, &point.method);
+        let is_last = |(best, _): &(&ChartPoint, _)| {
+            (chart.scan_s(best), best.accuracy) <= (chart.scan_s(point), point.accuracy)
+        };
+        if last.get(&number).is_none_or(is_last) {
+            last.insert(number, (point, place(area, &panel, x(point), point.accuracy)));
+        }
+    }
+    // Of points at one height, the rightmost has the highest name, so that lines do not cross.
+    let heights: Vec<i32> = last.values().rev().map(|(_, (_, y))| *y).collect();
+    let moved = apart(&heights, FONT + 3, top + FONT / 2..bottom - FONT / 2);
+    let right = place(area, &panel, end + step * count / 2.0, 0.5).0 + 26;
+    for ((point, at), y) in last.values().rev().zip(moved) {
+        area.draw(&PathElement::new([*at, (right - 3, y)], GREY.stroke_width(1)))?;
+        put(area, point.method.as_str(), (right, y - FONT / 2), FONT)?;
+    }
+    // Leading lines must not hide the points.
+    last.iter().try_for_each(|(number, (_, at))| marker(area, *at, *number, false))
 }
 
 fn percent(y: &f64) -> String {
     if *y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
 }
 
-/// Draws the controls as dashed lines, the Pareto front, and each point with its interval and a tick
-/// for each user. `ends` are those of the axis of `x`.
-fn marks<X: Ranged<ValueType = f64>>(
+/// The pixel of a point within `area`.
+fn place<X: Ranged<ValueType = f64>>(
+    area: &Area<'_>,
+    panel: &Panel<'_, '_, X>,
+    x: f64,
+    accuracy: f64,
+) -> (i32, i32) {
+    let ((x, y), (left, top)) = (panel.backend_coord(&(x, accuracy)), area.get_base_pixel());
+    (x - left, y - top)
+}
+
+/// The box of a panel's axes within `area`.
+fn frame<X: Ranged<ValueType = f64>>(area: &Area<'_>, panel: &Panel<'_, '_, X>) -> PixelBox {
+    let ((x, y), (left, top)) = (panel.plotting_area().get_pixel_range(), area.get_base_pixel());
+    [x.start - left, y.start - top, x.end - left, y.end - top]
+}
+
+/// Draws the controls as dashed lines with their names. Returns where labels may go.
+fn controls<X: Ranged<ValueType = f64>>(
+    area: &Area<'_>,
     panel: &mut Panel<'_, '_, X>,
     chart: &Chart,
     ends: (f64, f64),
-    points: &[&ChartPoint],
-    colours: &Colours<'_>,
-    x: impl Fn(&ChartPoint) -> f64,
-) -> Drawn {
-    let font = ("sans-serif", 13);
-    for (letter, control) in lettered(chart) {
+) -> Result<Labels, FigureError> {
+    let mut labels = Labels::new(frame(area, panel));
+    for control in chart.controls() {
         let line = [ends.0, ends.1].map(|x| (x, control.accuracy));
-        panel.draw_series(DashedLineSeries::new(line, 5, 5, GREY.stroke_width(1)))?;
-        panel.draw_series([EmptyElement::at(line[0]) + Text::new(letter, (4, -16), font)])?;
+        panel.draw_series(DashedLineSeries::new(line, 3, 4, GREY.stroke_width(1)))?;
+        let (x, y) = place(area, panel, ends.0, control.accuracy);
+        labels.take([x, y - 2, place(area, panel, ends.1, control.accuracy).0, y + 2]);
+        let text = format!("control: {}", control.setting.trim_end_matches(" alone"));
+        let width = text_width(&text, FONT - 2);
+        labels.put(area, &text, (x + width / 2 + 2, y), FONT - 2)?;
     }
-    let front = front(points, &x);
-    let line = front.iter().map(|p| (x(p), p.accuracy));
-    panel.draw_series(LineSeries::new(line, BLACK.mix(0.3).stroke_width(3)))?;
-    for point in points {
-        let (x, colour) = (x(point), colours[point.method.as_str()]);
-        let bar = [point.interval.low, point.interval.high].map(|y| (x, y));
-        panel.draw_series([PathElement::new(bar, colour.mix(0.5).stroke_width(2))])?;
-        panel.draw_series(point.users.iter().map(|user| {
-            let tick = PathElement::new([(-6, 0), (6, 0)], colour.mix(0.7).stroke_width(1));
-            EmptyElement::at((x, user.share.value())) + tick
-        }))?;
-        panel.draw_series([dot((x, point.accuracy), colour, chart.is_subset(point))])?;
+    Ok(labels)
+}
+
+/// Draws a point with its interval, and a tick for each user.
+fn bar<X: Ranged<ValueType = f64>>(
+    area: &Area<'_>,
+    panel: &Panel<'_, '_, X>,
+    chart: &Chart,
+    point: &ChartPoint,
+    x: f64,
+) -> Drawn {
+    let at = |accuracy: f64| place(area, panel, x, accuracy);
+    let number = curve(chart, &point.method);
+    let ends = [point.interval.low, point.interval.high].map(at);
+    area.draw(&PathElement::new(ends, colour(number).mix(0.6).stroke_width(1)))?;
+    for user in &point.users {
+        let (x, y) = at(user.share.value());
+        let tick =
+            PathElement::new([(x - 4, y), (x + 4, y)], colour(number).mix(0.6).stroke_width(1));
+        area.draw(&tick)?;
     }
-    let mut before = (i32::MIN / 2, 0);
-    for (number, point) in (1..).zip(front) {
-        let at = (x(point), point.interval.high);
-        let (left, y) = panel.backend_coord(&at);
-        // Numbers of points that are close together go one above the other.
-        let top = if left - before.0 < 18 { (y - 16).min(before.1 - 13) } else { y - 16 };
-        before = (left, top);
-        let number = Text::new(number.to_string(), (-4, top - y), font);
-        panel.draw_series([EmptyElement::at(at) + number])?;
-    }
-    Ok(())
+    marker(area, at(point.accuracy), number, chart.is_subset(point))
 }
 
 #[cfg(test)]
@@ -417,37 +383,30 @@ mod tests {
     }
 
     #[test]
-    fn a_name_is_short_and_differs_between_settings() {
-        let name = |method: &str, setting: &str| {
-            ChartPoint { setting: setting.into(), ..point(method, 1.0, 1.0) }.name()
-        };
-        assert_eq!(name("svm", "--method svm"), "svm");
-        assert_eq!(
-            name("reference", "--method reference --n 100 --repetitions 10 --halving"),
-            "reference (n = 100 R = 10 halving)"
-        );
-        assert_eq!(name("lda", "log bands"), "lda (log bands)");
-    }
-
-    #[test]
     fn a_chart_names_its_methods_controls_and_kind_of_data() {
         let mut points = vec![point("reference", 300.0, 0.7), point("embedding", 2.0, 1.0)];
         points.push(ChartPoint { query_seconds: Some(0.5), ..point("embedding", 2.0, 0.95) });
         points.push(ChartPoint { sources: vec!["ac".into()], ..point("embedding", 1.0, 0.8) });
         let control = ChartPoint { control: true, ..point("control", 2.0, 0.5) };
         points.push(ChartPoint { setting: "loudness alone".into(), ..control });
-        let chart = chart(points);
-        let svg = figure(&chart).unwrap();
+        let mut chart = chart(points);
+        let svg = figure(&chart, Look::default()).unwrap();
         for text in [
             "reference",
-            "embedding, some sources",
-            "negative control, loudness alone: 50.0 %",
+            "embedding",
+            "control: loudness",
             "SYNTHETIC",
-            "first 0.5 s",
             "a &lt;scene&gt;",
+            "scan time used",
+            "bars: 95 % interval over queries",
         ] {
             assert!(svg.contains(text), "{text}");
         }
-        assert!(figure(&Chart { points: vec![], ..chart }).is_err());
+        let look = Look { no_title: true, ..Look::default() };
+        chart.points.retain(|point| point.query_seconds.is_none());
+        let svg = figure(&chart, look).unwrap();
+        assert!(svg.contains("SYNTHETIC") && !svg.contains("a &lt;scene&gt;"));
+        assert!(!svg.contains("scan time used"), "a panel without a line is not drawn");
+        assert!(figure(&Chart { points: vec![], ..chart }, look).is_err());
     }
 }

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::evaluate::loudness::level_of;
 use crate::evaluate::{
-    EvaluateError, EvaluatedTrials, Evaluation, Fold, LeftOutSources, Measured, Protocol,
+    EvaluateError, EvaluatedTrials, Evaluation, LeftOutSources, Measured, Split,
 };
 use crate::library::Entry;
 use crate::recognise::features::{FeatureVector, SourceFeatures};
@@ -26,19 +26,19 @@ const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];
 /// Upper end, in Hz, of a negative control's band, which holds hum and rumble of the room.
 const CONTROL_HZ: f64 = 80.0;
 
-/// The settings in a chart. The first flag says whether drags are also cut to their first seconds. The
-/// second says whether a brief chart has the setting, as the cheapest useful one of its method.
-pub(crate) fn settings() -> [(MethodSpec, bool, bool); 8] {
-    [
+/// The settings in a chart: several of `reference`, one of each other method. The first flag says whether
+/// drags are also cut to their first seconds. The second says whether a brief chart has the setting, as
+/// the cheapest useful one of its method.
+pub(crate) fn settings() -> Vec<(MethodSpec, bool, bool)> {
+    let of_reference = [
         (reference(100, 1, false), false, false),
         (reference(400, 1, false), false, true),
         (reference(100, 10, false), false, false),
         (reference(400, 10, false), true, false),
         (reference(400, 10, true), false, false),
-        (ON_SUBSETS.into(), true, true),
-        (MethodName::Svm.into(), false, true),
-        (MethodName::RandomForest.into(), false, true),
-    ]
+    ];
+    let others = MethodName::ALL.into_iter().filter(|name| *name != MethodName::Reference);
+    of_reference.into_iter().chain(others.map(|name| (name.into(), true, true))).collect()
 }
 
 fn reference(samples: usize, repetitions: usize, halving: bool) -> MethodSpec {
@@ -65,17 +65,25 @@ fn whole(method: MethodSpec, scene: &Scene) -> Charted {
     Charted { method: Some(method), control: None, scene: scene.clone(), seconds: vec![None] }
 }
 
-/// The runs of a chart of a scene whose drags last `drag_s` seconds. A `brief` chart has each method
-/// once, on whole drags with all sources, and the controls.
-pub(crate) fn charted(scene: &Scene, drag_s: Option<f64>, brief: bool) -> Vec<Charted> {
+/// The runs of a chart of some methods, of a scene whose drags last `drag_s` seconds. A `brief` chart has
+/// each method once, on whole drags with all sources, and the controls.
+pub(crate) fn charted(
+    scene: &Scene,
+    drag_s: Option<f64>,
+    methods: &[MethodName],
+    brief: bool,
+) -> Vec<Charted> {
     let shorter = SECONDS.into_iter().filter(|&s| drag_s.is_some_and(|whole| s < whole));
     let timed: Vec<Option<f64>> = std::iter::once(None).chain(shorter.map(Some)).collect();
     let of_setting = |(method, is_timed, _)| {
         let seconds = if is_timed && !brief { timed.clone() } else { vec![None] };
         Charted { seconds, ..whole(method, scene) }
     };
-    let wanted = settings().into_iter().filter(|(_, _, is_brief)| *is_brief || !brief);
-    let subsets = if brief { Vec::new() } else { subsets(scene) };
+    let wanted = settings()
+        .into_iter()
+        .filter(|(method, _, is_brief)| methods.contains(&method.name()) && (*is_brief || !brief));
+    let has_subsets = !brief && methods.contains(&ON_SUBSETS);
+    let subsets = if has_subsets { subsets(scene) } else { Vec::new() };
     let of_subsets = subsets.iter().map(|subset| whole(ON_SUBSETS.into(), subset));
     wanted.map(of_setting).chain(of_subsets).chain(controls(scene)).collect()
 }
@@ -130,8 +138,8 @@ fn of_domain(scene: &Scene, is: impl Fn(&Domain) -> bool) -> Option<Scene> {
 /// Measures one setting, with the sources of its own scene. Returns a point for each scan time, and
 /// the sources that were left out. `name` is the setting's name in the chart.
 pub(crate) fn measure(
-    (entries, folds): (&[Entry], &[Fold]),
-    protocol: Protocol,
+    entries: &[Entry],
+    Split { folds, over, .. }: &Split,
     charted: &Charted,
     name: &str,
 ) -> Result<(Vec<ChartPoint>, LeftOutSources), EvaluateError> {
@@ -145,7 +153,7 @@ pub(crate) fn measure(
     let method = charted.method.clone().unwrap_or(MethodName::Knn.into()).build(scene);
     let measured = on.prepare(&*method)?.measure_by(folds, &charted.seconds)?;
     let point = |(seconds, measured): (&Option<f64>, &Measured)| {
-        ChartPoint::new(&measured.outcome, protocol, name, *seconds, charted.control.is_some())
+        ChartPoint::new(&measured.outcome, *over, name, *seconds, charted.control.is_some())
     };
     let points = charted.seconds.iter().zip(&measured).map(point).collect();
     let left_out = measured.into_iter().flat_map(|measured| measured.left_out).collect();
@@ -185,16 +193,18 @@ mod tests {
         let scene = Scene::lmt108();
         let control_count =
             |all: &[Charted]| all.iter().filter(|one| one.control.is_some()).count();
-        let all = charted(&scene, Some(4.8), false);
+        let every = MethodName::ALL;
+        let all = charted(&scene, Some(4.8), &every, false);
         assert_eq!(control_count(&all), 2);
         // Eight single sources; together three spectra, three series, and two pictures.
         assert_eq!(all.len(), settings().len() + 8 + 3 + 2);
         let mi2 = scene.only(&[SourceId::new("mi2").unwrap()]).unwrap();
-        let alone = charted(&mi2, Some(0.8), false);
+        let alone = charted(&mi2, Some(0.8), &every, false);
         assert_eq!((control_count(&alone), alone.len()), (2, settings().len() + 2));
         assert_eq!(alone[3].seconds, [None, Some(0.5)]);
-        let few = charted(&mi2, Some(0.8), true);
-        assert_eq!((control_count(&few), few.len()), (2, 4 + 2));
+        let few = charted(&mi2, Some(0.8), &every, true);
+        assert_eq!((control_count(&few), few.len()), (2, every.len() + 2));
+        assert_eq!(charted(&mi2, None, &[MethodName::Svm], false).len(), 1 + 2);
         assert!(few.iter().all(|one| one.seconds == [None]));
     }
 

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::Audited;
 use crate::evaluate::ProgressFn;
 use crate::evaluate::leak::{Leaks, Shared};
-use crate::evaluate::loudness::level_of;
+use crate::evaluate::loudness::{edge_hz, level_of};
 use crate::library::{Entry, LibraryError, Unreadable};
 use crate::printable::quoted;
 use crate::scene::{Scene, SourceId};
@@ -45,6 +45,8 @@ pub enum FaultKind {
     Stuck,
     /// A trial was clearly named another surface when it was left out.
     Mislabelled,
+    /// Many trials of one person or session were clearly named other surfaces.
+    Session,
     /// A series is 20 dB above or below the other trials of its surface.
     Level,
     /// A part of a series is also in another trial.
@@ -110,6 +112,9 @@ pub(super) struct Measured {
     pub seconds: f64,
     /// ln of the root mean square, after the mean of each channel was subtracted.
     pub level: f64,
+    pub rate_hz: f64,
+    /// The frequency below which 95 % of the power lies.
+    pub edge_hz: f64,
     pub is_constant: bool,
     /// For each channel, the largest share of the samples that rests at one value.
     rests: Vec<f32>,
@@ -161,6 +166,8 @@ fn of_entry(
                 let measured = Measured {
                     seconds: one.duration_s(),
                     level: level_of(one.samples(), one.channels()),
+                    rate_hz: one.rate_hz(),
+                    edge_hz: edge_hz(one.samples(), one.channels(), one.rate_hz()),
                     is_constant: one.is_constant(),
                     rests: flaws.rests(),
                 };
@@ -401,7 +408,7 @@ fn forget_usual(inspected: &mut [Inspected]) {
 }
 
 /// The median; `None` if there are fewer than [`FEWEST`] values.
-fn median(mut values: Vec<f64>) -> Option<f64> {
+pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     (values.len() >= FEWEST).then(|| values[values.len() / 2])
 }

@@ -2,6 +2,7 @@
 //! what is damaged, and what to record next.
 
 mod finding;
+mod session;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -11,10 +12,10 @@ use serde::ser::{SerializeMap, Serializer};
 pub(crate) use self::finding::{FaultKind, Finding};
 use self::finding::{Inspected, inspect};
 use super::evaluation::{Evaluation, Measured, ProgressFn};
-use super::fold::{Fold, by_user, enough, known_only};
+use super::fold::{Fold, Protocol, folds};
 use super::leak::Leaks;
-use super::outcome::{Confusion, Prediction, Share};
-use super::plain::better_plain;
+use super::outcome::{Confusion, Interval, Over, Prediction, Share};
+use super::paired::better_plain;
 use crate::library::{Entry, Opened};
 use crate::recognise::{Method, MethodName};
 use crate::scene::{Scene, SourceId};
@@ -30,14 +31,17 @@ const FOR_UNKNOWN: usize = 99;
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct CheckReport {
     pub trials: usize,
-    /// How many of the left-out trials were named correctly; `None` if no trial could be left out.
+    /// How many of the left-out trials were named correctly, with the interval; `None` if no trial could
+    /// be left out.
     #[serde(flatten, serialize_with = "left_out_share")]
-    pub share: Option<Share>,
+    pub share: Option<(Share, Interval)>,
+    /// Which trials are left out, and what that leaves untold.
+    pub left_out: String,
     pub surfaces: Vec<SurfaceCheck>,
     /// Confusion matrix of the left-out trials: truth against answer.
     pub confusion: Option<Confusion>,
     pub each: Vec<TrialCheck>,
-    /// Accuracy, a fraction, if all findings were fixed; `None` if there are no findings.
+    /// Accuracy, a fraction, without the damaged trials; `None` if there are none.
     pub accuracy_mended: Option<f64>,
     /// Things to fix, the worst first.
     pub findings: Vec<Finding>,
@@ -84,8 +88,15 @@ pub struct TrialCheck {
     pub doubts: Vec<Doubt>,
 }
 
-fn left_out_share<S: Serializer>(share: &Option<Share>, to: S) -> Result<S::Ok, S::Error> {
-    Share::write(*share, None, "accuracy", to)
+type Named = Option<(Share, Interval)>;
+
+fn left_out_share<S: Serializer>(named: &Named, to: S) -> Result<S::Ok, S::Error> {
+    let mut map = to.serialize_map(None)?;
+    map.serialize_entry("accuracy", &named.map(|(share, _)| share.value()))?;
+    map.serialize_entry("accuracy_low", &named.map(|(_, interval)| interval.low))?;
+    map.serialize_entry("accuracy_high", &named.map(|(_, interval)| interval.high))?;
+    map.serialize_entry("interval_over", &named.map(|(_, interval)| interval.over))?;
+    map.end()
 }
 
 fn share_of_surface<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
@@ -146,7 +157,9 @@ pub(crate) fn check(
     let of_sound = || measure(&sound, &leaks, audited, progress, None).ok();
     let of_sound = if sound.len() < entries.len() { of_sound() } else { None };
     let judged = of_sound.as_ref().map_or(&predictions, |measured| &measured.predictions);
-    let suspects = suspects(judged);
+    let mut suspects = suspects(judged);
+    let moved = session::moved(judged, &mut suspects);
+    findings.extend(session::differing(&moved, &inspected, audited));
     let wrong: Vec<(String, String)> = (sound.iter())
         .filter_map(|entry| {
             Some((entry.name_in(audited.root), (*suspects.get(&entry.key)?).to_string()))
@@ -154,17 +167,7 @@ pub(crate) fn check(
         .collect();
     findings.extend(finding::mislabelled(&wrong, audited));
     findings.sort_by_key(|finding| finding.kind);
-    let accuracy_mended = match (findings.is_empty(), wrong.is_empty()) {
-        (true, _) => None,
-        (false, true) => Some(Share::count(judged.iter().map(Prediction::is_correct)).value()),
-        (false, false) => {
-            let mended: Vec<Entry> =
-                sound.iter().map(|entry| relabelled(entry, &suspects)).collect();
-            let uncached = Audited { cache: None, ..*audited };
-            let mended = measure(&mended, &leaks, &uncached, progress, None);
-            mended.ok().map(|measured| measured.outcome.share.value())
-        }
-    };
+    let accuracy_mended = of_sound.as_ref().map(|measured| measured.outcome.share.value());
     let each = trials(&keys, &predictions, &inspected, &suspects);
     let surfaces = surfaces(&keys, &predictions);
     advice.extend(missing(&entries));
@@ -175,7 +178,8 @@ pub(crate) fn check(
     };
     CheckReport {
         trials: keys.len(),
-        share: outcome.as_ref().map(|outcome| outcome.share),
+        share: outcome.as_ref().map(|outcome| (outcome.share, outcome.interval)),
+        left_out: hardest(&keys).1.into(),
         confusion: outcome.map(|outcome| outcome.confusion),
         surfaces,
         each,
@@ -186,25 +190,19 @@ pub(crate) fn check(
     }
 }
 
-/// Gives an entry that looks mislabelled the surface that it was named, and an unused number.
-fn relabelled(entry: &Entry, suspects: &BTreeMap<&TrialKey, &str>) -> Entry {
-    let Some(label) = suspects.get(&entry.key) else { return entry.clone() };
-    let key = TrialKey {
-        surface: (*label).to_string(),
-        number: entry.key.number.wrapping_add(u32::MAX / 2),
-        ..entry.key.clone()
-    };
-    entry.clone().renamed(key)
+/// The hardest protocol that the keys allow, if it leaves out people or sessions, and which trials are
+/// left out.
+fn hardest(keys: &[TrialKey]) -> (Option<Protocol>, &'static str) {
+    let fitting = Protocol::fitting(keys).filter(|protocol| protocol.over() != Over::Queries);
+    (fitting, fitting.unwrap_or(Protocol::LeaveOneTrialOut).left_out())
 }
 
-/// Makes the folds. Each person is left out in one fold if there are several. Further folds leave
-/// out the remaining trials ([`by_parts`]), for example of a surface that only one person recorded.
+/// Makes the folds: those of the [`hardest`] protocol. Further folds leave out the remaining trials
+/// ([`by_parts`]), for example of a surface that only one person recorded.
 fn left_out(keys: &[TrialKey]) -> Vec<Fold> {
-    let mut folds: Vec<Fold> = by_user(keys)
-        .into_iter()
-        .filter_map(|fold| known_only(fold, keys))
-        .filter(|fold| enough(std::slice::from_ref(fold), keys))
-        .collect();
+    let (protocol, _) = hardest(keys);
+    // A protocol that fits has folds.
+    let mut folds = protocol.and_then(|one| folds(one, keys).ok()).unwrap_or_default();
     let done: BTreeSet<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
     let rest = by_parts(keys).into_iter().map(|fold| {
         let queries = fold.queries.iter().copied().filter(|i| !done.contains(i)).collect();
@@ -254,7 +252,9 @@ fn measure(
     }
     let evaluation = Evaluation { cache, progress, ..Evaluation::new(scene, entries, &folds) };
     let run = evaluation.prepare(method).map_err(|error| error.to_string())?;
-    let measured = run.measure().map_err(|error| error.to_string())?;
+    let mut measured = run.measure().map_err(|error| error.to_string())?;
+    let over = hardest(&keys).0.map_or(Over::Queries, Protocol::over);
+    measured.outcome = measured.outcome.over(over);
     if let Some(advice) = advice
         && method.name() == MethodName::Embedding.as_str()
     {
@@ -263,9 +263,12 @@ fn measure(
     Ok(measured)
 }
 
-/// The trials that look mislabelled, each with the surface that it was named. This surface is not
-/// the trial's label, and the margin is larger than that of most trials of this surface.
-fn suspects(predictions: &[Prediction]) -> BTreeMap<&TrialKey, &str> {
+/// The trials that look mislabelled, each with the surface that it was named.
+type Suspects<'p> = BTreeMap<&'p TrialKey, &'p str>;
+
+/// The trials whose answer is not their label, with a margin larger than that of most trials of this
+/// surface.
+fn suspects(predictions: &[Prediction]) -> Suspects<'_> {
     let right = predictions.iter().filter(|p| p.is_correct());
     let mut margins: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     right.for_each(|p| margins.entry(&p.surface).or_default().push(p.margin));
@@ -283,7 +286,7 @@ fn trials(
     keys: &[TrialKey],
     predictions: &[Prediction],
     inspected: &[Inspected],
-    suspects: &BTreeMap<&TrialKey, &str>,
+    suspects: &Suspects<'_>,
 ) -> Vec<TrialCheck> {
     let by_key: BTreeMap<&TrialKey, &Prediction> =
         predictions.iter().map(|prediction| (&prediction.key, prediction)).collect();

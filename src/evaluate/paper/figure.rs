@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 
 use super::report::{PaperReport, ReportRow};
-use crate::draw::{Area, COLOURS, Drawn, FigureError, put, svg};
+use crate::draw::{Area, COLOURS, Drawn, FigureError, Look, put, svg};
 use crate::evaluate::Confusion;
 
 const OURS: RGBColor = COLOURS[0];
@@ -32,7 +32,7 @@ pub(crate) fn bars(report: &PaperReport) -> Result<String, FigureError> {
     let shown: Vec<&ReportRow> =
         report.rows.iter().filter(|row| row.accuracy_mean.is_some()).collect();
     let height = 90 + ROW * shown.len() as i32;
-    svg((WIDTH, height as u32), |area| {
+    svg((WIDTH, height as u32), Look::default(), |area| {
         let mark = if report.synthetic { " · synthetic data, no test of the method" } else { "" };
         put(area, format!("Accuracy in percent: {}{mark}", report.data), (20, 14), 18)?;
         let key = "bars: ours; marks: the paper; whiskers: standard deviation over folds";
@@ -96,7 +96,7 @@ pub(crate) fn confusion(confusion: &Confusion) -> Result<String, FigureError> {
     let (left, top) = (340, 190);
     let side = cell * order.len() as i32;
     let size = ((left + side + 30).max(640) as u32, (top + side + 40) as u32);
-    svg(size, |area| {
+    svg(size, Look::default(), |area| {
         put(area, "Truth (rows) against answer (columns), by material", (20, 14), 18)?;
         put(area, "blue: right; orange: wrong; the darker, the more often", (20, 40), 12)?;
         let frame = Rectangle::new([(left, top), (left + side, top + side)], BLACK.mix(0.5));

@@ -27,8 +27,8 @@ pub struct Row {
     pub published: Option<Published>,
 }
 
-const TABLE_1: &str = "Table I";
-const TABLE_2: &str = "Table II";
+pub(super) const TABLE_1: &str = "Table I";
+pub(super) const TABLE_2: &str = "Table II";
 const TEXT: &str = "text";
 const FIGURE: &str = "pairs";
 const OURS: &str = "beside";

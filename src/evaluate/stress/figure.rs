@@ -3,11 +3,16 @@
 use plotters::prelude::*;
 
 use super::report::{MethodReport, StressCell, StressReport};
-use crate::draw::{Area, COLOURS, Drawn, FigureError, put, svg};
+use crate::draw::{
+    Area, Drawn, FigureError, Look, colour, draw_head, head_height, line, marker, put, svg,
+};
 
-const PANEL: (u32, u32) = (300, 230);
-const COLUMNS: usize = 4;
-const TITLE: u32 = 44;
+/// Width of the figure on a screen.
+const WIDTH: u32 = 1200;
+/// Least width of a panel, and its height.
+const PANEL: (u32, u32) = (210, 230);
+/// Most columns.
+const COLUMNS: u32 = 4;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Measure {
@@ -33,29 +38,59 @@ impl Measure {
             Self::CalibrationError => cell.calibration_error,
         }
     }
+
+    /// The 95 % interval of a share of queries.
+    fn interval(self, cell: &StressCell) -> Option<(f64, f64)> {
+        match self {
+            Self::Accuracy => cell.accuracy_interval,
+            Self::UnknownRejected => cell.unknown_interval,
+            Self::CalibrationError => None,
+        }
+    }
+
+    /// The number of queries that a share is of.
+    fn queries(self, report: &StressReport) -> usize {
+        match self {
+            Self::UnknownRejected => report.unknown_queries,
+            Self::Accuracy | Self::CalibrationError => report.queries,
+        }
+    }
 }
 
-/// An SVG with a panel for each disturbance: `measure` against severity, from undisturbed.
-pub(crate) fn figure(report: &StressReport, measure: Measure) -> Result<String, FigureError> {
+/// An SVG with a panel for each disturbance: `measure` against severity, from undisturbed. Bars are 95 %
+/// intervals over queries.
+pub(crate) fn figure(
+    report: &StressReport,
+    measure: Measure,
+    look: Look,
+) -> Result<String, FigureError> {
     let shown: Vec<(usize, &MethodReport)> =
         report.methods.iter().enumerate().filter(|(_, m)| measure.of(&m.clean).is_some()).collect();
     let panels = shown.first().map_or(0, |(_, m)| m.disturbances.len());
     if panels == 0 {
         return Err(FigureError(format!("there is nothing to draw of: {}", measure.title())));
     }
-    // One more panel holds the legend.
-    let rows = (panels + 1).div_ceil(COLUMNS);
-    let size = (PANEL.0 * COLUMNS as u32, PANEL.1 * rows as u32 + TITLE);
-    svg(size, |root| {
-        let mark = if report.synthetic { " (synthetic data)" } else { "" };
-        let title = format!(
-            "{}{mark} · {} · {} queries · {}",
-            report.data,
-            report.protocol,
-            report.queries,
-            measure.title()
-        );
-        let areas = root.titled(&title, ("sans-serif", 20))?.split_evenly((rows, COLUMNS));
+    let width = look.pixels(WIDTH);
+    // One more panel holds the names of the methods.
+    let columns = (width / PANEL.0).clamp(1, COLUMNS).min(panels as u32 + 1) as usize;
+    let rows = (panels + 1).div_ceil(columns);
+    let bars = match measure {
+        Measure::CalibrationError => "",
+        _ => " · bars: 95 % interval over queries",
+    };
+    let title = format!(
+        "{} · {} · n = {} queries · {}{bars}",
+        report.data,
+        report.protocol,
+        measure.queries(report),
+        measure.title()
+    );
+    let lines = look.head(&title, report.synthetic, width);
+    let head = head_height(&lines);
+    svg((width, PANEL.1 * rows as u32 + head), look, |root| {
+        draw_head(root, &lines)?;
+        let (_, rest) = root.split_vertically(head);
+        let areas = rest.split_evenly((rows, columns));
         for (at, area) in areas.iter().enumerate().take(panels) {
             panel(area, &shown, at, measure)?;
         }
@@ -63,19 +98,15 @@ pub(crate) fn figure(report: &StressReport, measure: Measure) -> Result<String, 
     })
 }
 
-fn colour(index: usize) -> RGBColor {
-    COLOURS[index % COLOURS.len()]
-}
-
 fn panel(area: &Area<'_>, shown: &[(usize, &MethodReport)], at: usize, measure: Measure) -> Drawn {
     let axis = &shown[0].1.disturbances[at];
     let places = axis.levels.len() as f64;
     let mut chart = ChartBuilder::on(area)
         .margin(8)
-        .caption(format!("{} ({})", axis.name, axis.axis), ("sans-serif", 14))
+        .caption(format!("{} ({})", axis.name, axis.axis), ("sans-serif", 13))
         .x_label_area_size(20)
-        .y_label_area_size(34)
-        .build_cartesian_2d(-0.2..places + 0.2, 0.0..1.02)?;
+        .y_label_area_size(38)
+        .build_cartesian_2d(-0.3..places + 0.3, 0.0..1.02)?;
     let label = |x: &f64| {
         let place = x.round();
         match place as usize {
@@ -95,28 +126,43 @@ fn panel(area: &Area<'_>, shown: &[(usize, &MethodReport)], at: usize, measure: 
         .y_label_formatter(&|y| format!("{:.0} %", 100.0 * y))
         .label_style(("sans-serif", 11))
         .draw()?;
-    // The legend's first method is drawn last, so that it stays visible where lines coincide.
-    for (index, method) in shown.iter().rev() {
+    // The first method is drawn last, so that it stays visible where lines coincide. Methods stand
+    // beside each other, so that their intervals can be told apart.
+    for (row, (index, method)) in shown.iter().enumerate().rev() {
+        let beside = (row as f64 - (shown.len() as f64 - 1.0) / 2.0) * 0.4 / shown.len() as f64;
         let cells = method.disturbances[at].levels.iter().map(|level| &level.cell);
-        let line: Vec<(f64, f64)> = std::iter::once(&method.clean)
+        let cells: Vec<(f64, &StressCell)> = std::iter::once(&method.clean)
             .chain(cells)
             .enumerate()
-            .filter_map(|(place, cell)| Some((place as f64, measure.of(cell)?)))
+            .map(|(place, cell)| (place as f64 + beside, cell))
             .collect();
-        let style = colour(*index).stroke_width(2);
-        chart.draw_series(LineSeries::new(line.clone(), style))?;
-        let dots = line.into_iter().map(|at| Circle::new(at, 2, colour(*index).filled()));
-        chart.draw_series(dots)?;
+        let points = cells.iter().filter_map(|(x, cell)| Some((*x, measure.of(cell)?)));
+        let points: Vec<(f64, f64)> = points.collect();
+        for (x, (low, high)) in
+            cells.iter().filter_map(|(x, cell)| Some((*x, measure.interval(cell)?)))
+        {
+            let bar = [(x, low), (x, high)];
+            chart.draw_series([PathElement::new(bar, colour(*index).mix(0.5).stroke_width(1))])?;
+        }
+        line(&mut chart, points.clone(), *index)?;
+        let (left, top) = area.get_base_pixel();
+        for point in points {
+            let (x, y) = chart.backend_coord(&point);
+            marker(area, (x - left, y - top), *index, false)?;
+        }
     }
     Ok(())
 }
 
 fn legend(area: &Area<'_>, shown: &[(usize, &MethodReport)]) -> Drawn {
-    for (line, (index, method)) in shown.iter().enumerate() {
-        let y = 24 + 20 * line as i32;
-        let stroke = PathElement::new([(44, y), (74, y)], colour(*index).stroke_width(3));
-        area.draw(&stroke)?;
-        put(area, method.method.as_str(), (82, y - 7), 14)?;
+    let mut chart = ChartBuilder::on(area).build_cartesian_2d(0.0..1.0, 0.0..1.0)?;
+    for (row, (index, method)) in shown.iter().enumerate() {
+        let y = 24 + 22 * row as i32;
+        let height = f64::from(y) / f64::from(area.dim_in_pixel().1);
+        line(&mut chart, vec![(0.06, 1.0 - height), (0.28, 1.0 - height)], *index)?;
+        let x = (0.17 * f64::from(area.dim_in_pixel().0)) as i32;
+        marker(area, (x, y), *index, false)?;
+        put(area, method.method.as_str(), (2 * x, y - 7), 13)?;
     }
     Ok(())
 }

@@ -28,7 +28,7 @@ pub use self::disturb::{Disturbance, all};
 pub(crate) use self::figure::{Measure, figure};
 pub(crate) use self::report::StressReport;
 use self::report::{DisturbanceLevel, DisturbanceSeries, MethodReport, StressCell};
-use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, Run};
+use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, Run, Share};
 use crate::library::Entry;
 use crate::recognise::{Method, Model, Ranking, RecogniseError};
 use crate::scene::Scene;
@@ -234,13 +234,17 @@ fn cell(answers: &[StressAnswer], threshold: f64) -> StressCell {
     let unknown_rejected =
         unknown.iter().filter(|named| named.as_ref().is_none_or(rejected)).count();
     let refused = answers.len() - known.len();
+    let right = known.iter().filter(|named| named.right).count();
+    let interval = |right, of| Share { right, of }.interval();
     StressCell {
-        accuracy: share(known.iter().filter(|named| named.right).count(), answers.len()),
+        accuracy: share(right, answers.len()),
+        accuracy_interval: (!answers.is_empty()).then(|| interval(right, answers.len())),
         known_rejected: share(
             known.iter().filter(|n| rejected(n)).count() + refused,
             answers.len(),
         ),
         unknown_rejected: (!unknown.is_empty()).then(|| share(unknown_rejected, unknown.len())),
+        unknown_interval: (!unknown.is_empty()).then(|| interval(unknown_rejected, unknown.len())),
         calibration_error: calibration_error(&known),
         refused,
     }

@@ -11,10 +11,15 @@ const LOSS: f64 = 0.05;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StressCell {
     pub accuracy: f64,
+    /// The 95 % Wilson interval of the accuracy, over queries.
+    #[serde(default)]
+    pub accuracy_interval: Option<(f64, f64)>,
     /// Share of queries of known surfaces that would be called unknown.
     pub known_rejected: f64,
     /// Share of queries of unknown surfaces that would be called unknown, if there are any.
     pub unknown_rejected: Option<f64>,
+    #[serde(default)]
+    pub unknown_interval: Option<(f64, f64)>,
     /// Expected calibration error of the stated probability, for methods that state one.
     pub calibration_error: Option<f64>,
     /// Number of queries that could not be compared at all; they count as named wrong.
@@ -76,6 +81,9 @@ pub(crate) struct StressReport {
     pub data: String,
     pub synthetic: bool,
     pub protocol: String,
+    /// Which trials are left out, and what that leaves untold.
+    #[serde(default)]
+    pub left_out: String,
     pub sources: Vec<String>,
     pub queries: usize,
     /// Number of queries that were also compared with a library without their surface.
@@ -88,6 +96,9 @@ impl StressReport {
     /// and for each method the disturbances at which it fails first.
     pub(crate) fn markdown(&self) -> String {
         let mut text = String::new();
+        if self.synthetic {
+            text += "SYNTHETIC data\n\n";
+        }
         let mut line = |cells: Vec<String>| {
             // Writing to a String cannot fail.
             let _ = writeln!(text, "| {} |", cells.join(" | "));
@@ -100,7 +111,15 @@ impl StressReport {
         };
         line(row("loses 5 points at", &|m| format!("`{}`", m.method)));
         line(vec!["---".into(); self.methods.len() + 1]);
-        line(row("undisturbed, %", &|m| format!("{:.1}", 100.0 * m.clean.accuracy)));
+        let undisturbed =
+            format!("undisturbed, %, of n = {} queries (95 % interval)", self.queries);
+        line(row(&undisturbed, &|m| {
+            let interval = m
+                .clean
+                .accuracy_interval
+                .map(|(low, high)| format!(" ({:.0} to {:.0})", 100.0 * low, 100.0 * high));
+            format!("{:.1}{}", 100.0 * m.clean.accuracy, interval.unwrap_or_default())
+        }));
         let first = self.methods.first().map_or(&[][..], |m| &m.disturbances);
         for (at, series) in first.iter().enumerate() {
             line(row(&format!("{} ({})", series.name, series.axis), &|m| {

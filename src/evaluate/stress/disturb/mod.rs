@@ -43,6 +43,9 @@ pub struct Disturbance {
     pub fewest: usize,
 }
 
+/// The axis of levels that count sources.
+const SOURCES: &str = "sources";
+
 #[rustfmt::skip] // One line for each disturbance.
 pub fn all() -> Vec<Disturbance> {
     use Kind::{Library, Pictures, Samples, Series, Trial};
@@ -69,9 +72,9 @@ pub fn all() -> Vec<Disturbance> {
         one("short-scan", "s", &[2.0, 1.0, 0.5, 0.25, 0.05], Series(changes::short), drag),
         one("slow-hand", "times closer than T*", &[1.5, 2.0, 4.0, 8.0, 32.0],
             Series(changes::slow), slow),
-        several(one("dead-sensors", "sources", &[1.0, 2.0, 3.0, 4.0, 6.0],
+        several(one("dead-sensors", SOURCES, &[1.0, 2.0, 3.0, 4.0, 6.0],
             Trial(changes::dead), sensed)),
-        several(one("stuck-sensors", "sources", &[1.0, 2.0, 3.0, 4.0, 6.0],
+        several(one("stuck-sensors", SOURCES, &[1.0, 2.0, 3.0, 4.0, 6.0],
             Trial(changes::stuck), analog)),
         one("swapped-channels", "channels turned by", &[1.0, 2.0],
             Series(changes::swapped), many_channels),
@@ -94,9 +97,14 @@ pub fn all() -> Vec<Disturbance> {
 }
 
 impl Disturbance {
-    /// Whether the disturbance changes at least [`Self::fewest`] of these sources.
-    pub fn fits(&self, sources: &[&SourceSpec]) -> bool {
-        sources.iter().filter(|spec| (self.touches)(spec)).count() >= self.fewest
+    /// The disturbance of these sources; `None` if it changes fewer than [`Self::fewest`]. Levels that
+    /// count sources leave one alone.
+    pub fn fitted(self, sources: &[&SourceSpec]) -> Option<Self> {
+        let touched = sources.iter().filter(|spec| (self.touches)(spec)).count();
+        let counts = self.axis == SOURCES;
+        let possible =
+            self.levels.iter().filter(|&&level| !counts || level < touched as f64).count();
+        (touched >= self.fewest).then(|| Self { levels: &self.levels[..possible], ..self })
     }
 
     /// A query at a level of this disturbance; unchanged by a disturbance of the library.
@@ -357,6 +365,20 @@ mod tests {
             // The metal detector is never picked, since it is a switch.
             assert!(dead == expected, "{dead} of {expected}");
         }
+    }
+
+    #[test]
+    fn no_level_makes_more_sensors_dead_than_leaves_one() {
+        let dead = || all().into_iter().find(|d| d.name == "dead-sensors").unwrap();
+        let scene = Scene::lmt108();
+        let of = |ids: &[&str]| {
+            let held: Vec<&SourceSpec> =
+                scene.sources().filter(|spec| ids.contains(&spec.id.as_str())).collect();
+            dead().fitted(&held).map(|d| d.levels.to_vec())
+        };
+        assert_eq!(of(&["ir"]), None);
+        assert_eq!(of(&["ir", "mi2"]), Some(vec![1.0]));
+        assert_eq!(of(&["ir", "mi2", "ac", "ca1"]), Some(vec![1.0, 2.0, 3.0]));
     }
 
     fn library() -> Vec<Entry> {
