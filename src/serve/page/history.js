@@ -40,7 +40,7 @@ export async function load() {
   if (said && wanted === "") latest = scans[0] ?? null;
   say("export-of", wanted === "" ? "All scans" : "These scans");
   for (const [id, file] of [["export-csv", "scans.csv"], ["export-lines", "scans.jsonl"]]) {
-    $(id).href = `/api/v1/${file}${wanted && `?${wanted}`}`;
+    $(id).href = `api/v1/${file}${wanted && `?${wanted}`}`;
   }
   changed();
   loadPrecision();
