@@ -18,24 +18,31 @@ use surfaced::outputs::{Output, OutputView};
 use surfaced::recognise::RankedSurface;
 use surfaced::station::config::{OutputsConfig, TlsFiles};
 use surfaced::station::{Answer, Listener, StationEvent};
+use tokio_rustls::rustls::pki_types::pem::PemObject;
+use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use tokio_rustls::rustls::server::WebPkiClientVerifier;
+use tokio_rustls::rustls::{RootCertStore, ServerConfig, ServerConnection, StreamOwned};
+
+/// Takes a request, answers with a status, and gives head and body.
+fn request(mut stream: impl Read + Write, status: u16) -> std::io::Result<(String, Value)> {
+    let mut reader = BufReader::new(&mut stream);
+    let (mut head, mut length) = (String::new(), 0);
+    while reader.read_line(&mut head)? > 2 {
+        let line = head.lines().next_back().unwrap().to_lowercase();
+        if let Some(value) = line.strip_prefix("content-length:") {
+            length = value.trim().parse().unwrap();
+        }
+    }
+    let mut body = vec![0; length];
+    reader.read_exact(&mut body)?;
+    write!(stream, "HTTP/1.1 {status} x\r\nContent-Length: 0\r\n\r\n")?;
+    stream.flush()?;
+    Ok((head, serde_json::from_slice(&body).unwrap()))
+}
 
 /// Takes requests, answers with statuses, and gives the bodies.
 fn bodies(listener: &TcpListener, statuses: &[u16]) -> Vec<Value> {
-    let one = |status: &u16| {
-        let (mut stream, _) = listener.accept().unwrap();
-        let mut reader = BufReader::new(stream.try_clone().unwrap());
-        let (mut line, mut length) = (String::new(), 0);
-        while reader.read_line(&mut line).unwrap() > 2 {
-            if let Some(value) = line.to_lowercase().strip_prefix("content-length:") {
-                length = value.trim().parse().unwrap();
-            }
-            line.clear();
-        }
-        let mut body = vec![0; length];
-        reader.read_exact(&mut body).unwrap();
-        write!(stream, "HTTP/1.1 {status} x\r\nContent-Length: 0\r\n\r\n").unwrap();
-        serde_json::from_slice(&body).unwrap()
-    };
+    let one = |&status: &u16| request(listener.accept().unwrap().0, status).unwrap().1;
     statuses.iter().map(one).collect()
 }
 
@@ -108,6 +115,68 @@ fn a_redirect_is_no_place_to_try_again_and_a_failure_is_seen_until_answers_arriv
     // The first is not tried again.
     assert_eq!(bodies(&listener, &[200])[0]["scan"], 2);
     until(&output, |view| view.problem.is_none() && view.waiting == 0 && view.failures == 1);
+}
+
+#[test]
+fn a_server_with_tls_is_known_by_its_authority_and_gets_the_header_of_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = certificates(folder.path());
+    let pem = |name: &str| std::fs::read(file(name)).unwrap();
+    let certificate = |name: &str| CertificateDer::from_pem_slice(&pem(name)).unwrap();
+    let mut clients = RootCertStore::empty();
+    clients.add(certificate("ca.pem")).unwrap();
+    let clients = WebPkiClientVerifier::builder(clients.into()).build().unwrap();
+    let key = PrivateKeyDer::from_pem_slice(&pem("broker.key")).unwrap();
+    let server = ServerConfig::builder()
+        .with_client_cert_verifier(clients)
+        .with_single_cert(vec![certificate("broker.pem")], key)
+        .unwrap();
+    let server = Arc::new(server);
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let receive = |status| {
+        let (stream, _) = listener.accept().unwrap();
+        let connection = ServerConnection::new(server.clone()).unwrap();
+        request(StreamOwned::new(connection, stream), status)
+    };
+    let address = format!("https://{}/answers", listener.local_addr().unwrap());
+    let of = |ca: &str, client: bool| {
+        let mut config = config(Some(address.clone()), None);
+        let http = config.http.as_mut().unwrap();
+        let client = client.then(|| (file("client.pem"), file("client.key")));
+        http.tls = Some(TlsFiles { ca: Some(file(ca)), client });
+        http.header_file = Some(file("header"));
+        config
+    };
+    std::fs::write(file("header"), "Authorization: Bearer s3cret\r\n").unwrap();
+    for (ca, client) in [("stranger.pem", true), ("ca.pem", false)] {
+        let mut output = start(&of(ca, client), folder.path());
+        send(&mut output, 1);
+        assert!(receive(200).is_err(), "{ca} {client}");
+        until(&output, |view| view.waiting > 0 && view.problem.is_some());
+    }
+    let mut output = start(&of("ca.pem", true), folder.path());
+    send(&mut output, 2);
+    for (status, sequence) in [(503, 1), (200, 1), (200, 2), (200, 3)] {
+        let (head, body) = receive(status).unwrap();
+        assert!(head.contains("authorization: Bearer s3cret\r\n"), "{head}");
+        assert_eq!(body["sequence"], sequence);
+    }
+    let view = until(&output, |view| view.waiting == 0);
+    assert!(view.output.starts_with("https://") && !format!("{view:?}").contains("s3cret"));
+    drop(output);
+
+    let refused = |config: &OutputsConfig| {
+        let shown = (&Arc::new(History::default()), &Arc::default());
+        Output::start(config, folder.path(), shown).unwrap_err().to_string()
+    };
+    for text in ["s3cret", "a b: s3cret", "A: s3\r\ncret: x", ": s3cret", ""] {
+        std::fs::write(file("header"), text).unwrap();
+        let why = refused(&of("ca.pem", true));
+        assert!(why.contains("header: expected one line") && !why.contains("s3"), "{why}");
+    }
+    std::fs::write(file("header"), "A: b").unwrap();
+    let why = refused(&of("ca.key", true));
+    assert!(why.contains("ca.key: holds no certificate"), "{why}");
 }
 
 #[test]

@@ -321,6 +321,7 @@ pub(super) fn keep_and_send<'a>(
     (settings, page): (&mut Settings, &Page),
 ) -> Result<Station<'a>, Failure> {
     settings.stale_after_s = config.stale_after_s;
+    settings.public_address = config.public_address.clone();
     if config.keep_mb > 0 {
         let most_bytes = u64::from(config.keep_mb) * 1_000_000;
         match History::open(&folder.join(history::FOLDER), most_bytes) {

@@ -82,7 +82,8 @@ impl ServeArgs {
         if !self.is_wanted() {
             return Ok((station, None));
         }
-        let started = Server::start(&self.settings(settings)?, station.commands());
+        let settings = self.settings(settings)?;
+        let started = Server::start(&settings, station.commands());
         let (server, reporter): (Server, Reporter) = started.map_err(failure)?;
         let address = server.address();
         say!("http://{address}");
@@ -90,7 +91,9 @@ impl ServeArgs {
             true => format!("{}:{}", machine_name(), address.port()),
             false => address.to_string(),
         };
-        let _ = page.set(format!("http://{host}"));
+        let public = settings.public_address.map(|address| address.to_string());
+        let shown = public.unwrap_or_else(|| format!("http://{host}"));
+        let _ = page.set(shown.trim_end_matches('/').into());
         Ok((station.listener(reporter), Some(server)))
     }
 

@@ -14,7 +14,7 @@ use tokio::time::{sleep, timeout};
 
 use super::Fleet;
 use super::state::Due;
-use crate::outputs::http;
+use crate::outputs::http::{self, Receiver};
 use crate::station::config::HttpAddress;
 
 /// Hosts whose pages may be asked. A station names its page itself, so it could name any.
@@ -123,9 +123,10 @@ async fn read(
     if !pages.iter().any(|pages| pages.allow(host)) {
         return Err(format!("to ask its page, start the fleet with --pages {host}"));
     }
+    let receiver = Receiver::of(&address).map_err(|error| error.to_string())?;
     let mut before = String::new();
     for _ in 0..MOST_REQUESTS_A_STATION {
-        let scans = request(&address, &before).await?;
+        let scans = request(&receiver, &before).await?;
         let is_last = scans.len() < A_REQUEST;
         let oldest_ms = scans.last().and_then(|scan| scan["unix_ms"].as_u64()).unwrap_or(0);
         before = format!(
@@ -154,11 +155,13 @@ fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Result<(), String> {
     fleet.lock().answered(station, scan)
 }
 
-async fn request(address: &HttpAddress, before: &str) -> Result<Vec<Value>, String> {
-    let path = format!("/api/v1/scans?limit={A_REQUEST}{before}");
+async fn request(receiver: &Receiver, before: &str) -> Result<Vec<Value>, String> {
+    // Behind a proxy, a page may be in a folder.
+    let folder = receiver.address.path.trim_end_matches('/');
+    let path = format!("{folder}/api/v1/scans?limit={A_REQUEST}{before}");
     let request = Request::get(path).body(Body::empty()).map_err(|error| error.to_string())?;
     let reply = timeout(REPLY_PATIENCE, async {
-        let reply = http::send(address, request).await?;
+        let reply = http::send(receiver, request).await?;
         let status = reply.status();
         let body = to_bytes(Body::new(reply.into_body()), LARGEST).await;
         Ok::<_, String>((status, body.map_err(|error| error.to_string())))

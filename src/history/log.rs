@@ -33,12 +33,14 @@ pub(crate) struct Head {
     pub unix_ms: u64,
     pub surface: Option<String>,
     pub state: AnswerState,
+    /// Who made the scan, if that is known.
+    pub user: Option<String>,
 }
 
 impl Head {
     pub(crate) fn of(answer: &Answer) -> Self {
-        let Answer { id, scan, unix_ms, surface, state, .. } = answer.clone();
-        Self { id, scan, unix_ms, surface, state }
+        let Answer { id, scan, unix_ms, surface, state, user, .. } = answer.clone();
+        Self { id, scan, unix_ms, surface, state, user }
     }
 }
 

@@ -66,6 +66,8 @@ pub(crate) struct Wanted {
     pub states: Vec<AnswerState>,
     /// The surface that was answered, or that the scan was by its correction.
     pub surface: Option<String>,
+    /// Who made the scan.
+    pub user: Option<String>,
     /// Times in milliseconds since 1970; both are included.
     pub from_unix_ms: Option<u64>,
     pub to_unix_ms: Option<u64>,
@@ -75,11 +77,12 @@ pub(crate) struct Wanted {
 
 impl Wanted {
     fn lets(&self, entry: &HistoryEntry) -> bool {
-        let Head { unix_ms, state, surface, .. } = &entry.head;
+        let Head { unix_ms, state, surface, user, .. } = &entry.head;
         let was = entry.correction.as_ref().and_then(Correction::surface);
         let is_of = |wanted: &String| surface.as_ref() == Some(wanted) || was == Some(wanted);
         (self.states.is_empty() || self.states.contains(state))
             && self.surface.as_ref().is_none_or(is_of)
+            && (self.user.is_none() || self.user == *user)
             && self.from_unix_ms.is_none_or(|from| *unix_ms >= from)
             && self.to_unix_ms.is_none_or(|to| *unix_ms <= to)
     }

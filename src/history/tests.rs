@@ -115,9 +115,9 @@ fn a_scan_without_a_name_is_kept_with_its_reason_and_its_signals() {
 fn only_what_is_asked_for_is_given_by_page_and_as_a_whole() {
     let history = History::default();
     for scan in 1..=9 {
-        history
-            .answered(&answer(scan, [Some("oak"), Some("ash"), None][scan as usize % 3]))
-            .unwrap();
+        let answer = answer(scan, [Some("oak"), Some("ash"), None][scan as usize % 3]);
+        let user = [None, Some("anna".to_string())][usize::from(scan > 5)].clone();
+        history.answered(&Answer { user, ..answer }).unwrap();
     }
     let first = history.answer("3").unwrap().head;
     history.correct(&first.id, Some(Correction::Surface { surface: "elm".into() })).unwrap();
@@ -129,6 +129,8 @@ fn only_what_is_asked_for_is_given_by_page_and_as_a_whole() {
         (Wanted { surface: text("ash"), ..Wanted::default() }, vec![7, 4, 1]),
         (Wanted { surface: text("elm"), ..Wanted::default() }, vec![3]),
         (Wanted { from_unix_ms: at(4), to_unix_ms: at(6), ..Wanted::default() }, vec![6, 5, 4]),
+        (Wanted { user: text("anna"), surface: text("oak"), ..Wanted::default() }, vec![9, 6]),
+        (Wanted { user: text("ann"), ..Wanted::default() }, vec![]),
         (Wanted { text: text("ELM"), ..Wanted::default() }, vec![3]),
         (Wanted { surface: text("oak"), to_unix_ms: at(5), ..Wanted::default() }, vec![3]),
     ] {

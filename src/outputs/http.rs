@@ -1,27 +1,61 @@
 //! Sends answers by HTTP POST, one JSON document each.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Body;
 use axum::http::header::{CONTENT_TYPE, HOST};
-use axum::http::{Request, Response, StatusCode};
+use axum::http::{HeaderName, HeaderValue, Request, Response, StatusCode};
 use hyper::body::Incoming;
 use hyper_util::rt::TokioIo;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, timeout, timeout_at};
+use tokio_rustls::TlsConnector;
+use tokio_rustls::rustls::pki_types::ServerName;
 
-use super::{BackOff, OutputHealth, Pending};
+use super::{BackOff, OutputHealth, Pending, tls};
+use crate::history::HistoryError;
 use crate::station::Answer;
 use crate::station::config::HttpAddress;
 
 const LONGEST_ATTEMPT: Duration = Duration::from_secs(5);
 
+/// An address, and what its files say about how to reach it.
+pub(crate) struct Receiver {
+    pub address: HttpAddress,
+    /// The header that tells who sends, such as `Authorization`.
+    header: Option<(HeaderName, HeaderValue)>,
+    tls: Option<TlsConnector>,
+}
+
+impl Receiver {
+    /// Reads the files of an address; fails if one cannot be used.
+    pub(crate) fn of(address: &HttpAddress) -> Result<Self, HistoryError> {
+        let header = address.header_file.as_deref().map(header).transpose()?;
+        let tls = address.tls.as_ref().map(tls::connector).transpose()?;
+        Ok(Self { address: address.clone(), header, tls })
+    }
+}
+
+fn header(path: &Path) -> Result<(HeaderName, HeaderValue), HistoryError> {
+    let text = tls::read(path)?;
+    let parsed = str::from_utf8(&text).ok().and_then(|text| {
+        let (name, value) = text.trim_ascii().split_once(':')?;
+        let mut value: HeaderValue = value.trim_ascii().parse().ok()?;
+        value.set_sensitive(true);
+        Some((name.parse().ok()?, value))
+    });
+    let expected = "expected one line with a header, such as `Authorization: Bearer SECRET`";
+    parsed.ok_or_else(|| tls::unusable(path, expected))
+}
+
 /// Posts the answers of a station. After its end, returns once all arrived or an attempt failed.
 pub(super) async fn post_all(
     mut pending: Pending,
-    address: HttpAddress,
+    receiver: Receiver,
     mut answers: mpsc::Receiver<Arc<Answer>>,
 ) {
     let mut back_off = BackOff::new();
@@ -34,7 +68,7 @@ pub(super) async fn post_all(
             pending.add(&answer);
             continue;
         };
-        if deliver(&pending.health, &address, text).await {
+        if deliver(&pending.health, &receiver, text).await {
             pending.done(sequence);
             back_off.reset();
             continue;
@@ -48,8 +82,8 @@ pub(super) async fn post_all(
 }
 
 /// Posts one answer; true if the answer was accepted, or refused for good.
-async fn deliver(health: &OutputHealth, address: &HttpAddress, answer: String) -> bool {
-    let why = match timeout(LONGEST_ATTEMPT, post(address, answer)).await {
+async fn deliver(health: &OutputHealth, receiver: &Receiver, answer: String) -> bool {
+    let why = match timeout(LONGEST_ATTEMPT, post(receiver, answer)).await {
         Ok(Ok(status)) if status.is_success() => {
             health.arrived();
             return true;
@@ -75,30 +109,42 @@ async fn deliver(health: &OutputHealth, address: &HttpAddress, answer: String) -
     false
 }
 
-pub(super) async fn post(address: &HttpAddress, answer: String) -> Result<StatusCode, String> {
-    let request = Request::post(&address.path)
+pub(super) async fn post(receiver: &Receiver, answer: String) -> Result<StatusCode, String> {
+    let request = Request::post(&receiver.address.path)
         .header(CONTENT_TYPE, "application/json")
         .body(Body::from(answer))
         .map_err(|error| error.to_string())?;
-    Ok(send(address, request).await?.status())
+    Ok(send(receiver, request).await?.status())
 }
 
-/// Sends a request to the host of an address, without TLS; fails with the reason.
+/// Sends a request to the host of an address; fails with the reason.
 pub(crate) async fn send(
-    address: &HttpAddress,
+    receiver: &Receiver,
     mut request: Request<Body>,
 ) -> Result<Response<Incoming>, String> {
     let text = |error: &dyn std::fmt::Display| error.to_string();
+    let Receiver { address, header, tls } = receiver;
     let (host, port) = (address.host.0.as_str(), address.host.1);
     let name =
         if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") };
     let name = name.parse().map_err(|error| text(&error))?;
     request.headers_mut().insert(HOST, name);
+    request.headers_mut().extend(header.clone());
     let stream = TcpStream::connect((host, port)).await.map_err(|error| text(&error))?;
+    let Some(tls) = tls else { return exchange(stream, request).await };
+    let name = ServerName::try_from(host.to_string()).map_err(|error| text(&error))?;
+    let stream = tls.connect(name, stream).await.map_err(|error| text(&error))?;
+    exchange(stream, request).await
+}
+
+async fn exchange(
+    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    request: Request<Body>,
+) -> Result<Response<Incoming>, String> {
     let connected = hyper::client::conn::http1::handshake(TokioIo::new(stream)).await;
-    let (mut sender, connection) = connected.map_err(|error| text(&error))?;
+    let (mut sender, connection) = connected.map_err(|error| error.to_string())?;
     // An error of the connection also reaches `send_request`, so the connection's copy is dropped.
     // The connection ends when its reply is read or dropped.
     tokio::spawn(async move { drop(connection.await) });
-    sender.send_request(request).await.map_err(|error| text(&error))
+    sender.send_request(request).await.map_err(|error| error.to_string())
 }

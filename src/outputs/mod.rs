@@ -11,6 +11,7 @@ pub(crate) mod http;
 mod message;
 pub(crate) mod mqtt;
 mod outbox;
+mod tls;
 
 use std::convert::Infallible;
 use std::future::Future;
@@ -23,12 +24,13 @@ use serde::Serialize;
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 
+use self::http::Receiver;
 use self::message::StationCard;
 use self::mqtt::Line;
 use self::outbox::Outbox;
 use crate::history::{History, HistoryError};
 use crate::scan::Scan;
-use crate::station::config::{HttpAddress, OutputsConfig};
+use crate::station::config::OutputsConfig;
 use crate::station::{Answer, End, Listener, StationEvent};
 use crate::trial::Doubt;
 
@@ -166,7 +168,7 @@ impl Output {
     /// the number of scans in `history` to review, and the address of the page once it is known.
     ///
     /// # Errors
-    /// If the folder cannot be used, a certificate cannot be read, or no thread can be started.
+    /// If the folder cannot be used, a file of an output cannot be read, or no thread can be started.
     pub fn start(
         config: &OutputsConfig,
         folder: &Path,
@@ -177,8 +179,8 @@ impl Output {
         let mut outputs = Vec::new();
         if let Some(address) = http {
             let pending = Pending::open(&folder, ("http", address.to_string()), station)?;
-            let (health, address) = (pending.health.clone(), address.clone());
-            let post = |answers| http::post_all(pending, address, answers);
+            let (health, receiver) = (pending.health.clone(), Receiver::of(address)?);
+            let post = |answers| http::post_all(pending, receiver, answers);
             outputs.push(Self::new(health, Card::default(), post)?);
         }
         if let Some(address) = mqtt {
@@ -263,8 +265,9 @@ impl BackOff {
     }
 }
 
-/// Reads the password and the certificates of the outputs, without connecting.
+/// Reads the passwords and the certificates of the outputs, without connecting.
 pub(crate) fn check(config: &OutputsConfig) -> Result<(), HistoryError> {
+    config.http.iter().try_for_each(|address| Receiver::of(address).map(drop))?;
     let read = |address| mqtt::options(address, "surfaced".into()).map(drop);
     config.mqtt.iter().try_for_each(read)
 }
@@ -287,7 +290,7 @@ pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryErr
     let runtime = runtime.map_err(|error| HistoryError::Io { path: "outputs".into(), error })?;
     let mut tests = Vec::new();
     if let Some(address) = &config.http {
-        let done = runtime.block_on(tried(post(address, text.clone())));
+        let done = runtime.block_on(tried(post(&Receiver::of(address)?, text.clone())));
         tests.push(OutputTest::of(address.to_string(), done));
     }
     if let Some(address) = &config.mqtt {
@@ -309,8 +312,8 @@ async fn tried(work: impl Future<Output = Result<String, String>>) -> Result<Str
     timeout(TEST_PATIENCE, work).await.unwrap_or_else(|_| Err("no answer in time".into()))
 }
 
-async fn post(address: &HttpAddress, text: String) -> Result<String, String> {
-    let status = http::post(address, text).await?;
+async fn post(receiver: &Receiver, text: String) -> Result<String, String> {
+    let status = http::post(receiver, text).await?;
     if status.is_success() { Ok(format!("taken with {status}")) } else { Err(status.to_string()) }
 }
 

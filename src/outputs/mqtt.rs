@@ -2,7 +2,6 @@
 //! acknowledged the previous answer.
 
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
 use std::process;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -18,10 +17,10 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout_at};
 
 use super::message::{LARGEST, discovery};
-use super::{BackOff, Card, PATIENCE, Pending, lock};
+use super::{BackOff, Card, PATIENCE, Pending, lock, tls};
 use crate::history::{History, HistoryError};
 use crate::station::Answer;
-use crate::station::config::{MqttAddress, Password, TlsFiles};
+use crate::station::config::{MqttAddress, Password};
 
 /// Interval at which the state of the station is published if it has changed.
 const STATE_EVERY: Duration = Duration::from_secs(2);
@@ -223,10 +222,6 @@ const MOST_QUEUED_PACKETS: usize = 64;
 /// The environment variable that holds the password of a broker's user.
 const PASSWORD: &str = "SURFACED_MQTT_PASSWORD";
 
-/// The files in which Linux systems keep the certificates of trusted authorities.
-const SYSTEM: [&str; 3] =
-    ["/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem"];
-
 pub(crate) fn options(address: &MqttAddress, client: String) -> Result<MqttOptions, HistoryError> {
     let MqttAddress { host, credentials, tls, .. } = address;
     let mut options = MqttOptions::new(client, host.0.clone(), host.1);
@@ -236,15 +231,13 @@ pub(crate) fn options(address: &MqttAddress, client: String) -> Result<MqttOptio
     if let Some((user, password)) = credentials {
         options.set_credentials(user, read(password)?);
     }
-    if let Some(TlsFiles { ca, client }) = tls {
-        let read = |path: &Path| std::fs::read(path).map_err(HistoryError::io(path));
-        let system = || SYSTEM.map(PathBuf::from).into_iter().find(|path| path.exists());
-        let ca = ca.clone().or_else(system).unwrap_or_else(|| SYSTEM[0].into());
-        let client = match client {
-            Some((certificate, key)) => Some((read(certificate)?, read(key)?)),
+    if let Some(files) = tls {
+        let client = match &files.client {
+            Some((certificate, key)) => Some((tls::read(certificate)?, tls::read(key)?)),
             None => None,
         };
-        options.set_transport(Transport::tls(read(&ca)?, client, None));
+        let ca = tls::read(&tls::authorities(files))?;
+        options.set_transport(Transport::tls(ca, client, None));
     }
     Ok(options)
 }

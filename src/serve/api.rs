@@ -17,10 +17,8 @@ use super::guard::{Guard, Traffic, guard};
 use super::hub::{Hub, Shared};
 use super::request::{Problem, Said, body, label};
 use super::settings::{LARGEST_BODY, Settings};
-use super::state::DeviceView;
 use super::subscribers::EventFilter;
 use super::{library, metrics, scans};
-use crate::device::DeviceState;
 use crate::station::Command;
 use crate::trial::EXPERT;
 
@@ -149,13 +147,7 @@ async fn health(State(hub): Shared) -> Response {
 /// Whether scans can be named now. Says what is not ready, but no names, since it needs no token.
 async fn ready(State(hub): Shared) -> Response {
     let hub = hub.lock();
-    let state = &hub.state;
-    let library = state.library.as_ref().is_some_and(|library| library.problem.is_none());
-    let streams = |device: &DeviceView| device.state == DeviceState::Streaming;
-    let devices = !state.devices.is_empty() && state.devices.iter().all(streams);
-    let parts = [("ended", !state.finished), ("library", library), ("devices", devices)];
-    let lacking: Vec<&str> =
-        parts.iter().filter(|(_, ready)| !ready).map(|(part, _)| *part).collect();
+    let lacking = hub.state.lacking();
     let (status, text) = match lacking.is_empty() {
         true => (StatusCode::OK, "ready"),
         false => (StatusCode::SERVICE_UNAVAILABLE, "not ready"),

@@ -13,7 +13,7 @@ use axum::http::header::{
     HeaderValue, LOCATION, ORIGIN, REFERRER_POLICY, RETRY_AFTER, SET_COOKIE,
     X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
-use axum::http::{HeaderMap, Method, StatusCode};
+use axum::http::{HeaderMap, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{AppendHeaders, Html, IntoResponse, Response};
 use rand::TryRng;
@@ -185,7 +185,7 @@ impl Guard {
             }
         }
         if request.method() != Method::GET && request.method() != Method::HEAD {
-            check_origin(headers, host)?;
+            check_origin(headers, host, self.settings.public_address.as_ref())?;
         }
         Ok(None)
     }
@@ -194,13 +194,14 @@ impl Guard {
         let secure = if client.tls { "; Secure" } else { "" };
         let session = self.budgets().begin_session().map(|session| format!("{session:032x}"));
         let cookie = |name: &str, value: &str| {
-            let life = "HttpOnly; SameSite=Strict; Path=/; Max-Age=31536000";
+            // Without a path, the cookie is for the folder of the page, also behind a proxy.
+            let life = "HttpOnly; SameSite=Strict; Max-Age=31536000";
             (SET_COOKIE, format!("{name}={value}; {life}{secure}"))
         };
         let cookies = std::iter::once(cookie(TOKEN_COOKIE, token.reveal()))
             .chain(session.map(|session| cookie(SESSION_COOKIE, &session)));
         let cookies: Vec<_> = cookies.collect();
-        let headers = [(LOCATION, "/"), (CACHE_CONTROL, "no-store")];
+        let headers = [(LOCATION, "./"), (CACHE_CONTROL, "no-store")];
         (StatusCode::SEE_OTHER, headers, AppendHeaders(cookies)).into_response()
     }
 }
@@ -286,11 +287,14 @@ fn is_loopback(host: &str) -> bool {
 }
 
 /// Refuses requests from pages of other sites; browsers send `Origin` or `Sec-Fetch-Site` for them.
-fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), Problem> {
+/// A proxy may replace the host; its own name is that of the public address.
+fn check_origin(headers: &HeaderMap, host: &str, public: Option<&Uri>) -> Result<(), Problem> {
     if let Some(origin) = headers.get(ORIGIN) {
         let origin = origin.to_str().unwrap_or_default();
         let own = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
-        if own != Some(host) {
+        let public = public
+            .and_then(|public| Some(format!("{}://{}", public.scheme_str()?, public.authority()?)));
+        if own != Some(host) && public.as_deref() != Some(origin) {
             return Err(Problem::Origin(origin.into()));
         }
     }

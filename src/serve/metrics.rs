@@ -64,6 +64,12 @@ impl Metrics<'_> {
         let info = ("surfaced_info", "gauge", "The version of the program.");
         page.family([info], [(vec![("version", state.version)], [1])]);
         let heads = [
+            ("surfaced_healthy", "gauge", "Whether the station has not ended, as `/healthz` says."),
+            ("surfaced_ready", "gauge", "Whether scans can be named now, as `/readyz` says."),
+        ];
+        let ready = state.lacking().is_empty();
+        page.family(heads, [(vec![], [u64::from(!state.finished), u64::from(ready)])]);
+        let heads = [
             ("surfaced_samples_total", "counter", "Frames that came out of the ring."),
             ("surfaced_lost_samples_total", "counter", "Frames that were lost."),
             ("surfaced_ring_fill", "gauge", "Frames in the ring now."),

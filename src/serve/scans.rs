@@ -80,6 +80,7 @@ struct ScansRequest {
     /// States with commas between them.
     state: Option<String>,
     surface: Option<String>,
+    user: Option<String>,
     from_unix_ms: Option<u64>,
     to_unix_ms: Option<u64>,
     text: Option<String>,
@@ -97,6 +98,7 @@ impl ScansRequest {
         Ok(Wanted {
             states: states.collect::<Result<_, _>>()?,
             surface: self.surface,
+            user: self.user,
             from_unix_ms: self.from_unix_ms,
             to_unix_ms: self.to_unix_ms,
             text: self.text,

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use http::Uri;
 use subtle::ConstantTimeEq;
 
 use crate::device::camera::Viewfinder;
@@ -37,6 +38,8 @@ pub struct Settings {
     pub outputs: Vec<OutputHealth>,
     /// Age from which the page no longer shows an answer as the present one, in seconds.
     pub stale_after_s: f64,
+    /// The address of the page at a proxy in front, whose own pages may then send requests.
+    pub public_address: Option<Uri>,
 }
 
 /// Audits a library each time it is called; returns a message if the audit fails.
@@ -63,6 +66,7 @@ impl Default for Settings {
             viewfinder: None,
             outputs: Vec::new(),
             stale_after_s: 30.0,
+            public_address: None,
         }
     }
 }

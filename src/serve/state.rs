@@ -112,6 +112,15 @@ impl State {
         state
     }
 
+    /// What is missing before scans can be named.
+    pub(crate) fn lacking(&self) -> Vec<&'static str> {
+        let library = self.library.as_ref().is_some_and(|library| library.problem.is_none());
+        let streams = |device: &DeviceView| device.state == DeviceState::Streaming;
+        let devices = !self.devices.is_empty() && self.devices.iter().all(streams);
+        let parts = [("ended", !self.finished), ("library", library), ("devices", devices)];
+        parts.iter().filter(|(_, ready)| !ready).map(|(part, _)| *part).collect()
+    }
+
     pub(crate) fn take(&mut self, notice: &StationEvent) {
         match notice {
             StationEvent::Device { device, state, detail } => self.device(device, *state, detail),

@@ -194,6 +194,13 @@ def check(browser, station, shots):
         text.dispatchEvent(new Event('input', { bubbles: true }))""")
     browser.wait("no scan is like that", lambda: rows() == 0 and browser.text("#no-scans") == "No scan is like that.")
     assert "text=no+scan" in browser.run("return document.getElementById('export-csv').href")
+    browser.run("""document.getElementById('filter-text').value = '';
+        const user = document.getElementById('filter-user'); user.value = user.list.options[0].value;
+        user.dispatchEvent(new Event('input', { bubbles: true }))""")
+    browser.wait("the scans of one person", lambda: rows() >= 1)
+    assert "user=expert" in browser.run("return document.getElementById('export-csv').href")
+    assert browser.run("return document.getElementById('filter-user').offsetParent !== null")
+    browser.run("document.getElementById('filter-user').value = ''")
     # A shortcut is a key alone; a barcode scanner types faster than anybody.
     state = lambda: browser.run("return document.getElementById('filter-state').value")  # noqa: E731
     browser.run("""const text = document.getElementById('filter-text'); text.value = ''; text.blur();

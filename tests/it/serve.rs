@@ -141,6 +141,8 @@ fn a_station_that_is_busy_or_gone_is_said_to_be() {
     let ended = served.post("/api/v1/start", "");
     assert_eq!((ended.status, ended.json()["error"].as_str()), (409, Some("ended")));
     assert_eq!(served.get("/healthz").status, 503);
+    let metrics = served.get("/metrics").body;
+    assert!(metrics.contains("\nsurfaced_healthy 0\n") && metrics.contains("\nsurfaced_ready 0\n"));
     let ready = served.get("/readyz");
     assert_eq!((ready.status, &ready.json()["lacking"][0]), (503, &"ended".into()));
 }
@@ -323,5 +325,5 @@ fn with_a_token_nothing_is_revealed_without_it() {
             .head
             .contains("set-cookie: surfaced_token=0123456789abcdef; httponly; samesite=strict")
     );
-    assert!(enter.head.contains("\r\nlocation: /\r\n"));
+    assert!(enter.head.contains("\r\nlocation: ./\r\n"));
 }

@@ -348,6 +348,21 @@ fn strangers_lock_out_neither_those_who_know_the_token_nor_another_address() {
 }
 
 #[test]
+fn only_the_public_address_may_differ_from_the_host_that_a_proxy_asks_for() {
+    let served = serve(|settings| {
+        settings.public_address = Some("https://plant.example/press-3".parse().unwrap());
+    });
+    let post = |origin: &str| {
+        served.request("POST", "/api/v1/start", &[&format!("Origin: {origin}")], "").status
+    };
+    assert_eq!(post("https://plant.example"), 202);
+    for origin in ["http://plant.example", "https://plant.example:8443", "https://plant", "https:/"]
+    {
+        assert_eq!(post(origin), 403, "{origin}");
+    }
+}
+
+#[test]
 fn the_cookie_is_secure_behind_a_proxy_with_tls() {
     let served = guarded();
     let tls = ["X-Forwarded-For: 192.0.2.7", "X-Forwarded-Proto: https"];

@@ -49,6 +49,12 @@ fn mistakes_are_reported_with_their_line() {
     refused("[stylus]\nrate_hz = 0", &["line 3", "rate_hz = 0; expected more than 0"]);
     refused("[stylus.sources]\nac = [\"acc_x\"]", &["line 3", "channels: 1", "has 3"]);
     refused("[stylus.sources]\npac = [\"acc_x\"]", &["line 3", "`pac`", "[sources.pac]"]);
+    let public = parse("format = 1\n[page]\npublic_address = \"https://plant/press-3\"").unwrap();
+    assert_eq!(public.public_address, Some("https://plant/press-3".parse().unwrap()));
+    refused(
+        "[page]\npublic_address = \"plant/press-3\"",
+        &["line 3", "public_address: expected an"],
+    );
     refused("[page]\nstale_after_s = 0.0", &["line 3", "stale_after_s = 0; expected more than 0"]);
     refused("[camera]\nturn = 45", &["line 3", "0, 90, 180 or 270"]);
     refused("[microphone]\nchannel = 0", &["line 3", "counted from 1"]);
@@ -133,6 +139,11 @@ fn mistakes_are_refused_with_their_line() {
 fn addresses_are_taken_apart_and_others_refused() {
     let http: HttpAddress = "http://example:9000/a/b?c=d".parse().unwrap();
     assert_eq!((http.host, http.path.as_str()), (("example".into(), 9000), "/a/b?c=d"));
+    let https: HttpAddress = "https://example".parse().unwrap();
+    assert_eq!(
+        (https.to_string().as_str(), https.tls),
+        ("https://example:443/", Some(TlsFiles::default()))
+    );
     assert_eq!("http://[::1]".parse::<HttpAddress>().unwrap().host, ("::1".into(), 80));
     let mqtt: MqttAddress = "mqtt://me:secret@broker/plant/hall-3".parse().unwrap();
     assert_eq!(mqtt.to_string(), "mqtt://broker:1883/plant/hall-3");
@@ -144,7 +155,7 @@ fn addresses_are_taken_apart_and_others_refused() {
         (safe.to_string().as_str(), safe.tls),
         ("mqtts://broker:8883/surfaced", Some(TlsFiles::default()))
     );
-    for text in ["", "https://x/", "http:///x", "broker/x", "ftp://x"] {
+    for text in ["", "wss://x/", "http:///x", "broker/x", "ftp://x"] {
         assert!(text.parse::<HttpAddress>().is_err(), "{text}");
     }
     for text in
@@ -171,6 +182,24 @@ fn a_password_file_belongs_to_a_user_and_no_mistake_shows_a_password() {
     }
     let why = outputs("mqtt = \"mqtt://me:secret@broker").unwrap_err();
     assert!(why.contains("me:******@broker") && why.contains("line 3"), "{why}");
+}
+
+#[test]
+fn certificates_and_header_are_of_the_outputs_that_can_use_them() {
+    let outputs = |text: &str| parse(&format!("format = 1\n[outputs]\n{text}")).map(|c| c.outputs);
+    let both = "http = \"https://a\"\nmqtt = \"mqtts://b\"\nca = \"ca\"\nheader_file = \"h\"";
+    let both = outputs(both).unwrap();
+    let (http, mqtt) = (both.http.unwrap(), both.mqtt.unwrap());
+    assert_eq!(http.header_file, Some("here/h".into()));
+    assert_eq!(http.tls, Some(TlsFiles { ca: Some("here/ca".into()), client: None }));
+    assert_eq!(mqtt.tls, http.tls);
+    for (stray, part) in [
+        ("mqtt = \"mqtts://b\"\nheader_file = \"h\"", "line 4: header_file: it goes with `http`"),
+        ("http = \"http://a\"\nca = \"ca\"", "line 4: certificates are for TLS"),
+    ] {
+        let why = outputs(stray).unwrap_err();
+        assert!(why.contains(part), "{why}");
+    }
 }
 
 #[test]

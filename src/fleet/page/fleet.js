@@ -122,7 +122,7 @@ function showAll(state) {
 
 async function load() {
   const began = performance.now();
-  const asked = fetch("/api/v1/state", { signal: AbortSignal.timeout(ANSWER_WITHIN_MS) });
+  const asked = fetch("api/v1/state", { signal: AbortSignal.timeout(ANSWER_WITHIN_MS) });
   const state = await asked.then((answer) => (answer.ok ? answer.json() : null)).catch(() => null);
   try {
     if (state) showAll(state);

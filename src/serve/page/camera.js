@@ -64,7 +64,7 @@ export function picture(place, source) {
   const least_ms = camera.busy ? GIVEN_UP_MS : LEAST_MS;
   if (camera.arrived - camera.asked < least_ms || document.hidden) return;
   [camera.busy, camera.asked] = [true, camera.arrived];
-  camera.image.src = `/api/v1/pictures/${isWhole(camera) ? "whole-" : ""}${source}.jpg?at=${Math.round(camera.arrived)}`;
+  camera.image.src = `api/v1/pictures/${isWhole(camera) ? "whole-" : ""}${source}.jpg?at=${Math.round(camera.arrived)}`;
 }
 
 // Sets the view of the station's own camera; null if it has none.

@@ -108,7 +108,7 @@ export async function ask(path, body) {
       headers: { "Content-Type": "application/json" },
       body: JSON.stringify(body),
     };
-    const answer = await fetch(`/api/v1/${path}`, request);
+    const answer = await fetch(`api/v1/${path}`, request);
     said = await answer.json();
     if (!answer.ok) [problem, said] = [said.message, null];
   } catch {

@@ -1,7 +1,7 @@
 // The list of past scans, the newest first, and the share of reviewed answers that were right.
 
 import { corrected, damageOf, isFault, isShort, nameOf, sureness } from "./answer.js";
-import { $, ask, button, dated, hide, make, many, percent, printable, say } from "./dom.js";
+import { $, ask, button, dated, fill, hide, make, many, percent, printable, say } from "./dom.js";
 import { go } from "./route.js";
 
 // How many scans are loaded at a time.
@@ -25,7 +25,7 @@ function filter() {
   const ms = (id) => (of(id) ? String(new Date(of(id)).getTime()) : "");
   // A time without seconds means the whole minute.
   const to = of("to") ? String(new Date(of("to")).getTime() + 59_999) : "";
-  const all = { state: of("state"), surface: of("surface"), from_unix_ms: ms("from"), to_unix_ms: to, text: of("text") };
+  const all = { state: of("state"), surface: of("surface"), user: of("user"), from_unix_ms: ms("from"), to_unix_ms: to, text: of("text") };
   return new URLSearchParams(Object.entries(all).filter(([, value]) => value !== "")).toString();
 }
 
@@ -40,10 +40,20 @@ export async function load() {
   if (said && wanted === "") latest = scans[0] ?? null;
   say("export-of", wanted === "" ? "All scans" : "These scans");
   for (const [id, file] of [["export-csv", "scans.csv"], ["export-lines", "scans.jsonl"]]) {
-    $(id).href = `/api/v1/${file}${wanted && `?${wanted}`}`;
+    $(id).href = `api/v1/${file}${wanted && `?${wanted}`}`;
   }
   changed();
+  offerPeople();
   loadPrecision();
+}
+
+const people = new Set();
+
+// Offers the people of the scans that were listed so far; where no scan holds one, there is nobody to ask for.
+function offerPeople() {
+  scans.forEach((scan) => scan.user && people.add(scan.user));
+  hide("of-person", people.size === 0);
+  fill("people", [...people].sort().map((person) => Object.assign(make("option"), { value: person })));
 }
 
 // Loads scans that are older than the list.
@@ -54,6 +64,7 @@ export async function older() {
   scans = [...scans, ...said.scans];
   [most, more] = [most + PAGE, said.scans.length === PAGE];
   changed();
+  offerPeople();
 }
 
 // The newest scan; null if there is none.
@@ -67,6 +78,7 @@ export function add(answer) {
   if (filter() !== "") return void load();
   if (scans.some((other) => other.id === scan.id)) return;
   scans = [scan, ...scans];
+  offerPeople();
   if (scans.length > most) [scans, more] = [scans.slice(0, most), true];
 }
 

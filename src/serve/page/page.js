@@ -170,7 +170,7 @@ let events = null;
 
 function follow() {
   events?.close();
-  events = new EventSource("/api/v1/events");
+  events = new EventSource("api/v1/events");
   const on = (type, act) => events.addEventListener(type, ({ data }) => {
     link.heard();
     act(JSON.parse(data));
@@ -231,7 +231,7 @@ function press(act) {
 document.addEventListener("keydown", (event) => {
   const writing = event.target.closest("input:not([type=checkbox]), select");
   if (event.key === "Escape" && writing) writing.blur();
-  else if (event.key === "Escape" && document.body.dataset.view === "kiosk") location.assign("/");
+  else if (event.key === "Escape" && document.body.dataset.view === "kiosk") location.assign("./");
   if (writing || document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;
   if (keys[event.key]) event.preventDefault();
   if (event.key.length === 1) press(keys[event.key]);

@@ -114,7 +114,7 @@ function signal(scan, own, nearest) {
     const sound = make("audio");
     sound.controls = true;
     sound.preload = "none";
-    sound.src = `/api/v1/scans/${scan.id}/${own.source}.wav`;
+    sound.src = `api/v1/scans/${scan.id}/${own.source}.wav`;
     sound.setAttribute("aria-label", `play ${plain(own.source)}`);
     head.append(sound);
   }
@@ -145,9 +145,9 @@ function signals(scan, { scan: own, nearest }) {
   const of = (source) => nearest?.series.find((other) => other.source === source) ?? null;
   grid.append(...own.series.map((series) => signal(scan, series, of(series.source))));
   for (const source of own.pictures) {
-    grid.append(picture(source, `/api/v1/scans/${scan.id}/${source}.png`, "this scan"));
+    grid.append(picture(source, `api/v1/scans/${scan.id}/${source}.png`, "this scan"));
     if (nearest?.pictures.includes(source)) {
-      grid.append(picture(source, `/api/v1/scans/${scan.id}/nearest-${source}.jpg`, "the nearest trial"));
+      grid.append(picture(source, `api/v1/scans/${scan.id}/nearest-${source}.jpg`, "the nearest trial"));
     }
   }
   box.append(grid);

@@ -115,6 +115,7 @@ pub(super) struct EnrollBlock {
 #[serde(deny_unknown_fields)]
 pub(super) struct PageBlock {
     pub stale_after_s: Spanned<f64>,
+    pub public_address: Option<Spanned<String>>,
 }
 
 #[derive(Deserialize)]
@@ -127,6 +128,7 @@ pub(super) struct HistoryBlock {
 #[serde(default, deny_unknown_fields)]
 pub(super) struct OutputsBlock {
     pub http: Option<Spanned<String>>,
+    pub header_file: Option<Spanned<PathBuf>>,
     pub mqtt: Option<Spanned<String>>,
     pub password_file: Option<Spanned<PathBuf>>,
     pub station: Option<Spanned<String>>,

@@ -11,6 +11,8 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use http::Uri;
+
 use crate::device::camera::Turn;
 pub use crate::device::lines::LinesConfig;
 use crate::device::microphone::Pick;
@@ -45,6 +47,8 @@ pub struct StationConfig {
     pub trials: u32,
     /// Age from which the page no longer shows an answer as the present one, in seconds.
     pub stale_after_s: f64,
+    /// Where a browser finds the page, if a proxy is in front of it.
+    pub public_address: Option<Uri>,
     /// Disk space for past scans, in millions of bytes; with 0, no scans are kept.
     pub keep_mb: u32,
     pub outputs: OutputsConfig,

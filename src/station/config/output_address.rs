@@ -18,9 +18,13 @@ pub struct OutputsConfig {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HttpAddress {
-    /// The host and the port; the default port is 80.
+    /// The host and the port; the default port is 80, or 443 with TLS.
     pub host: (String, u16),
     pub path: String,
+    /// The files for TLS; `None` if the address does not begin with `https`.
+    pub tls: Option<TlsFiles>,
+    /// A file with one header that every request has, such as `Authorization: Bearer SECRET`.
+    pub header_file: Option<PathBuf>,
 }
 
 #[derive(Clone, PartialEq, Eq)]
@@ -47,9 +51,9 @@ pub enum Password {
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TlsFiles {
-    /// The file of authorities that may sign the broker's certificate; `None` for the system's file.
+    /// The file of authorities that may sign the receiver's certificate; `None` for the system's file.
     pub ca: Option<PathBuf>,
-    /// The client's certificate and its key, if the broker requires them.
+    /// The client's certificate and its key, if the receiver requires them.
     pub client: Option<(PathBuf, PathBuf)>,
 }
 
@@ -96,7 +100,8 @@ impl std::fmt::Display for MqttAddress {
 
 impl std::fmt::Display for HttpAddress {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "http://{}:{}{}", self.host.0, self.host.1, self.path)
+        let scheme = if self.tls.is_some() { "https" } else { "http" };
+        write!(f, "{scheme}://{}:{}{}", self.host.0, self.host.1, self.path)
     }
 }
 
@@ -130,12 +135,11 @@ impl FromStr for HttpAddress {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (uri, host) = parts(text, &[("http", 80)]).ok_or(
-            "expected an address such as \"http://127.0.0.1:9000/answers\"; for TLS, put a proxy \
-             in between",
-        )?;
+        let (uri, host) = parts(text, &[("http", 80), ("https", 443)])
+            .ok_or("expected an address such as \"https://127.0.0.1:9000/answers\"")?;
         let path = uri.path_and_query().map_or("/", |path| path.as_str()).to_string();
-        Ok(Self { host, path })
+        let tls = (uri.scheme_str() == Some("https")).then(TlsFiles::default);
+        Ok(Self { host, path, tls, header_file: None })
     }
 }
 

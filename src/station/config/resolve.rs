@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use http::Uri;
 use toml::Spanned;
 
 use super::file::{
@@ -14,7 +15,7 @@ use super::file::{
 };
 use super::output_address::{STRAY_PASSWORD_FILE, is_segment, machine_name, without_passwords};
 use super::{
-    CameraConfig, ConfigError, DevicePart, FlashConfig, MicrophoneConfig, MqttAddress,
+    CameraConfig, ConfigError, DevicePart, FlashConfig, HttpAddress, MicrophoneConfig, MqttAddress,
     OutputsConfig, StationConfig, StylusConfig, TlsFiles, lines,
 };
 use crate::device::camera::Turn;
@@ -101,6 +102,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         by_t_star,
         trials,
         stale_after_s: positive("stale_after_s", &file.page.stale_after_s)?,
+        public_address: file.page.public_address.as_ref().map(public_address).transpose()?,
         keep_mb: file.history.keep_mb,
         outputs: outputs(file.outputs, folder)?,
     };
@@ -108,9 +110,16 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     Ok(config)
 }
 
-/// Resolves the outputs. Paths of certificates and of the password are relative to the configuration's folder.
+fn public_address(text: &Spanned<String>) -> Result<Uri, Mistake> {
+    parsed::<HttpAddress>("public_address", text)?;
+    let uri = text.get_ref().parse();
+    uri.or_else(|error: http::uri::InvalidUri| mistake(text, format!("public_address: {error}")))
+}
+
+/// Resolves the outputs. Paths of certificates, header and password are relative to the configuration's folder.
 fn outputs(block: OutputsBlock, folder: &Path) -> Result<OutputsConfig, Mistake> {
-    let OutputsBlock { http, mqtt, password_file, station, ca, certificate, key } = block;
+    let OutputsBlock { http, header_file, mqtt, password_file, station, ca, certificate, key } =
+        block;
     let name = match &station {
         Some(name) if is_segment(name.get_ref()) => name.get_ref().clone(),
         Some(name) => {
@@ -134,18 +143,25 @@ fn outputs(block: OutputsBlock, folder: &Path) -> Result<OutputsConfig, Mistake>
             return mistake(alone, "`certificate` and `key` belong together; give both");
         }
     };
-    match (address.as_mut().and_then(|address| address.tls.as_mut()), ca.as_ref().or(key.as_ref()))
-    {
-        (Some(tls), _) => *tls = TlsFiles { ca: ca.as_ref().map(file), client },
+    let http = http.as_ref().map(|http| parsed::<HttpAddress>("http", http));
+    let mut http = http.transpose()?;
+    match (&mut http, &header_file) {
+        (Some(http), path) => http.header_file = path.as_ref().map(file),
         (None, Some(stray)) => {
-            return mistake(
-                stray,
-                "certificates are for a broker with TLS; begin `mqtt` with mqtts://",
-            );
+            return mistake(stray, "header_file: it goes with `http`; give both");
         }
         (None, None) => {}
     }
-    let http = http.as_ref().map(|http| parsed("http", http)).transpose()?;
+    let files = TlsFiles { ca: ca.as_ref().map(file), client };
+    let of_http = http.as_mut().and_then(|http| http.tls.as_mut());
+    let of_mqtt = address.as_mut().and_then(|mqtt| mqtt.tls.as_mut());
+    let with_tls: Vec<_> = of_http.into_iter().chain(of_mqtt).collect();
+    if let (true, Some(stray)) = (with_tls.is_empty(), ca.as_ref().or(key.as_ref())) {
+        let problem =
+            "certificates are for TLS; begin `mqtt` with mqtts:// or `http` with https://";
+        return mistake(stray, problem);
+    }
+    with_tls.into_iter().for_each(|tls| *tls = files.clone());
     Ok(OutputsConfig { station: name, http, mqtt: address })
 }
 
