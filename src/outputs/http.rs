@@ -1,6 +1,5 @@
 //! Sends answers by HTTP POST, one JSON document each.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Body;
@@ -12,8 +11,7 @@ use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, timeout, timeout_at};
 
-use super::{BackOff, OutputHealth, Pending};
-use crate::station::Answer;
+use super::{BackOff, OutputHealth, Pending, Said};
 use crate::station::config::HttpAddress;
 
 const LONGEST_ATTEMPT: Duration = Duration::from_secs(5);
@@ -22,7 +20,7 @@ const LONGEST_ATTEMPT: Duration = Duration::from_secs(5);
 pub(super) async fn post_all(
     mut pending: Pending,
     address: HttpAddress,
-    mut answers: mpsc::Receiver<Arc<Answer>>,
+    mut answers: mpsc::Receiver<Said>,
 ) {
     let mut back_off = BackOff::new();
     loop {

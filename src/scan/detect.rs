@@ -22,7 +22,8 @@ pub struct DetectorConfig {
     pub longest_pause_s: f64,
     /// A drag is over after this much quiet, in seconds; its end is where the quiet began.
     pub drag_hold_s: f64,
-    /// Longest drag, in seconds; a longer contact is noise.
+    /// Longest drag, in seconds; a longer contact is noise. Infinite where surfaces are named without begin
+    /// and end: then no scan ends for its length.
     pub longest_drag_s: f64,
 }
 

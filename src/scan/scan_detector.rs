@@ -55,6 +55,8 @@ impl ScanDetector {
     /// A detector for these streams; it ignores parts of `detection` that name other streams.
     pub(super) fn new(detection: Detection, streams: &[Stream], longest_scan_s: f64) -> Self {
         let Detection { detector, groups, cuts } = detection;
+        let ends = detector.longest_drag_s.is_finite();
+        let longest_scan_s = if ends { longest_scan_s } else { f64::INFINITY };
         let place = |cut: CutFrom| {
             let stream = streams.iter().position(|stream| stream.id == cut.stream)?;
             Some(PlacedCut { cut, stream })

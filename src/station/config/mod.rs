@@ -17,6 +17,7 @@ use crate::device::microphone::Pick;
 pub use crate::device::serial::StylusConfig;
 use crate::scan::Detection;
 use crate::scene::{Scene, SourceId};
+use crate::station::Continuous;
 
 use file::DEFAULTS;
 
@@ -39,6 +40,9 @@ pub struct StationConfig {
     pub lines: Vec<LinesConfig>,
     pub microphone: Option<MicrophoneConfig>,
     pub camera: Option<CameraConfig>,
+    /// Whether surfaces are named without begin and end, and how.
+    pub is_continuous: bool,
+    pub continuous: Continuous,
     pub detection: Detection,
     /// A good trial must hold enough independent samples of each of these sources, judged by T*.
     pub by_t_star: Vec<SourceId>,
