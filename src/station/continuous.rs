@@ -205,9 +205,10 @@ impl MovingScan {
         if scan_s - self.whole_from_s < self.window_s - 1e-9 {
             return None;
         }
-        let whole = self.recent.iter().filter_map(|(id, recent)| {
-            Some((id.clone(), recent.window(*scan_s, self.window_s)?))
-        });
+        let whole = self
+            .recent
+            .iter()
+            .filter_map(|(id, recent)| Some((id.clone(), recent.window(*scan_s, self.window_s)?)));
         let scan = Scan {
             truth: truth.clone(),
             synthetic: self.by.library.synthetic,
@@ -277,8 +278,9 @@ impl MovingScan {
         let best = smoothed.filter.best();
         let ranked = smoothed.ranked(&smoothed.shares());
         let named = ranked.into_iter().take(NAMED);
-        guess.named =
-            named.map(|(surface, probability)| SurfaceProbability { surface, probability }).collect();
+        guess.named = named
+            .map(|(surface, probability)| SurfaceProbability { surface, probability })
+            .collect();
         guess.state = Some(match smoothed.found(best, self.by.rejection(truth)).state {
             AnswerState::Unknown => AnswerState::Unknown,
             _ if belief[best] < EVEN => AnswerState::Unsure,
@@ -310,7 +312,8 @@ impl RecentFrames {
     fn window(&self, scan_s: f64, window_s: f64) -> Option<Signal> {
         let lag_s = scan_s - self.end as f64 / self.rate_hz;
         let is_whole = self.samples.len() == self.most(window_s) && lag_s <= 0.5 * window_s;
-        let series = is_whole.then(|| Series::new(self.rate_hz, self.channels, self.samples.clone()));
+        let series =
+            is_whole.then(|| Series::new(self.rate_hz, self.channels, self.samples.clone()));
         series?.ok().map(Signal::Series)
     }
 }
@@ -380,7 +383,8 @@ impl Smoothed {
 
     /// The surfaces with their shares, the most probable first; ties are in alphabetical order.
     fn ranked(&self, shares: &[f64]) -> Vec<(String, f64)> {
-        let mut ranked: Vec<_> = self.surfaces.iter().cloned().zip(shares.iter().copied()).collect();
+        let mut ranked: Vec<_> =
+            self.surfaces.iter().cloned().zip(shares.iter().copied()).collect();
         ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
         ranked
     }
@@ -403,7 +407,13 @@ impl Stretch {
 
     /// The answer to the stretch. Its confidence is the mean probability of its surface over all looks; its
     /// signals are those of its window. The p-value is left out where it contradicts the stretch.
-    fn ended(self, end_s: f64, smoothed: &Smoothed, by: &Arc<Recogniser>, from: Instant) -> AnsweredScan {
+    fn ended(
+        self,
+        end_s: f64,
+        smoothed: &Smoothed,
+        by: &Arc<Recogniser>,
+        from: Instant,
+    ) -> AnsweredScan {
         let Self { state, begin_s, looks, sums, truths, window } = self;
         let Window { scan, ranking, says } = window;
         let shares: Vec<f64> = sums.iter().map(|sum| sum / f64::from(looks.max(1))).collect();

@@ -40,7 +40,8 @@ pub struct Guess {
     /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
     /// When the present surface was found, in seconds since the begin of the scan, if surfaces are named
-    /// without begin and end; `None` otherwise, and until then.
+    /// without begin and end; `None` otherwise, and until then. JSON then lacks it.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub since_s: Option<f64>,
     /// Whether the drag may end, since it has lasted `needed_s`, or since its answer is settled by a
     /// rule that rests on enough trials.

@@ -27,7 +27,10 @@ impl StickyFilter {
 
     /// Index of the most probable state; the first index in a tie.
     pub(crate) fn best(&self) -> usize {
-        (0..self.belief.len()).rev().max_by(|&a, &b| self.belief[a].total_cmp(&self.belief[b])).unwrap_or(0)
+        (0..self.belief.len())
+            .rev()
+            .max_by(|&a, &b| self.belief[a].total_cmp(&self.belief[b]))
+            .unwrap_or(0)
     }
 
     /// Lets `steps` steps pass without an observation.

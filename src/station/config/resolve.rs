@@ -8,9 +8,9 @@ use std::time::Duration;
 use toml::Spanned;
 
 use super::file::{
-    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, Mistake, OutputsBlock, ScanBlock, ScanMode,
-    StationFile, StylusBlock, is_default, known, merged, mistake, no_stray, parsed, positive,
-    source_of,
+    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, Mistake, OutputsBlock,
+    ScanBlock, ScanMode, StationFile, StylusBlock, is_default, known, merged, mistake, no_stray,
+    parsed, positive, source_of,
 };
 use super::output_address::{STRAY_PASSWORD_FILE, is_segment, machine_name, without_passwords};
 use super::{
@@ -84,7 +84,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     if let Some(twice) = cuts.iter().find(|cut| !seen.insert(&cut.source)) {
         return mistake(&file.format, format!("two devices make the source {}", twice.source));
     }
-    let continuous = continuous(&file.scan)?;
+    let sliding = sliding(&file.scan)?;
     let detector = detector(&file.detection)?;
     let by_t_star = file.enroll.t_star.iter().map(|name| known(name.get_ref(), name, &scene));
     let by_t_star = by_t_star.collect::<Result<_, _>>()?;
@@ -100,7 +100,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         microphone,
         camera,
         is_continuous: file.scan.mode == ScanMode::Continuous,
-        continuous,
+        sliding,
         detection: Detection { detector, groups: Vec::new(), cuts },
         by_t_star,
         trials,
@@ -244,7 +244,7 @@ fn groups(
     Ok(groups.into_values().collect())
 }
 
-fn continuous(block: &ScanBlock) -> Result<Continuous, Mistake> {
+fn sliding(block: &ScanBlock) -> Result<Continuous, Mistake> {
     let hop_s = positive("hop_s", &block.hop_s)?;
     let expected_stay_s = positive("expected_stay_s", &block.expected_stay_s)?;
     if expected_stay_s <= hop_s {
