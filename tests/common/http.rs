@@ -194,6 +194,7 @@ pub fn session() -> Vec<StationEvent> {
         doubts: vec![],
         settled: false,
         needed_s: Some(2.7),
+        since_s: None,
         enough: false,
     };
     vec![

@@ -10,6 +10,7 @@ mod answers;
 mod bad_input;
 mod chart;
 mod commands;
+mod continuous;
 mod cross_user;
 mod curate;
 mod desk;
