@@ -346,6 +346,8 @@ pub(super) fn trace(streams: &[Stream]) -> Trace {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ring::{self, Waker};
+    use crate::scan::clock::Clock;
 
     fn progress(scan_s: f64, parts: &[(&str, u64, &[f32])]) -> Progress {
         let fresh = parts.iter().map(|(source, start, samples)| Fresh {
@@ -365,5 +367,31 @@ mod tests {
         all.append(progress(0.4, &[("ac", 2, &[3.0]), ("ir", 0, &[9.0])]));
         let expected = progress(0.4, &[("ac", 0, &[1.0, 2.0, 3.0]), ("ir", 0, &[9.0])]);
         assert_eq!((all.scan_s, all.fresh), (expected.scan_s, expected.fresh));
+    }
+
+    #[test]
+    fn a_snapshot_says_whether_frames_of_its_own_fill_a_gap() {
+        let id = SourceId::new("ac").unwrap();
+        let (mut sink, tap) = ring::series(1, 100, Waker::new().0);
+        let buffer = StreamBuffer::Series { tap, history: SeriesHistory::new(1) };
+        let (device, rate_hz, channels, traced) = (0, 100.0, 1, 0);
+        let (clock, observed) = (Clock::new(rate_hz), (0, 0.0));
+        let stream =
+            Stream { id: id.clone(), device, rate_hz, channels, buffer, traced, clock, observed };
+        let mut streams = [stream];
+        sink.push(&[0.5; 12]);
+        sink.skip(5);
+        sink.push(&[0.5; 13]);
+        streams[0].drain(10.0);
+        let mut marked = Marked::default();
+        let cut = CutFrom { source: id.clone(), stream: id, phase: Phase::Drag, channels };
+        marked.follow(Mark::Open(Open { cut, start: 0, rate_hz }), &streams).unwrap();
+        let mut gaps = Vec::new();
+        while let Some((step, sent, snapshot)) = next_snapshot(&marked, &streams, 0.1, true) {
+            gaps.push(snapshot.gap);
+            marked.steps = step;
+            marked.cuts.values_mut().zip(sent).for_each(|(cut, sent)| cut.sent = sent);
+        }
+        assert_eq!(gaps, [false, true, false]);
     }
 }

@@ -87,6 +87,8 @@ struct MovingScan {
     by: Arc<Recogniser>,
     window_s: f64,
     recent: BTreeMap<SourceId, RecentFrames>,
+    /// Scan time from which this library names it, in seconds.
+    begin_s: f64,
     /// Scan time of the last snapshot, of the end of the last gap, and up to which data have counted as
     /// evidence, in seconds.
     heard_s: f64,
@@ -182,7 +184,18 @@ impl MovingScan {
         let (by, recent) = (by.clone(), BTreeMap::new());
         let (heard_s, whole_from_s, counted_s) = (begin_s, begin_s, begin_s);
         let (smoothed, stretch) = (None, None);
-        Self { number, by, window_s, recent, heard_s, whole_from_s, counted_s, smoothed, stretch }
+        Self {
+            number,
+            by,
+            window_s,
+            recent,
+            begin_s,
+            heard_s,
+            whole_from_s,
+            counted_s,
+            smoothed,
+            stretch,
+        }
     }
 
     /// Adds new data, and names the window that ends with them; `None` if there is no whole window, it has
@@ -249,7 +262,7 @@ impl MovingScan {
             _ => {
                 let found = |state| smoothed.found(state, self.by.rejection(truth.as_ref()));
                 let before = self.stretch.take();
-                let begin_s = if before.is_some() { at_s } else { 0.0 };
+                let begin_s = if before.is_some() { at_s } else { self.begin_s };
                 change = Some(Change {
                     unix_ms: unix_ms(SystemTime::now()),
                     scan: self.number,
