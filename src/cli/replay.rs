@@ -199,13 +199,14 @@ fn play(
     let queries: Vec<Entry> = (stage.queries())
         .map(|(_, entry)| first_seconds(entry, &stage.scene, how.query_seconds))
         .collect();
-    if args.continuous && stage.folds.len() > 1 {
-        let problem = "--continuous names by one library, and these recordings are compared with each \
-                       other in turn; name a library by --library";
-        return Err(Failure::Usage(problem.into()));
-    }
     let mut config = super::config(args.config.as_deref())?;
     config.is_continuous |= args.continuous;
+    if config.is_continuous && stage.folds.iter().any(|fold| fold.library != stage.folds[0].library)
+    {
+        let problem = "joined recordings are named by one library, and each of these has another; name it \
+                       by --library, or use --protocol expert-vs-users";
+        return Err(Failure::Usage(problem.into()));
+    }
     let mut tally = Tally::new(!args.json, queries.len());
     let is_shown = args.serve.is_wanted() && args.speed == Speed::RealTime(1.0);
     let rest_s = if is_shown { REST_S } else { 0.0 };
