@@ -81,6 +81,11 @@ impl Detector {
         !matches!(self.state, DetectorState::Quiet { .. })
     }
 
+    /// Whether the last hop with data was quiet, so that a contact in progress may have ended.
+    pub(crate) fn is_quiet(&self) -> bool {
+        !matches!(self.state, DetectorState::Contact(Contact { quiet: None, .. }))
+    }
+
     /// Takes the level of the next hop, which is the highest level of all streams in this hop;
     /// `None` for a hop in a gap, which neither begins, holds nor ends a contact.
     pub(crate) fn hop(&mut self, level: Option<f64>) -> Option<DetectorEvent> {

@@ -105,6 +105,13 @@ impl ScanDetector {
         }
     }
 
+    /// Whether a scan that has no longest time may have ended already, so that its newest data may be rest.
+    pub(super) fn may_rest(&self) -> bool {
+        let lead = self.scan.as_ref().and_then(|scan| scan.lead);
+        let is_quiet = lead.is_some_and(|at| self.groups[at].detector.is_quiet());
+        is_quiet && self.longest_scan_s.is_infinite()
+    }
+
     pub(super) fn command(&mut self, command: ScanCommand, streams: &[Stream]) {
         let now_s = self.now_s();
         match (command, &mut self.scan) {
