@@ -1,6 +1,9 @@
 //! Measures naming without begin and end, on excerpts of a library that are joined at random:
 //!
-//!     cargo run --release --example continuous_bench -- LIBRARY [SEED]
+//!     cargo run --release --example continuous_bench -- LIBRARY [ACCURACY [SEED]]
+//!
+//! A window is as long as a scan must last to be named right with this accuracy, or else with that of whole
+//! scans less one percentage point, as `--accuracy` says elsewhere.
 //!
 //! Leaves each person out in turn (or each session, where one person recorded all): the library is the
 //! others' trials. The excerpts of the person are joined to ten stretches, each of 3 to 6 excerpts of one surface
@@ -41,7 +44,8 @@ type Problem = Box<dyn std::error::Error>;
 
 fn main() -> Result<(), Problem> {
     let mut words = std::env::args().skip(1);
-    let path = words.next().ok_or("usage: continuous_bench LIBRARY [SEED]")?;
+    let path = words.next().ok_or("usage: continuous_bench LIBRARY [ACCURACY [SEED]]")?;
+    let accuracy = words.next().map(|word| word.parse()).transpose()?;
     let seed = words.next().map_or(Ok(1), |word| word.parse())?;
     let library = dataset::open(Path::new(&path), &Scene::lmt108())?;
     let keys: Vec<TrialKey> = library.entries.iter().map(|entry| entry.key.clone()).collect();
@@ -50,7 +54,7 @@ fn main() -> Result<(), Problem> {
     let by_default = StationConfig::embedded().sliding;
     let mut all = [Measured::default(), Measured::default()];
     for fold in &folds {
-        let (by, rejection) = recogniser(&library, fold)?;
+        let (by, rejection) = recogniser(&library, fold, accuracy)?;
         let mut rng = seed::rng(seed, &[b"continuous bench", fold.name.as_bytes()]);
         for _ in 0..JOURNEYS {
             let journey = Journey::new(&library, fold, &mut rng)?;
@@ -74,6 +78,7 @@ fn main() -> Result<(), Problem> {
 fn recogniser(
     library: &Library,
     fold: &Fold,
+    accuracy: Option<f64>,
 ) -> Result<(Arc<Recogniser>, Option<Rejection>), Problem> {
     let method = MethodSpec::from(MethodName::Embedding).build(&library.scene);
     let of_fold: BTreeSet<usize> = fold.library.iter().copied().collect();
@@ -81,7 +86,7 @@ fn recogniser(
     let compared: Vec<Entry> = fold.library.iter().map(|&i| library.entries[i].clone()).collect();
     let state = LibraryState::of(&library.name, &compared, library.synthetic);
     let mut by = Recogniser::new(ready.model.clone(), library.scene.clone(), state);
-    by.needed_s = ready.model.scan_time(None).and_then(|answer| answer.scan_s());
+    by.needed_s = ready.model.scan_time(accuracy).and_then(|answer| answer.scan_s());
     let rejection = by.reject_unknown(None).ok().and_then(|mut all| all.pop());
     by.needed_s.ok_or("the scan time of this library is not known")?;
     Ok((Arc::new(by), rejection))
