@@ -17,7 +17,7 @@ use surfaced::history::History;
 use surfaced::outputs::{Output, OutputView};
 use surfaced::recognise::RankedSurface;
 use surfaced::station::config::{OutputsConfig, TlsFiles};
-use surfaced::station::{Answer, Listener, StationEvent};
+use surfaced::station::{Answer, AnswerState, Change, FoundSurface, Listener, StationEvent};
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::server::WebPkiClientVerifier;
@@ -336,6 +336,15 @@ fn the_state_tells_of_devices_and_of_a_station_that_ends_or_is_gone() {
     assert_eq!(
         (&lost["devices"][0]["device"], &lost["devices"][0]["state"]),
         (&"stylus".into(), &"lost".into())
+    );
+    let to = FoundSurface { state: AnswerState::Unknown, surface: None };
+    let (from, confidence) = (None, None);
+    let change = Change { unix_ms: 1, scan: 3, at_s: 1.5, from, to, confidence };
+    output.on_event(&StationEvent::Change(change.into()));
+    let change = subscriber.next("surfaced/press-3/change", |said| said["scan"] == 3);
+    assert_eq!(
+        (&change["station"], &change["to"]["state"]),
+        (&"press-3".into(), &"unknown".into())
     );
     drop(output);
     let ended = subscriber.next(STATE, |said| said["state"] == "offline");

@@ -9,6 +9,7 @@ use super::{Done, Failure};
 use crate::outputs;
 use crate::scan::CutFrom;
 use crate::scene::SourceId;
+use crate::station::Continuous;
 use crate::station::config::{CameraConfig, LinesConfig, OutputsConfig, StationConfig};
 
 /// Check the configuration of a station
@@ -102,7 +103,15 @@ fn other(config: &StationConfig) -> Vec<(&'static str, String)> {
         Some(folder) => format!("{}, which is no folder", folder.display()),
         None => "none; give --library".into(),
     };
+    let named = match config.continuous() {
+        None => "each drag, at its end".into(),
+        Some(Continuous { hop_s, expected_stay_s }) => format!(
+            "the surface while something moves, every {hop_s} s; it is expected to stay for \
+             {expected_stay_s} s"
+        ),
+    };
     vec![
+        ("named", named),
         ("contact", format!("shown by {}", joined(contact, ", or else "))),
         ("library", library),
         ("outputs", of_outputs(&config.outputs)),

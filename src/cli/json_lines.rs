@@ -87,6 +87,7 @@ impl Listener for JsonLines {
         let last = self.end.is_here(event);
         match event {
             StationEvent::Answer(answer) => self.print(Some(&**answer)),
+            StationEvent::Change(change) => self.print(Some(&**change)),
             StationEvent::Enrolled(enrolled) => self.print(Some(enrolled)),
             StationEvent::Finished(_) if !self.warnings.is_empty() => self.print(None::<&()>),
             StationEvent::Warning(text) => self.warn(text.clone()),

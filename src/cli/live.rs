@@ -200,6 +200,19 @@ pub(super) fn load(
     })
 }
 
+/// Refuses a library whose scan time is not known, for naming without begin and end.
+fn with_scan_time(load: Load) -> Load {
+    Arc::new(move || load().and_then(|by| has_scan_time(&by).map(|()| by)))
+}
+
+pub(super) fn has_scan_time(by: &Recogniser) -> Result<(), String> {
+    by.needed_s.map(drop).ok_or_else(|| {
+        "naming without begin and end needs the scan time that the library requires, which is not known: \
+         record more trials of each surface, and use the method `embedding`"
+            .into()
+    })
+}
+
 /// Returns a function that audits the library each time it is called.
 pub(super) fn check(path: &Path, how: &Comparing) -> Audit {
     let (path, how) = (path.to_path_buf(), how.clone());
@@ -269,6 +282,7 @@ pub(super) fn work(
     let (devices, session) = (store.devices.clone(), store.session.clone());
     let mut station = Station::new(assembled.devices, options);
     station.store = Some(store);
+    station.continuous = config.continuous().filter(|_| work.load.is_some());
     let commands = station.commands();
     // A library of another layout would not find new trials, so no scans are enrolled there.
     let enrolls = !dataset::is_foreign(&library.folder);
@@ -402,6 +416,9 @@ pub(super) struct Args {
     /// Make the library if there is none yet; surfaces are then enrolled on the page
     #[arg(long)]
     create: bool,
+    /// Name the surface while something moves, without tap and end, and say when it changes
+    #[arg(long)]
+    continuous: bool,
     #[command(flatten)]
     comparing: ComparingArgs,
     #[command(flatten)]
@@ -416,6 +433,7 @@ pub(super) fn run(args: &Args) -> Done {
     if let Some(plan) = &how.plan {
         config = config.only(&plan.sources);
     }
+    config.is_continuous |= args.continuous;
     let library = library_of(&config)?;
     if !library.is_dir() {
         if !args.create && !is_agreed(&library) {
@@ -430,12 +448,19 @@ pub(super) fn run(args: &Args) -> Done {
     }
     let check = Some(check(&library, &how));
     let assembled = assemble(&config);
-    let given = assembled.device_of.keys().filter_map(|id| SourceId::new(id).ok()).collect();
+    let given = assembled.device_of.keys().filter_map(|id| SourceId::new(id).ok());
+    let is_used = |id: &SourceId| !config.is_continuous || config.scene.is_dragged(id);
+    let given = given.filter(is_used).collect();
     let answering = (&args.answers, &args.accuracy);
     let load = load(&library, &config.scene, &how, answering, Some(given));
+    let load = if config.is_continuous { with_scan_time(load) } else { load };
     let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
-    let hint =
-        format!("tap a surface, then drag over it{long}; space begins and ends a scan, q quits");
+    let hint = match config.is_continuous {
+        true => "names the surface while something moves; q quits".into(),
+        false => {
+            format!("tap a surface, then drag over it{long}; space begins and ends a scan, q quits")
+        }
+    };
     let (load, store) = (Some(load), library);
     let of = StationWork { load, store, keep: None, hint, check };
     verdict(&work(&config, &args.station, assembled, of)?)

@@ -36,7 +36,8 @@ use crate::trial::EXPERT;
 #[command(after_help = "Examples:\n  surfaced replay\n  \
                         surfaced replay LMT_108_SurfaceMaterials_Database --sources mi2 --speed max\n  \
                         surfaced replay new-scans --library my-library --json\n  \
-                        surfaced replay --speed 1.0 --serve\n\nTime: about 10 s for the embedded scene, 6 s for LMT108's 200 dragging sounds, on two cores; with --speed 1.0 as long as the recordings")]
+                        surfaced replay --speed 1.0 --serve\n  \
+                        surfaced replay --continuous\n\nTime: about 10 s for the embedded scene, 6 s for LMT108's 200 dragging sounds, on two cores; with --speed 1.0 as long as the recordings")]
 pub(super) struct Args {
     /// Recordings to play: a library, or the LMT108 database
     data: Option<PathBuf>,
@@ -60,10 +61,13 @@ pub(super) struct Args {
     /// Use only the first seconds of each drag
     #[arg(long, value_name = "X", value_parser = super::seconds, conflicts_with = "plan")]
     query_seconds: Option<f64>,
+    /// Join the drags without a pause, name the surface by a sliding window, and say when it changes
+    #[arg(long, conflicts_with = "query_seconds")]
+    continuous: bool,
     /// Print one line of JSON for each scan on stdout
     #[arg(long)]
     json: bool,
-    /// A station's configuration; the replay uses its `[outputs]` and `[history]`
+    /// A station's configuration; the replay uses its `[scan]`, `[outputs]` and `[history]`
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     #[command(flatten)]
@@ -196,13 +200,22 @@ fn play(
     let queries: Vec<Entry> = (stage.queries())
         .map(|(_, entry)| first_seconds(entry, &stage.scene, how.query_seconds))
         .collect();
+    let mut config = super::config(args.config.as_deref())?;
+    config.is_continuous |= args.continuous;
+    if config.is_continuous && stage.folds.iter().any(|fold| fold.library != stage.folds[0].library)
+    {
+        let problem = "joined recordings are named by one library, and each of these has another; name it \
+                       by --library, or use --protocol expert-vs-users";
+        return Err(Failure::Usage(problem.into()));
+    }
     let mut tally = Tally::new(!args.json, queries.len());
     let is_shown = args.serve.is_wanted() && args.speed == Speed::RealTime(1.0);
     let rest_s = if is_shown { REST_S } else { 0.0 };
     let device = Replay::new(&stage.scene, queries).speed(args.speed).rest_s(rest_s);
-    let device = device.synthetic(stage.synthetic);
+    let device = device.synthetic(stage.synthetic).joined(config.is_continuous);
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
+    station.continuous = config.continuous();
     if args.json {
         // While a page is served, a slow reader must not keep a signal from ending the program.
         let lines = JsonLines::start(station.commands(), !args.serve.is_wanted())?;
@@ -220,7 +233,6 @@ fn play(
     }
     // Without a library, past scans and unsent answers are kept here only until the program ends.
     let until_end = tempfile::tempdir()?;
-    let mut config = super::config(args.config.as_deref())?;
     if !args.serve.is_wanted() {
         config.keep_mb = 0;
     }
@@ -244,6 +256,9 @@ fn play(
         (made, _) => made?,
     };
     drop(reading);
+    if station.continuous.is_some() {
+        live::has_scan_time(&recogniser).map_err(Failure::Failed)?;
+    }
     station.recogniser = Some(Arc::new(recogniser));
     if follows {
         station.options.progress_every_s = Some(LOOK_S);

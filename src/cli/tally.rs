@@ -71,10 +71,12 @@ impl Tally {
             true => format!("  (answered in {:.1} ms)", answer.latency_ms),
             false => String::new(),
         };
+        let which = match answer.begin_s {
+            Some(begin_s) => format!("{begin_s:>7.1} s to {:>7.1} s", begin_s + answer.scan_s),
+            None => format!("{:>4}/{}", self.answers.len(), self.total),
+        };
         result!(
-            "{:>4}/{}  {:<28} {:<12} {verdict}{}{took}",
-            self.answers.len(),
-            self.total,
+            "{which}  {:<28} {:<12} {verdict}{}{took}",
             show::named(answer),
             show::certainty(answer),
             show::longer(answer)
@@ -105,10 +107,12 @@ impl Tally {
         let known =
             || self.answers.iter().filter_map(|answer| Some((answer, answer.truth.as_ref()?)));
         let right = Share::count(known().map(|(answer, truth)| is_right(answer, truth)));
+        let is_continuous = self.answers.iter().any(|answer| answer.begin_s.is_some());
+        let what = if is_continuous { "stretches of one surface" } else { "scans" };
         result!();
         if right.of > 0 {
             result!(
-                "accuracy {} of {} scans (95 % interval {}){mark}",
+                "accuracy {} of {} {what} (95 % interval {}){mark}",
                 show::percent(right.value()),
                 right.of,
                 show::interval(right)

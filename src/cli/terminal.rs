@@ -13,7 +13,8 @@ use crate::device::DeviceState;
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
 use crate::station::{
-    Answer, Enrolled, EnrolledOutcome, Guess, LibraryState, Listener, StationEvent, told,
+    Answer, Change, Enrolled, EnrolledOutcome, FoundSurface, Guess, LibraryState, Listener,
+    StationEvent, told,
 };
 use crate::system::has_status_line;
 use crate::trial::Doubt;
@@ -87,6 +88,16 @@ impl Terminal {
         self.last = Some(name);
     }
 
+    fn change(&self, change: &Change) {
+        if self.json {
+            return;
+        }
+        let name = |found: &FoundSurface| found.surface.clone().unwrap_or_else(|| "unknown".into());
+        let from =
+            change.from.as_ref().map(|found| format!("{} → ", name(found))).unwrap_or_default();
+        result!("scan {:<4} at {:.1} s: {from}{}", change.scan, change.at_s, name(&change.to));
+    }
+
     fn enrolled(&mut self, enrolled: &Enrolled) {
         let Enrolled { scan, surface, outcome, trial, folder, doubts, wanted, .. } = enrolled;
         match (outcome, trial, folder) {
@@ -140,6 +151,7 @@ impl Listener for Terminal {
                     *so_far = Some(guess.clone());
                 }
             }
+            StationEvent::Change(change) => self.change(change),
             StationEvent::Answer(answer) => self.answer(answer),
             StationEvent::Enrolled(enrolled) => self.enrolled(enrolled),
             StationEvent::Library(library) => self.library(library),

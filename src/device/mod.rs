@@ -200,6 +200,11 @@ pub enum Mark {
     },
     /// The scan goes on, but its result should not be trusted.
     Spoil(Doubt),
+    /// From this scan time on, in seconds, the scan has another true label.
+    Truth {
+        from_s: f64,
+        truth: TrialKey,
+    },
     /// The marked part was no scan, so its data are dropped.
     GiveUp {
         why: String,

@@ -1,7 +1,8 @@
 //! Plays recorded trials as if their sensors were connected: with the same rings, marks and pace.
 //!
 //! Plays the pictures of a trial first, then its taps, then its drags. Sources of one phase play at
-//! the same time. Each trial is marked as one scan, without a scan detector.
+//! the same time. Each trial is marked as one scan, without a scan detector; or the drags follow each
+//! other without a pause, as one scan.
 
 use std::ops::RangeInclusive;
 use std::panic::AssertUnwindSafe;
@@ -28,6 +29,8 @@ pub struct Replay {
     chunk_s: f64,
     /// Seconds between two trials in real time.
     rest_s: f64,
+    /// Whether drags follow each other without a pause.
+    is_joined: bool,
     synthetic: bool,
 }
 
@@ -42,6 +45,7 @@ impl Replay {
             speed: Speed::Max,
             chunk_s: 0.01,
             rest_s: 0.0,
+            is_joined: false,
             synthetic: false,
         }
     }
@@ -59,6 +63,13 @@ impl Replay {
     /// Rests this long between two trials in real time, so that people can read an answer.
     pub fn rest_s(mut self, seconds: f64) -> Self {
         self.rest_s = seconds;
+        self
+    }
+
+    /// Joins the drags to one scan, without pictures and taps. All sources of a trial are cut to the shortest
+    /// of them. A trial with other sources or rates than the one before it begins another scan.
+    pub fn joined(mut self, is_joined: bool) -> Self {
+        self.is_joined = is_joined;
         self
     }
 
@@ -96,6 +107,7 @@ impl Device for Replay {
         }
         link.state(DeviceState::Opening, "reading the first trial");
         let loaded = load_ahead(self.entries.clone())?;
+        let mut joined = None;
         for entry in &self.entries {
             let trial = match next(&loaded, link)? {
                 Ok(trial) => trial,
@@ -105,10 +117,18 @@ impl Device for Replay {
                 }
             };
             link.state(DeviceState::Streaming, "");
-            Player { replay: self, sinks, link, due: Instant::now() }.play(trial)?;
+            let mut player = Player { replay: self, sinks, link, due: Instant::now() };
+            if self.is_joined {
+                player.join(trial, &mut joined)?;
+                continue;
+            }
+            player.play(trial)?;
             if let Speed::RealTime(factor) = self.speed {
                 link.sleep_until(Instant::now() + Duration::from_secs_f64(self.rest_s / factor));
             }
+        }
+        if joined.is_some() {
+            link.mark(Mark::End { at: Instant::now() });
         }
         Ok(())
     }
@@ -207,32 +227,90 @@ struct Track {
     index: usize,
     series: Series,
     played: usize,
+    /// Number of frames to play.
+    frames: usize,
+}
+
+impl Track {
+    fn form(&self) -> (usize, f64, usize) {
+        (self.index, self.series.rate_hz(), self.series.channels())
+    }
+}
+
+/// A scan of joined drags: index, rate in Hz and channels of each source, and the seconds played.
+struct JoinedDrags {
+    forms: Vec<(usize, f64, usize)>,
+    played_s: f64,
 }
 
 impl Player<'_> {
     /// Plays the trial, with its marks, until a stop is requested.
-    pub(crate) fn play(mut self, mut trial: Trial) -> Result<(), DeviceError> {
-        let begin = Begin { truth: Some(trial.key.clone()), synthetic: self.replay.synthetic };
-        self.link.mark(Mark::Begin(begin));
+    fn play(mut self, mut trial: Trial) -> Result<(), DeviceError> {
+        self.begin(&trial);
         for phase in [Phase::Still, Phase::Tap, Phase::Drag] {
-            let mut tracks = Vec::new();
-            let specs = self.replay.specs.iter().enumerate();
-            for (index, spec) in specs.filter(|(_, spec)| spec.phase == phase) {
-                match (trial.signals.remove(&spec.id), &self.sinks[index]) {
-                    (None, _) => {}
-                    (Some(Signal::Image(image)), Sink::Images(_)) => self.picture(index, image)?,
-                    (Some(Signal::Series(series)), Sink::Series(sink))
-                        if series.channels() <= sink.channels() =>
-                    {
-                        tracks.push(Track { index, series, played: 0 });
-                    }
-                    (Some(other), _) => self.misfit(spec, &other, &trial),
-                }
-            }
+            let tracks = self.tracks(phase, &mut trial)?;
+            self.open_all(&tracks);
             self.series(tracks)?;
         }
         self.link.mark(Mark::End { at: Instant::now() });
         Ok(())
+    }
+
+    /// Plays the drag of the trial as the continuation of a scan, if its sources fit.
+    fn join(
+        &mut self,
+        mut trial: Trial,
+        scan: &mut Option<JoinedDrags>,
+    ) -> Result<(), DeviceError> {
+        let mut tracks = self.tracks(Phase::Drag, &mut trial)?;
+        let durations = tracks.iter().map(|track| track.series.duration_s());
+        let Some(shortest_s) = durations.reduce(f64::min) else { return Ok(()) };
+        let forms: Vec<_> = tracks.iter().map(Track::form).collect();
+        let begun = scan.take();
+        let goes_on = begun.as_ref().is_some_and(|scan| scan.forms == forms);
+        let from_s = begun.as_ref().filter(|_| goes_on).map_or(0.0, |scan| scan.played_s);
+        let until_s = from_s + shortest_s;
+        for track in &mut tracks {
+            // Counted from the begin of the scan, so that the rounding of many trials does not add up.
+            let at = |seconds: f64| (seconds * track.series.rate_hz()).round() as usize;
+            track.frames = (at(until_s) - at(from_s)).min(track.frames);
+        }
+        if goes_on {
+            self.link.mark(Mark::Truth { from_s, truth: trial.key });
+        } else {
+            if begun.is_some() {
+                self.link.mark(Mark::End { at: Instant::now() });
+            }
+            self.begin(&trial);
+            self.open_all(&tracks);
+        }
+        *scan = Some(JoinedDrags { forms, played_s: until_s });
+        self.series(tracks)
+    }
+
+    fn begin(&self, trial: &Trial) {
+        let begin = Begin { truth: Some(trial.key.clone()), synthetic: self.replay.synthetic };
+        self.link.mark(Mark::Begin(begin));
+    }
+
+    /// Plays the pictures of a phase, and gives its series.
+    fn tracks(&mut self, phase: Phase, trial: &mut Trial) -> Result<Vec<Track>, DeviceError> {
+        let mut tracks = Vec::new();
+        let specs = self.replay.specs.iter().enumerate();
+        for (index, spec) in specs.filter(|(_, spec)| spec.phase == phase) {
+            match (trial.signals.remove(&spec.id), &self.sinks[index]) {
+                (None, _) => {}
+                (Some(Signal::Image(image)), Sink::Images(_)) => self.picture(index, image)?,
+                (Some(Signal::Series(series)), Sink::Series(sink))
+                    if series.channels() <= sink.channels() =>
+                {
+                    let frames = series.frames();
+                    tracks.push(Track { index, series, played: 0, frames });
+                }
+                (Some(other), _) => self.misfit(spec, &other, trial),
+            }
+        }
+        Ok(tracks)
     }
 
     fn misfit(&self, spec: &SourceSpec, found: &Signal, trial: &Trial) {
@@ -267,11 +345,14 @@ impl Player<'_> {
         Ok(())
     }
 
-    fn series(&mut self, mut tracks: Vec<Track>) -> Result<(), DeviceError> {
-        for Track { index, series, .. } in &tracks {
+    fn open_all(&self, tracks: &[Track]) {
+        for Track { index, series, .. } in tracks {
             let start = self.sinks[*index].position();
             self.open(*index, start, series.rate_hz(), series.channels());
         }
+    }
+
+    fn series(&mut self, mut tracks: Vec<Track>) -> Result<(), DeviceError> {
         let from = self.due;
         let mut step = 0_u32;
         while !tracks.is_empty() {
@@ -288,7 +369,7 @@ impl Player<'_> {
             }
             let mut still = Vec::with_capacity(tracks.len());
             for mut track in tracks {
-                let frames = track.series.frames();
+                let frames = track.frames;
                 let until = ((played_s * track.series.rate_hz()) as usize).min(frames);
                 if until > track.played {
                     self.push(&track, until)?;
@@ -296,6 +377,8 @@ impl Player<'_> {
                 }
                 match until < frames {
                     true => still.push(track),
+                    // The sources of joined drags end with the scan.
+                    false if self.replay.is_joined => {}
                     false => self.close(track.index),
                 }
             }

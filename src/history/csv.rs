@@ -7,12 +7,12 @@ use serde_json::Value;
 /// The columns for one station: fields of an answer, its correction and its trial.
 pub(crate) const COLUMNS: &str = "id unix_ms scan state surface nearest reasons confidence fit margin scan_s \
                        settled_s latency_ms lost_samples truth sources spoiled correction became \
-                       p_value doubts";
+                       p_value doubts begin_s";
 
 /// The columns for many stations, with the station and without corrections.
 pub(crate) const STATION_COLUMNS: &str = "station sequence id unix_ms scan state surface nearest reasons \
                                    confidence fit margin scan_s settled_s latency_ms lost_samples \
-                                   truth sources spoiled p_value doubts";
+                                   truth sources spoiled p_value doubts begin_s";
 
 /// Writes scans, given as JSON, as CSV (RFC 4180). Items of lists are separated by semicolons.
 pub(crate) fn write_csv(
@@ -85,7 +85,7 @@ mod tests {
         assert_eq!(others, ["-1.5", "'@x", "'+a", "'-b"]);
         assert_eq!(
             line,
-            "x,,,,\"oak, \"\"sanded\"\"\",oak,a; b,,,,1.5,,,,,,,(unknown),,,clipped; too_short"
+            "x,,,,\"oak, \"\"sanded\"\"\",oak,a; b,,,,1.5,,,,,,,(unknown),,,clipped; too_short,"
         );
     }
 }

@@ -1,7 +1,6 @@
 //! Sends answers by HTTP POST, one JSON document each.
 
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Body;
@@ -16,9 +15,8 @@ use tokio::time::{Instant, timeout, timeout_at};
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::pki_types::ServerName;
 
-use super::{BackOff, OutputHealth, Pending, tls};
+use super::{BackOff, OutputHealth, Pending, Said, tls};
 use crate::history::HistoryError;
-use crate::station::Answer;
 use crate::station::config::HttpAddress;
 
 const LONGEST_ATTEMPT: Duration = Duration::from_secs(5);
@@ -56,7 +54,7 @@ fn header(path: &Path) -> Result<(HeaderName, HeaderValue), HistoryError> {
 pub(super) async fn post_all(
     mut pending: Pending,
     receiver: Receiver,
-    mut answers: mpsc::Receiver<Arc<Answer>>,
+    mut answers: mpsc::Receiver<Said>,
 ) {
     let mut back_off = BackOff::new();
     loop {

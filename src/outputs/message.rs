@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::device::DeviceState;
 use crate::printable::json_text;
 use crate::recognise::{RankedSurface, stated_probabilities};
-use crate::station::{Answer, StationEvent, SurfaceProbability};
+use crate::station::{Answer, Change, StationEvent, SurfaceProbability};
 
 /// The largest answer, in bytes (about 1000 surfaces), since many brokers refuse larger messages.
 pub(super) const LARGEST: usize = 128 << 10;
@@ -41,6 +41,17 @@ pub(super) fn answer(station: &str, sequence: u64, answer: &Answer) -> String {
         0..=LARGEST => text,
         _ => of_surfaces(station, sequence, answer, BEST),
     }
+}
+
+/// A change of the surface as JSON.
+pub(super) fn change(station: &str, change: &Change) -> String {
+    #[derive(Serialize)]
+    struct Message<'a> {
+        station: &'a str,
+        #[serde(flatten)]
+        change: &'a Change,
+    }
+    json_text(&Message { station, change })
 }
 
 fn of_surfaces(station: &str, sequence: u64, answer: &Answer, most: usize) -> String {

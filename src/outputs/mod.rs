@@ -31,7 +31,7 @@ use self::outbox::Outbox;
 use crate::history::{History, HistoryError};
 use crate::scan::Scan;
 use crate::station::config::OutputsConfig;
-use crate::station::{Answer, End, Listener, StationEvent};
+use crate::station::{Answer, Change, End, Listener, StationEvent};
 use crate::trial::Doubt;
 
 /// How many answers may wait between the station and an outbox.
@@ -106,10 +106,18 @@ impl OutputHealth {
     }
 }
 
+/// What a station says to an output.
+#[derive(Debug)]
+enum Said {
+    Answer(Arc<Answer>),
+    /// By HTTP, changes are not sent: the answers to their stretches are.
+    Change(Arc<Change>),
+}
+
 /// Sends the answers of a station to one address.
 #[derive(Debug)]
 pub struct Output {
-    answers: Option<mpsc::Sender<Arc<Answer>>>,
+    answers: Option<mpsc::Sender<Said>>,
     health: OutputHealth,
     card: Card,
     end: End,
@@ -138,7 +146,9 @@ impl Pending {
         Ok(Self { station: station.into(), outbox, health })
     }
 
-    fn add(&mut self, answer: &Answer) {
+    /// Puts an answer into the outbox.
+    fn add(&mut self, said: &Said) {
+        let Said::Answer(answer) = said else { return };
         let text = |sequence| message::answer(&self.station, sequence, answer);
         if let Err(error) = self.outbox.push(text) {
             self.health
@@ -197,7 +207,7 @@ impl Output {
     fn new<F: Future<Output = ()>>(
         health: OutputHealth,
         card: Card,
-        work: impl FnOnce(mpsc::Receiver<Arc<Answer>>) -> F + Send + 'static,
+        work: impl FnOnce(mpsc::Receiver<Said>) -> F + Send + 'static,
     ) -> Result<Self, HistoryError> {
         let (answers, to_send) = mpsc::channel(QUEUE);
         let (working, ended) = crossbeam_channel::bounded::<Infallible>(0);
@@ -224,8 +234,16 @@ impl Listener for Output {
             self.answers.take();
         }
         lock(&self.card).take(event);
-        let (StationEvent::Answer(answer), Some(answers)) = (event, &self.answers) else { return };
-        if answers.try_send(answer.clone()).is_err() {
+        let Some(answers) = &self.answers else { return };
+        let answer = match event {
+            StationEvent::Answer(answer) => answer,
+            // A change that finds no room is dropped; the answer to its stretch is not.
+            StationEvent::Change(change) => {
+                return drop(answers.try_send(Said::Change(change.clone())));
+            }
+            _ => return,
+        };
+        if answers.try_send(Said::Answer(answer.clone())).is_err() {
             self.health.not_taken();
             self.health.failed(&format!(
                 "the disk is too slow: {QUEUE} answers are to be written, so answer {} is dropped",

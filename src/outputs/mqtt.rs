@@ -16,10 +16,9 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout_at};
 
-use super::message::{LARGEST, discovery};
-use super::{BackOff, Card, PATIENCE, Pending, lock, tls};
+use super::message::{LARGEST, change, discovery};
+use super::{BackOff, Card, PATIENCE, Pending, Said, lock, tls};
 use crate::history::{History, HistoryError};
-use crate::station::Answer;
 use crate::station::config::{MqttAddress, Password};
 
 /// Interval at which the state of the station is published if it has changed.
@@ -31,6 +30,7 @@ pub(super) struct Publisher {
     pending: Pending,
     options: MqttOptions,
     answer_topic: String,
+    change_topic: String,
     state_topic: String,
     card: Card,
     history: Arc<History>,
@@ -52,9 +52,10 @@ struct Connection {
 }
 
 impl Connection {
-    /// Publishes a retained message. Returns false if there is no room for the message now.
-    fn publish(&mut self, topic: &str, text: String, sequence: Option<u64>) -> bool {
-        let is_taken = self.line.client.try_publish(topic, QoS::AtLeastOnce, true, text).is_ok();
+    /// Publishes a message, which the broker may retain. Returns false if there is no room for the
+    /// message now.
+    fn publish(&mut self, topic: &str, text: String, retain: bool, sequence: Option<u64>) -> bool {
+        let is_taken = self.line.client.try_publish(topic, QoS::AtLeastOnce, retain, text).is_ok();
         if is_taken {
             self.queued.push_back(sequence);
         }
@@ -74,16 +75,26 @@ impl Publisher {
         let client =
             format!("surfaced-{:08x}", SysRng.try_next_u32().unwrap_or_else(|_| process::id()));
         let topic = |what: &str| format!("{}/{}/{what}", address.prefix, pending.station);
-        let (answer_topic, state_topic) = (topic("answer"), topic("state"));
+        let (answer_topic, change_topic) = (topic("answer"), topic("change"));
+        let state_topic = topic("state");
         let mut options = options(address, client)?;
         // The broker publishes this message if the station disappears without notice.
         let will = json!({ "station": pending.station, "state": "offline" }).to_string();
         options.set_last_will(LastWill::new(&state_topic, will, QoS::AtLeastOnce, true));
-        let (history, page, back_off) = (history.clone(), page.clone(), BackOff::new());
-        Ok(Self { pending, options, answer_topic, state_topic, card, history, page, back_off })
+        Ok(Self {
+            pending,
+            options,
+            answer_topic,
+            change_topic,
+            state_topic,
+            card,
+            history: history.clone(),
+            page: page.clone(),
+            back_off: BackOff::new(),
+        })
     }
 
-    pub(super) async fn run(mut self, mut answers: mpsc::Receiver<Arc<Answer>>) {
+    pub(super) async fn run(mut self, mut answers: mpsc::Receiver<Said>) {
         while let Some(why) = self.connection(&mut answers).await {
             self.pending.health.failed(&format!("{why}; they are tried again"));
             let until = Instant::now() + self.back_off.next();
@@ -96,7 +107,7 @@ impl Publisher {
     }
 
     /// Publishes through one connection. Returns why it broke, or `None` at the end of the station.
-    async fn connection(&mut self, answers: &mut mpsc::Receiver<Arc<Answer>>) -> Option<String> {
+    async fn connection(&mut self, answers: &mut mpsc::Receiver<Said>) -> Option<String> {
         let mut on = Connection {
             line: Line::open(self.options.clone()),
             is_connected: false,
@@ -114,8 +125,13 @@ impl Publisher {
                     Some(Err(error)) => return Some(error.to_string()),
                     None => return Some("the connection ended".into()),
                 },
-                answer = answers.recv() => match answer {
-                    Some(answer) => self.pending.add(&answer),
+                said = answers.recv() => match said {
+                    // A change is of no use later, so it does not wait for a connection.
+                    Some(Said::Change(found)) if on.is_connected => {
+                        let text = change(&self.pending.station, &found);
+                        on.publish(&self.change_topic, text, false, None);
+                    }
+                    Some(said) => self.pending.add(&said),
                     None => {
                         self.finish(on).await;
                         return None;
@@ -137,7 +153,7 @@ impl Publisher {
                 let entities =
                     discovery(&self.pending.station, &self.answer_topic, &self.state_topic);
                 for (topic, about) in entities {
-                    on.publish(&topic, about, None);
+                    on.publish(&topic, about, true, None);
                 }
                 self.publish_state(true, on);
             }
@@ -165,7 +181,7 @@ impl Publisher {
             return;
         }
         if let Some((sequence, text)) = self.pending.first()
-            && on.publish(&self.answer_topic, text, Some(sequence))
+            && on.publish(&self.answer_topic, text, true, Some(sequence))
         {
             on.awaited = Some((sequence, Instant::now()));
         }
@@ -186,7 +202,7 @@ impl Publisher {
         state["sequence"] = outbox.newest().into();
         state["dropped"] = outbox.dropped.into();
         let text = state.to_string();
-        if text != on.state && on.publish(&self.state_topic, text.clone(), None) {
+        if text != on.state && on.publish(&self.state_topic, text.clone(), true, None) {
             on.state = text;
         }
     }

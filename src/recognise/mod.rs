@@ -58,5 +58,6 @@ pub use reference::{
 
 pub(crate) use compare::{Comparison, TestOptions, compare};
 pub(crate) use decide::interval::{reaches, wilson_of_groups};
+pub(crate) use decide::sticky::StickyFilter;
 pub(crate) use rank::{log_discrepancy, medians, stated_probabilities};
 pub(crate) use spec::MOST_COUNT;

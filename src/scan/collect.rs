@@ -215,6 +215,9 @@ impl Collector {
 
     fn send_progress(&mut self, scan: &mut Marked) {
         let Some(every_s) = self.options.progress_every_s else { return };
+        if scan.ended.is_none() && self.detector.as_ref().is_some_and(ScanDetector::may_rest) {
+            return;
+        }
         let exact = self.event_queue.waits;
         while let Some((step, sent, snapshot)) = next_snapshot(scan, &self.streams, every_s, exact)
         {

@@ -22,7 +22,8 @@ pub struct DetectorConfig {
     pub longest_pause_s: f64,
     /// A drag is over after this much quiet, in seconds; its end is where the quiet began.
     pub drag_hold_s: f64,
-    /// Longest drag, in seconds; a longer contact is noise.
+    /// Longest drag, in seconds; a longer contact is noise. Infinite where surfaces are named without begin
+    /// and end: then no scan ends for its length.
     pub longest_drag_s: f64,
 }
 
@@ -78,6 +79,11 @@ impl Detector {
     /// Whether there is contact, during which noise floors are not learnt.
     pub(crate) fn in_contact(&self) -> bool {
         !matches!(self.state, DetectorState::Quiet { .. })
+    }
+
+    /// Whether the last hop with data was quiet, so that a contact in progress may have ended.
+    pub(crate) fn is_quiet(&self) -> bool {
+        !matches!(self.state, DetectorState::Contact(Contact { quiet: None, .. }))
     }
 
     /// Takes the level of the next hop, which is the highest level of all streams in this hop;

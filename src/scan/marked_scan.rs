@@ -6,6 +6,7 @@
 //! one carries its data too. So a reader that joins all snapshots has the scan without a gap.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -19,6 +20,8 @@ use crate::trial::{Doubt, Image, Series, Signal, Trial, TrialKey};
 pub(super) struct Marked {
     pub number: u32,
     pub begin: Begin,
+    /// The true labels that follow that of the begin, each with the scan time from which it holds.
+    pub truths: Vec<(f64, TrialKey)>,
     pub device: usize,
     pub cuts: BTreeMap<SourceId, SourceSpan>,
     /// The times when the last sample was taken and when the end became known; `None` before the end.
@@ -68,6 +71,7 @@ impl Marked {
             // The collector applies these marks itself.
             Mark::Begin(_) | Mark::GiveUp { .. } => {}
             Mark::Spoil(doubt) => self.spoiled.push(doubt),
+            Mark::Truth { from_s, truth } => self.truths.push((from_s, truth)),
             Mark::Open(open) => self.open(open, streams)?,
             Mark::Close { source, end } => match self.cuts.get_mut(&source) {
                 Some(cut) if end >= cut.start => cut.end = Some(end),
@@ -85,6 +89,12 @@ impl Marked {
             }
         }
         Ok(())
+    }
+
+    /// The true label of the data just before this scan time.
+    fn truth_at(&self, scan_s: f64) -> Option<&TrialKey> {
+        let later = self.truths.iter().rev().find(|(from_s, _)| *from_s < scan_s);
+        later.map(|(_, truth)| truth).or(self.begin.truth.as_ref())
     }
 
     fn open(&mut self, open: Open, streams: &[Stream]) -> Result<(), String> {
@@ -107,6 +117,10 @@ impl Marked {
 
 /// The longest gap in seconds that does not spoil a scan, since repeating a frame bridges the gap.
 const BRIDGED_S: f64 = 1e-3;
+
+fn is_long(gap: &Range<u64>, rate_hz: f64) -> bool {
+    (gap.end - gap.start) as f64 > BRIDGED_S * rate_hz
+}
 
 /// The signal of one source, the number of its lost frames, and why the signal should not be trusted.
 type CutPiece = (Option<Signal>, u64, Option<Doubt>);
@@ -163,11 +177,11 @@ fn cut_series(source: &SourceId, cut: &SourceSpan, history: &SeriesHistory) -> C
         let doubt = Doubt::Missing { source: of(), missing_s: expected_s, expected_s };
         return (None, lost, Some(doubt));
     }
-    let worst = gaps.iter().map(|gap| gap.end - gap.start).max().unwrap_or(0);
+    let worst = gaps.iter().max_by_key(|gap| gap.end - gap.start);
     if gone > 0 {
         spoiled = Some(Doubt::Missing { source: of(), missing_s: seconds(gone), expected_s });
-    } else if worst as f64 > BRIDGED_S * cut.rate_hz {
-        let gap_s = seconds(worst);
+    } else if let Some(worst) = worst.filter(|worst| is_long(worst, cut.rate_hz)) {
+        let gap_s = seconds(worst.end - worst.start);
         spoiled = Some(Doubt::Gap { source: of(), gap_s, bridged_s: BRIDGED_S });
     }
     let mut own = narrow(samples, history.channels, cut.channels);
@@ -205,11 +219,14 @@ pub struct Progress {
     /// New frames, one item for each source.
     pub fresh: Vec<Fresh>,
     pub images: Vec<(SourceId, Arc<Image>)>,
+    /// Whether new frames are missing for longer than can be bridged, so that repeated ones fill a gap.
+    pub gap: bool,
 }
 
 impl Progress {
     pub(crate) fn append(&mut self, later: Self) {
-        self.scan_s = later.scan_s;
+        (self.scan_s, self.truth) = (later.scan_s, later.truth);
+        self.gap |= later.gap;
         for fresh in later.fresh {
             match self.fresh.iter_mut().find(|own| own.source == fresh.source) {
                 Some(own) => own.samples.extend(fresh.samples),
@@ -265,8 +282,9 @@ pub(super) fn next_snapshot(
         }
     }
     let scan_s = step as f64 * every_s;
-    let (number, truth) = (marked.number, marked.begin.truth.clone());
-    let mut progress = Progress { number, truth, scan_s, fresh: vec![], images: vec![] };
+    let (number, truth) = (marked.number, marked.truth_at(scan_s).cloned());
+    let (fresh, images, gap) = (Vec::new(), Vec::new(), false);
+    let mut progress = Progress { number, truth, scan_s, fresh, images, gap };
     let mut sent: Vec<u64> = marked.cuts.values().map(|cut| cut.sent).collect();
     for ((source, cut), sent) in marked.cuts.iter().zip(&mut sent) {
         match &streams[cut.stream].buffer {
@@ -275,7 +293,9 @@ pub(super) fn next_snapshot(
                     Phase::Drag => cut.until(scan_s).min(cut.available(streams)),
                     _ => cut.available(streams),
                 };
-                let (_, samples) = history.frames(cut.start + cut.sent..until);
+                let (first, samples) = history.frames(cut.start + cut.sent..until);
+                let mut gaps = history.missing_in(first..until);
+                progress.gap |= gaps.any(|gap| is_long(&gap, cut.rate_hz));
                 if !samples.is_empty() {
                     *sent += (samples.len() / history.channels) as u64;
                     progress.fresh.push(Fresh {
@@ -326,6 +346,8 @@ pub(super) fn trace(streams: &[Stream]) -> Trace {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ring::{self, Waker};
+    use crate::scan::clock::Clock;
 
     fn progress(scan_s: f64, parts: &[(&str, u64, &[f32])]) -> Progress {
         let fresh = parts.iter().map(|(source, start, samples)| Fresh {
@@ -335,7 +357,8 @@ mod tests {
             start: *start,
             samples: samples.to_vec(),
         });
-        Progress { number: 1, truth: None, scan_s, fresh: fresh.collect(), images: Vec::new() }
+        let (fresh, images) = (fresh.collect(), Vec::new());
+        Progress { number: 1, truth: None, scan_s, fresh, images, gap: false }
     }
 
     #[test]
@@ -344,5 +367,31 @@ mod tests {
         all.append(progress(0.4, &[("ac", 2, &[3.0]), ("ir", 0, &[9.0])]));
         let expected = progress(0.4, &[("ac", 0, &[1.0, 2.0, 3.0]), ("ir", 0, &[9.0])]);
         assert_eq!((all.scan_s, all.fresh), (expected.scan_s, expected.fresh));
+    }
+
+    #[test]
+    fn a_snapshot_says_whether_frames_of_its_own_fill_a_gap() {
+        let id = SourceId::new("ac").unwrap();
+        let (mut sink, tap) = ring::series(1, 100, Waker::new().0);
+        let buffer = StreamBuffer::Series { tap, history: SeriesHistory::new(1) };
+        let (device, rate_hz, channels, traced) = (0, 100.0, 1, 0);
+        let (clock, observed) = (Clock::new(rate_hz), (0, 0.0));
+        let stream =
+            Stream { id: id.clone(), device, rate_hz, channels, buffer, traced, clock, observed };
+        let mut streams = [stream];
+        sink.push(&[0.5; 12]);
+        sink.skip(5);
+        sink.push(&[0.5; 13]);
+        streams[0].drain(10.0);
+        let mut marked = Marked::default();
+        let cut = CutFrom { source: id.clone(), stream: id, phase: Phase::Drag, channels };
+        marked.follow(Mark::Open(Open { cut, start: 0, rate_hz }), &streams).unwrap();
+        let mut gaps = Vec::new();
+        while let Some((step, sent, snapshot)) = next_snapshot(&marked, &streams, 0.1, true) {
+            gaps.push(snapshot.gap);
+            marked.steps = step;
+            marked.cuts.values_mut().zip(sent).for_each(|(cut, sent)| cut.sent = sent);
+        }
+        assert_eq!(gaps, [false, true, false]);
     }
 }

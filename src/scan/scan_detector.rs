@@ -55,6 +55,8 @@ impl ScanDetector {
     /// A detector for these streams; it ignores parts of `detection` that name other streams.
     pub(super) fn new(detection: Detection, streams: &[Stream], longest_scan_s: f64) -> Self {
         let Detection { detector, groups, cuts } = detection;
+        let ends = detector.longest_drag_s.is_finite();
+        let longest_scan_s = if ends { longest_scan_s } else { f64::INFINITY };
         let place = |cut: CutFrom| {
             let stream = streams.iter().position(|stream| stream.id == cut.stream)?;
             Some(PlacedCut { cut, stream })
@@ -101,6 +103,13 @@ impl ScanDetector {
             self.warnings.push(text);
             self.end_now(streams, now_s);
         }
+    }
+
+    /// Whether a scan that has no longest time may have ended already, so that its newest data may be rest.
+    pub(super) fn may_rest(&self) -> bool {
+        let lead = self.scan.as_ref().and_then(|scan| scan.lead);
+        let is_quiet = lead.is_some_and(|at| self.groups[at].detector.is_quiet());
+        is_quiet && self.longest_scan_s.is_infinite()
     }
 
     pub(super) fn command(&mut self, command: ScanCommand, streams: &[Stream]) {

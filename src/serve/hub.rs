@@ -153,6 +153,7 @@ impl HubState {
                 self.publish(EventKind::Guess, guess);
             }
             StationEvent::Guess(_) => {}
+            StationEvent::Change(change) => self.publish(EventKind::Change, change),
             StationEvent::Answer(answer) => {
                 self.scan_s.observe(answer.scan_s);
                 self.latency_s.observe(answer.latency_ms / 1e3);

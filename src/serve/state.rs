@@ -152,6 +152,7 @@ impl State {
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
             StationEvent::Guess(_)
+            | StationEvent::Change(_)
             | StationEvent::Trace(_)
             | StationEvent::Scan(_)
             | StationEvent::Streams(_)

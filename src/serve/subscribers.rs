@@ -29,6 +29,7 @@ pub(crate) enum EventKind {
     Device,
     Phase,
     Guess,
+    Change,
     Answer,
     Unnamed,
     Camera,

@@ -54,6 +54,11 @@ pub struct Answer {
     /// Time from the end of the scan to its answer, in milliseconds.
     pub latency_ms: f64,
     pub scan_s: f64,
+    /// When the surface was found, in seconds since the begin of the scan, if surfaces are named without
+    /// begin and end: a scan then has an answer for each stretch of one surface, `scan_s` long. `None` for
+    /// an answer to a whole scan; JSON then lacks it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub begin_s: Option<f64>,
     /// Seconds of scan until the answer was settled (see [`super::Guess`]); `None` if it never was.
     pub settled_s: Option<f64>,
     /// Number of frames and pictures lost during the scan.

@@ -6,7 +6,7 @@ use crate::scan::Scan;
 use crate::trial::Doubt;
 
 /// Below this probability, the first surface is less likely than all others together.
-const EVEN: f64 = 0.5;
+pub(super) const EVEN: f64 = 0.5;
 
 /// The share of the needed drag that a scan must reach to raise no doubt. Between this share and the
 /// whole, the test has fewer samples than needed, so it is weaker but not wrong.

@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use super::account;
 use super::answer::{Answer, AnswerState};
+use super::continuous::Change;
 use super::recogniser::{LibraryState, Recogniser};
 use crate::device::DeviceState;
 use crate::scan::{Scan, StreamMeter, Totals, Trace};
@@ -38,6 +39,10 @@ pub struct Guess {
     pub settled: bool,
     /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
+    /// When the present surface was found, in seconds since the begin of the scan, if surfaces are named
+    /// without begin and end; `None` otherwise, and until then. JSON then lacks it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub since_s: Option<f64>,
     /// Whether the drag may end, since it has lasted `needed_s`, or since its answer is settled by a
     /// rule that rests on enough trials.
     pub enough: bool,
@@ -122,6 +127,8 @@ pub enum StationEvent {
         phase: Option<Phase>,
     },
     Guess(Guess),
+    /// The surface has changed. Sent only if surfaces are named without begin and end.
+    Change(Arc<Change>),
     Answer(Arc<Answer>),
     /// A scan could not be named; the answer has the state [`AnswerState::Unnamed`].
     Unnamed(Arc<Answer>),

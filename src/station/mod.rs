@@ -10,6 +10,7 @@ mod answer;
 mod assemble;
 mod certainty;
 pub mod config;
+mod continuous;
 mod event;
 mod orders;
 mod recogniser;
@@ -21,6 +22,9 @@ mod worker;
 pub(crate) use account::{damage, told};
 pub use answer::{Answer, AnswerState};
 pub use assemble::{Assembled, assemble};
+pub use continuous::{Change, Continuous, FoundSurface};
+#[doc(hidden)] // For the project's own tools.
+pub use continuous::{ContinuousNaming, Heard};
 pub use event::{
     AnsweredScan, Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, RefusedScan,
     StationEvent, SurfaceProbability,

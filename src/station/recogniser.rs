@@ -31,7 +31,7 @@ pub struct Recogniser {
     following: Vec<FollowOptions>,
     /// How long a drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
-    scene: Scene,
+    pub(super) scene: Scene,
     pub library: LibraryState,
     /// The library's trials, which are read when the one nearest to a scan is shown.
     pub(crate) trials: BTreeMap<TrialKey, Entry>,
@@ -98,6 +98,11 @@ impl Recogniser {
         (&self.models[at], &self.following[at])
     }
 
+    /// The rule by which a scan with this [`Scan::truth`] is called unknown, if there is one.
+    pub(super) fn rejection(&self, truth: Option<&TrialKey>) -> Option<&Rejection> {
+        self.model(truth).1.rejection.as_ref()
+    }
+
     /// The flaws of a scan's signals, except of switches, which often rest; `known` flaws are reused.
     fn flaws(&self, scan: &Scan, mut known: FlawsBySource) -> Vec<Doubt> {
         let signals = scan.trial.signals.iter().filter(|(id, _)| !self.scene.is_switch(id));
@@ -133,7 +138,7 @@ impl Recogniser {
         guess: &GuessSoFar,
     ) -> Option<AnswerState> {
         let (_, probability) = guess.named.first()?;
-        so_far(guess.p_value, self.model(truth).1.rejection.as_ref(), *probability)
+        so_far(guess.p_value, self.rejection(truth), *probability)
     }
 
     /// Ranks the surfaces of the library by their similarity to a scan.
@@ -184,7 +189,7 @@ impl Recogniser {
         known: FlawsBySource,
         settled_s: Option<f64>,
     ) -> Answer {
-        let rejection = self.model(scan.truth.as_ref()).1.rejection.as_ref();
+        let rejection = self.rejection(scan.truth.as_ref());
         let mut doubts = lost_in(scan);
         doubts.extend(self.flaws(scan, known));
         let held = self.library.sources.iter().filter(|id| scan.trial.signals.contains_key(*id));

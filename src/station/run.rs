@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender, at, never, select};
 
 use super::answer::AnswerState;
+use super::continuous::{Continuous, Heard};
 use super::event::{
     AnsweredScan, Command, Enrolled, EnrolledOutcome, Enrolling, Listener, StationEvent,
 };
@@ -41,6 +42,8 @@ pub struct Station<'a> {
     pub store: Option<ScanStore>,
     /// Keeps every scan as a trial in `store` while no [`Command::Enroll`] is in force.
     pub keep: Option<Keep>,
+    /// Names surfaces without begin and end; by default, each scan is named as a whole.
+    pub continuous: Option<Continuous>,
     pub listeners: Vec<Box<dyn Listener + 'a>>,
     commands: (Sender<Command>, Receiver<Command>),
 }
@@ -79,6 +82,7 @@ impl<'a> Station<'a> {
             load: None,
             store: None,
             keep: None,
+            continuous: None,
             listeners: Vec::new(),
             commands: crossbeam_channel::unbounded(),
         }
@@ -113,13 +117,20 @@ impl<'a> Station<'a> {
 
 impl<'a> StationRun<'a> {
     fn start(station: Station<'a>) -> Result<Self, SessionError> {
-        let Station { devices, options, recogniser, load, store, keep, listeners, .. } = station;
+        let Station { devices, mut options, recogniser, load, store, keep, .. } = station;
+        let (continuous, listeners) = (station.continuous, station.listeners);
+        if let Some(Continuous { hop_s, .. }) = continuous {
+            options.progress_every_s = Some(hop_s);
+            if let Some(detection) = &mut options.detection {
+                detection.detector.longest_drag_s = f64::INFINITY;
+            }
+        }
         let thread = |name: &str| {
             let name = name.to_string();
             move |error| SessionError::Thread { name, error }
         };
         let waits = devices.iter().all(|device| device.waits());
-        let worker = Worker::start(waits).map_err(thread("recognition"))?;
+        let worker = Worker::start(waits, continuous).map_err(thread("recognition"))?;
         let by_t_star = store.as_ref().map_or_else(Vec::new, |store| store.by_t_star.clone());
         let recording = store.map(RecordingThread::start).transpose();
         let recording = recording.map_err(thread("recording"))?;
@@ -427,7 +438,14 @@ impl<'a> StationRun<'a> {
                 self.in_hand.pop_front();
                 self.answered(answered);
             }
-            WorkerEvent::Progress(guess) => self.emit(StationEvent::Guess(guess)),
+            WorkerEvent::Progress(heard) => {
+                let Heard { guess, change, ended } = *heard;
+                ended.into_iter().for_each(|stretch| self.answered(stretch));
+                change
+                    .into_iter()
+                    .for_each(|change| self.emit(StationEvent::Change(change.into())));
+                self.emit(StationEvent::Guess(guess));
+            }
             WorkerEvent::Nearest(nearest) => {
                 if let Some((enrolment, mut enrolled)) = self.kept.pop_front() {
                     let other = nearest.clone().filter(|nearest| *nearest != enrolled.surface);

@@ -7,6 +7,7 @@ use std::time::Instant;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::answer::Answer;
+use super::continuous::{Continuous, ContinuousNaming, Heard};
 use super::event::{AnsweredScan, Guess, SurfaceProbability};
 use super::recogniser::{FlawsBySource, Recogniser};
 use super::trial_need::TrialNeed;
@@ -31,7 +32,7 @@ pub(super) struct Work {
 
 pub(super) enum WorkerEvent {
     Scan(AnsweredScan),
-    Progress(Guess),
+    Progress(Box<Heard>),
     /// The nearest surface of a scan that was kept, if there is one.
     Nearest(Option<String>),
 }
@@ -56,22 +57,36 @@ pub(super) struct Worker {
 impl Worker {
     /// Starts the thread. With `queues`, scans may wait for each other (a recording played as fast
     /// as possible), and this wait does not count as latency.
-    pub(super) fn start(queues: bool) -> std::io::Result<Self> {
+    /// With `continuous`, surfaces are named without begin and end, except in scans that are to be trials.
+    pub(super) fn start(queues: bool, continuous: Option<Continuous>) -> std::io::Result<Self> {
         let (work, to_do) = crossbeam_channel::bounded::<Work>(1);
         let (send, done) = crossbeam_channel::unbounded();
         let run = move || {
             let mut free_since = Instant::now();
             let mut followed = Followed::default();
+            let mut continuous = continuous.map(ContinuousNaming::new);
             for Work { job, trial, by } in to_do {
                 let event = match job {
                     Job::Scan(scan) => {
                         let from =
                             if queues { scan.ended_at.max(free_since) } else { scan.ended_at };
-                        WorkerEvent::Scan(name(scan, by, &mut followed, from))
+                        let named = continuous.as_mut().filter(|all| all.has_named(scan.number));
+                        // A scan in which no surface was found is named as a whole.
+                        let last = named.and_then(ContinuousNaming::end);
+                        let whole = || name(scan, by, &mut followed, from);
+                        WorkerEvent::Scan(last.unwrap_or_else(whole))
                     }
                     Job::Progress(progress) => {
                         let by = by.as_ref().ok();
-                        WorkerEvent::Progress(followed.guess(&progress, trial.as_deref(), by))
+                        let heard = match (&mut continuous, &trial, by) {
+                            (Some(all), None, Some(by)) => caught(|| all.hear(&progress, by)),
+                            _ => None,
+                        };
+                        let heard = heard.unwrap_or_else(|| Heard {
+                            guess: followed.guess(&progress, trial.as_deref(), by),
+                            ..Heard::default()
+                        });
+                        WorkerEvent::Progress(Box::new(heard))
                     }
                     Job::Nearest(scan, by) => WorkerEvent::Nearest(nearest(&scan, &by)),
                 };
@@ -273,19 +288,21 @@ mod tests {
         for (part, names) in
             [("nothing", true), ("follow", true), ("prepare", false), ("rank", false)]
         {
-            let worker = Worker::start(false).unwrap();
+            let worker = Worker::start(false, None).unwrap();
             let model = Arc::new(PanicsIn(part));
             let by = Arc::new(Recogniser::new(model, Scene::lmt108(), LibraryState::default()));
             for number in 1..=2 {
                 let (fresh, images) = (Vec::new(), Vec::new());
-                let progress = Progress { number, truth: None, scan_s: 0.5, fresh, images };
+                let (truth, scan_s, gap) = (None, 0.5, false);
+                let progress = Progress { number, truth, scan_s, fresh, images, gap };
                 for job in [Job::Progress(progress), Job::Scan(Box::new(scan(number)))] {
                     let work = Work { job, trial: None, by: Ok(by.clone()) };
                     worker.work.send(work).unwrap();
                 }
-                let Ok(WorkerEvent::Progress(guess)) = worker.done.recv() else {
+                let Ok(WorkerEvent::Progress(heard)) = worker.done.recv() else {
                     panic!("{part}: no guess")
                 };
+                let guess = heard.guess;
                 assert_eq!((guess.scan, guess.scan_s), (number, 0.5), "{part}");
                 assert!(guess.named.is_empty() && !guess.settled && !guess.enough, "{part}");
                 let Ok(WorkerEvent::Scan(AnsweredScan { answer, .. })) = worker.done.recv() else {

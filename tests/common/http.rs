@@ -194,6 +194,7 @@ pub fn session() -> Vec<StationEvent> {
         doubts: vec![],
         settled: false,
         needed_s: Some(2.7),
+        since_s: None,
         enough: false,
     };
     vec![
@@ -232,6 +233,7 @@ pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
         unknown: None,
         latency_ms: 12.5,
         scan_s: 4.8,
+        begin_s: None,
         settled_s: known.then_some(1.9),
         lost_samples: 0,
         sources: vec![id("ac"), id("mi2")],

@@ -11,6 +11,7 @@ mod bad_input;
 mod chart;
 mod commands;
 mod compared;
+mod continuous;
 mod cross_user;
 mod curate;
 mod desk;

@@ -61,6 +61,9 @@ fn mistakes_are_reported_with_their_line() {
     refused("[microphone]\nsources = [\"mi9\"]", &["line 3", "`mi9`", "mi1, mi2"]);
     refused("[detection]\nlisten = { xy = \"force\" }", &["line 3", "`xy`"]);
     refused("[detection]\nonset = 2.0\nquiet = 3.0", &["line 4", "at most onset = 2"]);
+    refused("[scan]\nmode = \"always\"", &["line 3", "continuous"]);
+    refused("[scan]\nexpected_stay_s = 0.05", &["line 3", "more than hop_s = 0.1"]);
+    refused("[scan]\nhop_s = 20", &["line 3", "expected_stay_s = 10"]);
     refused("[detection]\nonset = 2.0", &["line 3", "at most onset = 2"]);
     refused("[stylus]\nport = 3", &["line 3", "string"]);
     refused("stylus = 3", &["line 2"]);

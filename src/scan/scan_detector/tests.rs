@@ -12,7 +12,7 @@ use crate::device::serial::{Intake, IntakeEvent, Value, Wanted};
 use crate::ring::{Sink, Waker, series};
 use crate::scan::Scan;
 use crate::scan::clock::Clock;
-use crate::scan::detect::SensorKind;
+use crate::scan::detect::{DetectorConfig, SensorKind};
 use crate::scan::marked_scan::{Marked, cut};
 use crate::scan::recent_frames::SeriesHistory;
 use crate::scene::SourceId;
@@ -24,11 +24,13 @@ struct Script {
     taps: Vec<Range<f64>>,
     drags: Vec<Range<f64>>,
     total_s: f64,
+    longest_drag_s: f64,
 }
 
 /// Two scans; the gaps of the property test lie in them and between them.
 fn two_scans() -> Script {
-    Script { taps: vec![1.5..1.55, 6.5..6.55], drags: vec![2.0..5.0, 7.0..9.5], total_s: 11.0 }
+    let (taps, drags) = (vec![1.5..1.55, 6.5..6.55], vec![2.0..5.0, 7.0..9.5]);
+    Script { taps, drags, total_s: 11.0, longest_drag_s: 60.0 }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,7 +77,7 @@ fn id(name: &str) -> SourceId {
 
 impl Bench {
     /// Two streams: `ac` is the signal, `at` the time of each frame in seconds.
-    fn new(line: Line, rate_hz: f64) -> Self {
+    fn new(line: Line, rate_hz: f64, longest_drag_s: f64) -> Self {
         let intake = match line {
             Line::Stylus => {
                 let wanted =
@@ -116,7 +118,10 @@ impl Bench {
             channels: 1,
         };
         let detection = Detection {
-            detector: StationConfig::embedded().detection.detector,
+            detector: DetectorConfig {
+                longest_drag_s,
+                ..StationConfig::embedded().detection.detector
+            },
             groups: vec![vec![(id("ac"), SensorKind::Vibration)]],
             cuts: vec![cut("ac"), cut("at")],
         };
@@ -243,7 +248,7 @@ fn scans(
     burst_s: f64,
     seed: u32,
 ) -> Vec<Scan> {
-    let (mut bench, mut seed) = (Bench::new(line, rate_hz), seed);
+    let (mut bench, mut seed) = (Bench::new(line, rate_hz, script.longest_drag_s), seed);
     let (total, step) = ((script.total_s * rate_hz) as i64, ((burst_s * rate_hz) as i64).max(1));
     let mut frame = 0;
     let mut tilt = 0.1;
@@ -390,7 +395,8 @@ proptest! {
 #[test]
 fn a_silence_or_a_cut_before_each_of_six_drags_costs_none_and_makes_none() {
     for reopened in [false, true] {
-        let (mut script, mut gaps) = (Script { taps: vec![], drags: vec![], total_s: 2.0 }, vec![]);
+        let (taps, drags, mut gaps) = (vec![], vec![], vec![]);
+        let mut script = Script { taps, drags, total_s: 2.0, longest_drag_s: 60.0 };
         for seconds in [0.3, 0.5, 0.8, 1.2, 1.6, 2.0] {
             gaps.push(Gap { at_s: script.total_s, seconds, reopened, reset: false });
             let start = script.total_s + seconds + 1.1;
@@ -403,4 +409,16 @@ fn a_silence_or_a_cut_before_each_of_six_drags_costs_none_and_makes_none() {
             check(&script, (line, 400.0), &gaps, 0.008, 5).unwrap();
         }
     }
+}
+
+#[test]
+fn a_contact_that_lasts_too_long_is_noise_unless_there_is_no_longest_drag() {
+    let script = |longest_drag_s| {
+        let (taps, drags) = (vec![], vec![2.0..140.0]);
+        Script { taps, drags, total_s: 143.0, longest_drag_s }
+    };
+    let found = |script| scans(&script, (Line::Counter(65_536), 400.0), &[], 0.01, 3);
+    assert!(found(script(60.0)).is_empty());
+    let spans: Vec<_> = found(script(f64::INFINITY)).iter().map(span_s).collect();
+    assert!(spans.len() == 1 && (spans[0].end - 140.0).abs() < 0.06, "{spans:?}");
 }

@@ -14,9 +14,21 @@ function disconnected({ advice, devices }) {
   return { kind: "disconnected", word: advice.text, sure: `for ${lasts}, since ${clock(since)}` };
 }
 
+// The present surface of what moves without begin and end.
+function moving({ scan, guess }, surfaces) {
+  const [{ surface, probability }] = guess.named;
+  const unknown = guess.state === "unknown";
+  const now = { kind: guess.state, word: unknown ? `None of your ${many(surfaces, "surface")}` : WORDS[guess.state] };
+  now.label = `scan ${scan}, for ${many(Math.floor(guess.scan_s - guess.since_s), "second")}`;
+  if (unknown) return { ...now, name: "unknown", sure: `closest: ${surface}` };
+  now.runners = guess.named.map(({ surface, probability }) => [surface, probability, percent(probability)]);
+  return { ...now, name: surface, sure: `${percent(probability)} sure` };
+}
+
 // A scan in progress: what to do, and the name it would have if it ended now.
-function dragging({ advice, scan, guess: last, enrolling }) {
+function dragging({ advice, scan, guess: last, enrolling, library }) {
   const guess = last?.scan === scan ? last : null;
+  if (!enrolling && typeof guess?.since_s === "number") return moving({ scan, guess }, library?.surfaces.length ?? 0);
   const lift = advice.do === "lift";
   const more = advice.more_s === null ? "" : `: ${advice.more_s.toFixed(1)} s more`;
   const now = { kind: lift ? "lift" : "drag", word: lift ? "Done, lift" : `Drag on${more}`, label: `scan ${scan}` };

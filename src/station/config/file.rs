@@ -25,6 +25,7 @@ pub(super) struct StationFile {
     pub stylus: StylusBlock,
     pub microphone: MicrophoneBlock,
     pub camera: CameraBlock,
+    pub scan: ScanBlock,
     pub detection: DetectionBlock,
     #[serde(default)]
     pub lines: Vec<LinesBlock>,
@@ -89,6 +90,21 @@ pub(super) struct CameraBlock {
     pub flash: FlashName,
     pub flash_source: Spanned<String>,
     pub flash_settle_ms: Spanned<u64>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum ScanMode {
+    Drag,
+    Continuous,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ScanBlock {
+    pub mode: ScanMode,
+    pub hop_s: Spanned<f64>,
+    pub expected_stay_s: Spanned<f64>,
 }
 
 #[derive(Deserialize)]

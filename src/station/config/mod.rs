@@ -19,6 +19,7 @@ use crate::device::microphone::Pick;
 pub use crate::device::serial::StylusConfig;
 use crate::scan::Detection;
 use crate::scene::{Scene, SourceId};
+use crate::station::Continuous;
 
 use file::DEFAULTS;
 
@@ -41,6 +42,9 @@ pub struct StationConfig {
     pub lines: Vec<LinesConfig>,
     pub microphone: Option<MicrophoneConfig>,
     pub camera: Option<CameraConfig>,
+    /// Whether surfaces are named without begin and end; the command line may say so, too.
+    pub is_continuous: bool,
+    pub sliding: Continuous,
     pub detection: Detection,
     /// A good trial must hold enough independent samples of each of these sources, judged by T*.
     pub by_t_star: Vec<SourceId>,
@@ -103,6 +107,11 @@ impl StationConfig {
         let text = std::fs::read_to_string(path)
             .map_err(|error| ConfigError(format!("{}: {error}", path.display())))?;
         Self::parse(&text, path)
+    }
+
+    /// How surfaces are named without begin and end, if they are.
+    pub fn continuous(&self) -> Option<Continuous> {
+        self.is_continuous.then_some(self.sliding)
     }
 
     /// Reduces this station to the devices and cuts that scans of `sources` need. Scans are

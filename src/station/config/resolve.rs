@@ -10,8 +10,8 @@ use toml::Spanned;
 
 use super::file::{
     CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, Mistake, OutputsBlock,
-    StationFile, StylusBlock, is_default, known, merged, mistake, no_stray, parsed, positive,
-    source_of,
+    ScanBlock, ScanMode, StationFile, StylusBlock, is_default, known, merged, mistake, no_stray,
+    parsed, positive, source_of,
 };
 use super::output_address::{STRAY_PASSWORD_FILE, is_segment, machine_name, without_passwords};
 use super::{
@@ -25,6 +25,7 @@ use crate::scan::detect::{DetectorConfig, SensorKind};
 use crate::scan::{CutFrom, Detection};
 use crate::scene::config::{line_of, scene};
 use crate::scene::{Phase, Scene, SourceId};
+use crate::station::Continuous;
 
 /// Name of the microphone's stream. Several sources are cut from it.
 const SOUND: &str = "sound";
@@ -84,6 +85,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     if let Some(twice) = cuts.iter().find(|cut| !seen.insert(&cut.source)) {
         return mistake(&file.format, format!("two devices make the source {}", twice.source));
     }
+    let sliding = sliding(&file.scan)?;
     let detector = detector(&file.detection)?;
     let by_t_star = file.enroll.t_star.iter().map(|name| known(name.get_ref(), name, &scene));
     let by_t_star = by_t_star.collect::<Result<_, _>>()?;
@@ -98,6 +100,8 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         lines,
         microphone,
         camera,
+        is_continuous: file.scan.mode == ScanMode::Continuous,
+        sliding,
         detection: Detection { detector, groups: Vec::new(), cuts },
         by_t_star,
         trials,
@@ -254,6 +258,19 @@ fn groups(
         groups.entry(DevicePart::Lines(number)).or_insert_with(|| all.collect());
     }
     Ok(groups.into_values().collect())
+}
+
+fn sliding(block: &ScanBlock) -> Result<Continuous, Mistake> {
+    let hop_s = positive("hop_s", &block.hop_s)?;
+    let expected_stay_s = positive("expected_stay_s", &block.expected_stay_s)?;
+    if expected_stay_s <= hop_s {
+        let own = [&block.expected_stay_s, &block.hop_s];
+        let at = own.into_iter().find(|value| !is_default(*value)).unwrap_or(&block.hop_s);
+        let problem =
+            format!("expected_stay_s = {expected_stay_s}; expected more than hop_s = {hop_s}");
+        return mistake(at, problem);
+    }
+    Ok(Continuous { hop_s, expected_stay_s })
 }
 
 fn detector(block: &DetectionBlock) -> Result<DetectorConfig, Mistake> {
