@@ -16,7 +16,12 @@ from surfaced import SurfaceClassifier
 
 RATE_HZ = 1000.0
 WIDTHS = {"felt": 9, "oak": 1, "steel": 3}
-EXPECTED_FAILURES = {}
+CONSTANT = "names rows of equal numbers, which say nothing of a drag and are refused"
+EXPECTED_FAILURES = {
+    "check_estimators_dtypes": CONSTANT,
+    "check_classifier_data_not_an_array": CONSTANT,
+    "check_classifiers_train": "asks for 83 % right by rows of two numbers, which have no spectrum",
+}
 
 
 def made(people=3, takes=3, samples=1500, channels=2):
@@ -123,7 +128,7 @@ def test_a_library_is_read_as_it_was_written(tmp_path, data):
     with pytest.raises(ValueError, match="exists already"):
         surfaced.write_library(tmp_path / "made", X, y, rate_hz=250)
     with pytest.raises(ValueError, match="use letters"):
-        surfaced.write_library(tmp_path / "odd", X, ["../etc"] * len(X), rate_hz=250)
+        surfaced.write_library(tmp_path / "odd", X, y, rate_hz=250, source="a/b")
 
 
 def test_one_channel_has_many_forms(data):
@@ -167,8 +172,8 @@ BAD = {
     "infinity": lambda X: np.where(X == X[0, 0, 0], np.inf, X),
     "channel 1 is inf at sample 1": lambda X: np.where(X == X[0, 0, 0], 1e300, X),
     "0 sample": lambda X: X[:0],
-    "too short": lambda X: X[:, :, :3],
-    "minimum of 1 is required": lambda X: X[:, :0],
+    "too short": lambda X: X[:, :, :1],
+    "no samples|has 0 channels": lambda X: X[:, :0],
     "4 dimensions": lambda X: X[np.newaxis],
     "Expected 2D array": lambda X: X[0, 0],
     "could not convert": lambda X: np.full(X.shape, "oak"),
@@ -201,5 +206,6 @@ def test_bad_labels_and_settings_are_refused(data, fitted):
             SurfaceClassifier(**settings).fit(*arguments)
     with pytest.raises(ValueError, match="1 channels, but SurfaceClassifier was fitted to 2"):
         fitted.predict(X[:, :1])
-    with pytest.raises(ValueError, match=r"series 1 of X .*too (short|little)|constant"):
-        fitted.predict(np.stack([X[0], np.ones_like(X[0])]))
+    for says_nothing in [np.ones_like(X[0]), X[1, :, :9]]:
+        with pytest.raises(ValueError, match="series 1 of X .*: too little to name"):
+            fitted.predict([X[0], says_nothing])

@@ -16,8 +16,9 @@ from . import _core
 Series = list[NDArray[np.float32]]
 Band = tuple[float, float] | None
 
-# A shorter series has no spectrum.
-FEWEST = 4
+# Samples of the shortest frame. A series of two or three, as in tables of features, goes on with its last
+# value up to there; a single sample says nothing of a drag.
+FRAME = 4
 # The person of recordings that name none, as in libraries on disk.
 NOBODY = "expert"
 
@@ -36,16 +37,28 @@ def as_series(X: Any, estimator: Any = None) -> Series:
             raise ValueError(
                 f"series {at} of X (counted from 0) has {len(one)} channels, but series 0 has "
                 f"{len(several[0])}")
-        if one.shape[1] < FEWEST:
+        if one.shape[1] < 2:
             raise ValueError(
                 f"series {at} of X (counted from 0) is too short (n_features={one.shape[1]}); expected "
-                f"at least {FEWEST} samples")
+                "two samples or more")
     with np.errstate(over="ignore"):  # What becomes infinite is refused as such.
-        return [np.ascontiguousarray(one, dtype=np.float32) for one in several]
+        return [np.ascontiguousarray(_long_enough(one), dtype=np.float32) for one in several]
 
 
-def _shape(one: Any) -> tuple[int, ...]:
-    return np.shape(one) if not hasattr(one, "shape") else tuple(one.shape)
+def _long_enough(one: NDArray[Any]) -> NDArray[Any]:
+    lacking = FRAME - one.shape[1]
+    return np.pad(one, ((0, 0), (0, lacking)), mode="edge") if lacking > 0 else one
+
+
+def columns_of(X: Any) -> int | None:
+    """The columns of a table; None for series of several channels, or of unequal lengths."""
+    shapes = {_shape(one) for one in X} if isinstance(X, (list, tuple)) else {_shape(X)[1:]}
+    shape = shapes.pop() if len(shapes) == 1 else ()
+    return shape[0] if len(shape) == 1 else None
+
+
+def _shape(of: Any) -> tuple[int, ...]:
+    return tuple(of.shape) if hasattr(of, "shape") else np.asarray(of).shape
 
 
 def _shaped(one: Any) -> Any:

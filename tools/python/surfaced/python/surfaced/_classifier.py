@@ -14,7 +14,7 @@ from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_consistent_length, check_is_fitted, column_or_1d
 
 from . import _core
-from ._arrays import Band, Series, about, as_series
+from ._arrays import Band, Series, about, as_series, columns_of
 
 # Of the files that `save` writes.
 FORMAT = 1
@@ -75,7 +75,8 @@ class SurfaceClassifier(ClassifierMixin, BaseEstimator):
             check_consistent_length(series, people)
         self._learn(series, labels, people)
         self.classes_ = classes
-        self.n_features_in_ = len(series[0]) if isinstance(X, (list, tuple)) else X.shape[1]
+        self._columns = columns_of(X)
+        self.n_features_in_ = self._columns or len(series[0])
         return self
 
     def _learn(self, series: Series, labels: NDArray[Any], people: NDArray[Any] | None) -> None:
@@ -89,8 +90,13 @@ class SurfaceClassifier(ClassifierMixin, BaseEstimator):
         Raises ValueError where X cannot be used, or a recording is constant and so says nothing.
         """
         check_is_fitted(self)
-        series = as_series(X, self)
-        channels = len(self._learnt[0][0])
+        # As in every estimator, a row of a table has the columns of `fit`.
+        columns = None if isinstance(X, (list, tuple)) else columns_of(X)
+        if columns and self._columns and columns != self._columns:
+            raise ValueError(
+                f"X has {columns} features, but SurfaceClassifier is expecting {self._columns} features "
+                "as input; put recordings of another length into a list")
+        series, channels = as_series(X, self), len(self._learnt[0][0])
         if len(series[0]) != channels:
             raise ValueError(
                 f"X has {len(series[0])} channels, but SurfaceClassifier was fitted to {channels}")
@@ -102,7 +108,8 @@ class SurfaceClassifier(ClassifierMixin, BaseEstimator):
 
     def predict(self, X: Any) -> NDArray[Any]:
         """The most probable class of each recording: shape (n,). Raises as `predict_proba` does."""
-        return self.classes_[np.argmax(self.predict_proba(X), axis=1)]
+        best = np.argmax(self.predict_proba(X), axis=1)
+        return self.classes_[best]
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
