@@ -67,8 +67,9 @@ def test_people_are_left_out(data):
 
 
 @pytest.mark.parametrize("band_hz", [None, (20.0, 200.0)])
-def test_answers_are_those_of_the_program(tmp_path, data, band_hz):
-    X, y, groups = data
+def test_answers_are_those_of_the_program(tmp_path, band_hz):
+    X, y, groups = made(samples=200)
+    X = X + np.random.default_rng(1).normal(size=X.shape)  # So that answers are in doubt.
     surfaced.write_library(tmp_path / "made", X, y, groups, rate_hz=RATE_HZ, band_hz=band_hz)
     answers = program("eval", tmp_path / "made", "--protocol", "all-vs-one-user")["predictions"]
     assert len(answers) == len(X)
@@ -80,7 +81,7 @@ def test_answers_are_those_of_the_program(tmp_path, data, band_hz):
         ours = classifier.predict_proba(X[[one["trial"] - 1 for one in asked]])
         theirs = [[one["probabilities"][name] for name in classifier.classes_] for one in asked]
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-6)
-        assert 0.34 < ours.max(axis=1).min()
+        assert ours.max(axis=1).min() < 0.7
 
 
 def test_scan_times_are_those_of_the_program(tmp_path, data):
@@ -90,7 +91,7 @@ def test_scan_times_are_those_of_the_program(tmp_path, data):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = surfaced.required_scan_s(X, y, groups, rate_hz=RATE_HZ, accuracy=0.6)
-    assert found == pytest.approx(report["answer"]["scan_s"])
+    assert found is not None and found == pytest.approx(report["answer"]["scan_s"])
     one = (y == "felt") & (groups == "person 0")
     row = next(row for row in report["durations"] if row["surface"] == "felt")
     assert surfaced.t_star(X[one], rate_hz=RATE_HZ) == pytest.approx(row["t_star_s"])
