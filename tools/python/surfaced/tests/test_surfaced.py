@@ -4,6 +4,8 @@ import json
 import os
 import pickle
 import subprocess
+import sys
+import threading
 import warnings
 
 import numpy as np
@@ -12,7 +14,8 @@ import surfaced
 from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, cross_val_score
 from sklearn.utils.estimator_checks import check_estimator
-from surfaced import SurfaceClassifier
+from surfaced import SurfaceClassifier, _core
+from surfaced._arrays import about, as_series
 
 RATE_HZ = 1000.0
 WIDTHS = {"felt": 9, "oak": 1, "steel": 3}
@@ -56,6 +59,11 @@ def test_scikit_learn_finds_an_estimator():
     assert not failed
     assert len(EXPECTED_FAILURES) <= 8
     assert {one["check_name"] for one in found if one["status"] == "xfail"} == set(EXPECTED_FAILURES)
+
+
+def test_the_version_is_that_of_the_program():
+    told = subprocess.check_output([os.environ["SURFACED_PROGRAM"], "--version"], text=True)
+    assert told.split()[1] == surfaced.__version__
 
 
 def test_people_are_left_out(data):
@@ -154,6 +162,27 @@ def test_copies_answer_alike(tmp_path, data, fitted):
         assert copy.get_params() == fitted.get_params()
         assert copy.score(X, y) > 0.9
     assert not hasattr(clone(fitted), "classes_")
+
+
+def test_python_goes_on_while_a_model_is_fitted(data):
+    X, y, _ = data
+    series, of = as_series(X), about(list(y), None, RATE_HZ, None)
+    ticks, done = [], threading.Event()
+
+    def tick():
+        while not done.wait(0.001):
+            ticks.append(1)
+
+    other, interval = threading.Thread(target=tick), sys.getswitchinterval()
+    sys.setswitchinterval(100)  # So that nobody but the fit itself lets the other thread go on.
+    other.start()
+    ticks.clear()
+    _core.Model(series, of, 1)
+    ticked = len(ticks)
+    sys.setswitchinterval(interval)
+    done.set()
+    other.join()
+    assert ticked > 0
 
 
 def test_a_damaged_model_is_refused(tmp_path, fitted):
