@@ -231,6 +231,7 @@ def test_bad_labels_and_settings_are_refused(data, fitted):
         ((X, y), {"rate_hz": np.nan}, "sample rate of NaN"),
         ((X, y), {"band_hz": (10, 900)}, "above half"),
         ((X, y), {"band_hz": (90, 10)}, "low < high"),
+        ((X, y), {"band_hz": (1, 2, 3)}, "too many values"),
     ]:
         with pytest.raises(ValueError, match=why):
             SurfaceClassifier(**settings).fit(*arguments)

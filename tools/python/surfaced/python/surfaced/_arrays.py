@@ -76,10 +76,12 @@ def about(
     """How recordings came about, for the Rust core."""
     users = [NOBODY] * len(labels) if groups is None else [str(group) for group in np.asarray(groups)]
     check_consistent_length(labels, users)
-    band = None if band_hz is None else (float(band_hz[0]), float(band_hz[1]))
+    if band_hz is not None:
+        low_hz, high_hz = band_hz
+        band_hz = float(low_hz), float(high_hz)
     return {
         "labels": list(labels), "users": users, "source": source, "rate_hz": float(rate_hz),
-        "band_hz": band,
+        "band_hz": band_hz,
     }
 
 

@@ -137,9 +137,10 @@ def save(classifier: SurfaceClassifier, path: str | os.PathLike[str]) -> None:
     classes = classifier.classes_
     if classes.dtype == object:
         classes = np.array([str(name) for name in classes])
+    parameters = json.dumps(classifier.get_params(), default=lambda number: number.item())
     with open(path, "wb") as file:
         np.savez(
-            file, surfaced_format=FORMAT, parameters=json.dumps(classifier.get_params()),
+            file, surfaced_format=FORMAT, parameters=parameters,
             samples=np.concatenate(series, axis=1), lengths=[one.shape[1] for one in series],
             y=classes[labels], groups=[] if people is None else people)
 
