@@ -19,6 +19,33 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! Recordings may also be arrays of shape (samples, channels); here they are made up:
+//!
+//! ```
+//! use surfaced::library::{Entry, Library};
+//! use surfaced::recognise::{MethodName, MethodSpec, ready_model};
+//! use surfaced::{scene::SourceId, trial::{Series, Trial, TrialKey}};
+//!
+//! let drag = |step: u32, seed: u32| {
+//!     let samples = (0..2000).map(|t| ((t / step).wrapping_mul(seed * 2654435761) >> 8) as f32);
+//!     Series::new(1000.0, 2, samples.collect()) // 1000 samples a second, 2 channels, interleaved
+//! };
+//! let source = SourceId::new("signal")?;
+//! let mut trials = Vec::new();
+//! for number in 1..=5 {
+//!     trials.push((TrialKey::new("felt", "ann", number), drag(8, number)?));
+//!     trials.push((TrialKey::new("oak", "ann", number), drag(1, number)?));
+//! }
+//! let data = Library::of_series(&source, None, trials)?;
+//! let method = MethodSpec::from(MethodName::Embedding).build(&data.scene);
+//! let model = ready_model(&*method, &data.entries, &(0..10).collect(), None, &|_, _| ())?.model;
+//! let query = Trial::of_series(TrialKey::new("?", "ben", 1), source, drag(8, 9)?);
+//! let ranking = model.rank(&model.prepare(&Entry::in_memory(query.clone()), &query)?)?;
+//! assert_eq!(ranking.surface(), "felt");
+//! assert!(ranking.probabilities()[0] > 0.5);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! # Map
 //!
 //! Data flow (no folder imports against an arrow):
@@ -35,6 +62,7 @@
 //! | to | use |
 //! |---|---|
 //! | open recordings of any form | [`dataset::open`], [`library`] |
+//! | use arrays as recordings | [`library::Library::of_series`] |
 //! | write and edit recordings | [`record::write_trial`], [`record::edit`] |
 //! | name a trial | [`recognise`] |
 //! | measure the accuracy | [`evaluate::Evaluation`] |

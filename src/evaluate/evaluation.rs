@@ -16,7 +16,7 @@ use crate::library::Entry;
 use crate::recognise::features::FeatureVector;
 use crate::recognise::{
     LibraryShape, Method, Model, Prepared, PreparedLibrary, RecogniseError, if_enough,
-    prepare_library, stated_probabilities, without_flawed,
+    prepare_library, without_flawed,
 };
 use crate::scene::Scene;
 use crate::trial::{Doubt, Trial, TrialKey};
@@ -262,8 +262,7 @@ impl Run<'_, '_> {
         };
         let Some(ranking) = ranking else { return Ok((nameless, remarks)) };
         let surface = ranking.surface().to_string();
-        let scores: Vec<f64> = ranking.ranked.iter().map(|one| one.score).collect();
-        let stated = stated_probabilities(&scores, ranking.confidence);
+        let stated = ranking.probabilities();
         let surfaces = ranking.ranked.into_iter().map(|one| one.surface);
         let prediction = Prediction {
             surface,

@@ -1,5 +1,6 @@
 //! A library: labelled trials that scans are compared with. Trials are read when they are needed.
 
+mod arrays;
 pub mod cache;
 pub(crate) mod files;
 pub(crate) mod loader;

@@ -42,6 +42,12 @@ impl Ranking {
     pub fn surface(&self) -> &str {
         &self.ranked[0].surface
     }
+
+    /// The probability of each surface, in the order of `ranked`; empty if the method gives none.
+    pub fn probabilities(&self) -> Vec<f64> {
+        let scores: Vec<f64> = self.ranked.iter().map(|one| one.score).collect();
+        stated_probabilities(&scores, self.confidence)
+    }
 }
 
 /// Ranks surfaces by the `k` candidates that are most like the query.

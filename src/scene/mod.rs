@@ -4,6 +4,7 @@
 
 pub(crate) mod config;
 
+use config::DomainName;
 pub use config::LibraryToml;
 pub(crate) use config::{MOST_CHANNELS, SourceBlock};
 
@@ -170,6 +171,29 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// A scene of a single source, a series in time. Frequencies of `band_hz`, in Hz, are compared; if
+    /// `None`, those up to 500 Hz or half of the rate.
+    ///
+    /// # Errors
+    /// If there are no channels or more than 1024, if the rate is outside 0.001 Hz to 10 MHz, or if the
+    /// band is empty or reaches above half of the rate.
+    pub fn of_series(
+        id: SourceId,
+        channels: usize,
+        rate_hz: f64,
+        band_hz: Option<(f64, f64)>,
+    ) -> Result<Self, SceneError> {
+        let block = SourceBlock {
+            domain: Some(DomainName::Time),
+            channels: Some(channels),
+            rate_hz: Some(rate_hz),
+            band_hz: band_hz.map(|(low, high)| [low, high]),
+            ..SourceBlock::default()
+        };
+        let spec = block.resolve(id.clone()).map_err(SceneError)?;
+        Ok(Self { name: String::new(), sources: BTreeMap::from([(id, spec)]) })
+    }
+
     /// This scene with the sources of `other`, which replace sources of the same name.
     pub fn with(mut self, other: Scene) -> Self {
         self.sources.extend(other.sources);
@@ -228,4 +252,4 @@ impl Scene {
 /// Why a text describes no scene, or a name no source. The message names the line, if there is one.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub struct SceneError(String);
+pub struct SceneError(pub(crate) String);

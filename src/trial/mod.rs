@@ -28,6 +28,11 @@ pub struct Trial {
 }
 
 impl Trial {
+    /// A trial of a single source, which is a series.
+    pub fn of_series(key: TrialKey, source: SourceId, series: Series) -> Self {
+        Self { key, signals: BTreeMap::from([(source, Signal::Series(series))]) }
+    }
+
     /// This trial, with every series recorded during the drag cut to its first `seconds`.
     ///
     /// `is_drag` tells which sources are cut. A tap is a transient and stays whole.
