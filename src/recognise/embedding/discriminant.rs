@@ -1,10 +1,10 @@
 //! The shrinkage discriminant of one member: linear discriminant analysis of a subspace of the features.
 //! One is trained on all trials, and one for each group on the trials outside the group.
 //!
-//! Each training vector has a label. A label below the number of classes is the class of a whole
-//! trial; higher labels are for copies. The class mean m_c is over whole trials only. The scatter W
-//! pools all vectors, each minus the mean of its label. The metric is S = (1 − γ)·W + γ·(tr W/d)·I. The
-//! shrinkage γ is estimated (Ledoit and Wolf 2004, "A well-conditioned estimator for large-dimensional
+//! The scatter W pools all training vectors, each minus the mean of its class. So what noise and a short
+//! scan do to the features counts as scatter. The class mean m_c is over the vectors of whole scans:
+//! trials and their twins, not excerpts, whose features differ with their length. The metric is
+//! S = (1 − γ)·W + γ·(tr W/d)·I. The shrinkage γ is estimated (Ledoit and Wolf 2004, "A well-conditioned estimator for large-dimensional
 //! covariance matrices"); each trial with its copies counts as one observation. The distances
 //! ‖u − m_c‖² are computed in the space that the class means span after whitening by S. They order
 //! classes like the full Mahalanobis distance, since directions outside that space do not separate
@@ -39,11 +39,13 @@ pub(crate) struct Discriminant {
     present: Vec<bool>,
 }
 
-/// Labels, groups and trials of the rows of training vectors.
+/// Classes, groups and trials of the rows of training vectors.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Rows {
-    /// Label of each row: the class of a whole trial, or `classes` and above for a copy.
-    pub labels: Vec<usize>,
+    /// Class of each row.
+    pub class: Vec<usize>,
+    /// Whether a row is of a whole scan, and not of an excerpt.
+    pub whole: Vec<bool>,
     /// Group of each row. Groups are left out one at a time.
     pub groups: Vec<usize>,
     /// Trial of each row.
@@ -53,19 +55,38 @@ pub(crate) struct Rows {
 }
 
 impl Rows {
-    /// Number of rows with each label, among those that `keep` chooses.
+    /// Number of rows of each class, among those that `keep` chooses.
     fn counts(&self, keep: impl Fn(usize) -> bool) -> Vec<f64> {
-        let mut counts = vec![0.0; self.labels.iter().max().map_or(0, |last| last + 1)];
-        let kept = (0..self.labels.len()).filter(|&row| keep(row));
-        kept.for_each(|row| counts[self.labels[row]] += 1.0);
+        let mut counts = vec![0.0; self.classes];
+        let kept = (0..self.class.len()).filter(|&row| keep(row));
+        kept.for_each(|row| counts[self.class[row]] += 1.0);
         counts
+    }
+
+    /// The class means m_c over the rows of whole scans that `keep` chooses, shape (C, d). `means` are
+    /// the means of all rows, and `residuals` are the rows minus those.
+    fn class_means(
+        &self,
+        means: &Array2<f64>,
+        residuals: &Array2<f32>,
+        keep: impl Fn(usize) -> bool,
+    ) -> Array2<f64> {
+        let keep = |row: usize| self.whole[row] && keep(row);
+        let counts = self.counts(keep);
+        let mut moved = means.clone();
+        for row in (0..self.class.len()).filter(|&row| keep(row)) {
+            let share = 1.0 / counts[self.class[row]];
+            let mut mean = moved.row_mut(self.class[row]);
+            mean.zip_mut_with(&residuals.row(row), |mean, &x| *mean += share * f64::from(x));
+        }
+        moved
     }
 }
 
 impl Discriminant {
     /// Trains on all vectors, shape (N, d), and on those outside each of the first `groups` groups.
     ///
-    /// Gives `None` if all vectors are equal, no label has two, or fewer than two classes occur.
+    /// Gives `None` if all vectors are equal, no class has two, or fewer than two classes occur.
     pub(crate) fn train(
         vectors: Array2<f32>,
         rows: &Rows,
@@ -73,27 +94,23 @@ impl Discriminant {
     ) -> (Option<Self>, Vec<Option<Self>>) {
         let total = total_variance(&vectors.view());
         let counts = rows.counts(|_| true);
-        let (means, residuals) = residuals(vectors, &rows.labels, &counts);
+        let (means, residuals) = residuals(vectors, &rows.class, &counts);
         let scatter = lower_gram(&residuals.view());
         let shrinkage = shrinkage(&residuals, &scatter, &rows.trials);
-        let of = |scatter: Array2<f64>, counts: &[f64], means: Array2<f64>| {
-            Self::of_scatter(scatter, counts, means, total?, shrinkage)
+        let of = |scatter: Array2<f64>, left_out: Option<usize>| {
+            let stays = |row: usize| Some(rows.groups[row]) != left_out;
+            let means = rows.class_means(&means, &residuals, stays);
+            Self::of_scatter(scatter, &rows.counts(stays), means, total?, shrinkage)
         };
-        let whole = means.slice(s![..rows.classes, ..]);
         let without = |group: usize| {
-            let left = rows.counts(|row| rows.groups[row] != group);
-            let (moved, sums) = left_out(&residuals, rows, group, (&counts, &left));
-            let mut means = whole.to_owned();
-            for (class, mut mean) in means.rows_mut().into_iter().enumerate() {
-                mean.scaled_add(-1.0 / left[class].max(1.0), &sums.row(class));
-            }
-            of(&scatter - &lower_gram(&moved.view()), &left, means)
+            let lost = left_out(&residuals, rows, group, &counts);
+            of(&scatter - &lower_gram(&lost.view()), Some(group))
         };
         let without = (0..groups).map(without).collect();
-        (of(scatter, &counts, whole.to_owned()), without)
+        (of(scatter, None), without)
     }
 
-    /// Takes the lower triangle of Σ r·rᵀ, the number of rows with each label, and the class means.
+    /// Takes the lower triangle of Σ r·rᵀ, the number of rows of each class, and the class means.
     fn of_scatter(
         mut factor: Array2<f64>,
         counts: &[f64],
@@ -102,7 +119,7 @@ impl Discriminant {
         shrinkage: f64,
     ) -> Option<Self> {
         let freedom: f64 = counts.iter().filter(|n| **n > 0.5).map(|n| n - 1.0).sum();
-        let present: Vec<bool> = counts[..means.nrows()].iter().map(|n| *n > 0.5).collect();
+        let present: Vec<bool> = counts.iter().map(|n| *n > 0.5).collect();
         let known: Vec<usize> = (0..present.len()).filter(|&class| present[class]).collect();
         if known.len() < 2 || freedom < 0.5 {
             return None;
@@ -229,21 +246,21 @@ fn total_variance(vectors: &ArrayView2<'_, f32>) -> Option<f64> {
     (total > 1e-5 * square / n / dims).then_some(total)
 }
 
-/// The mean of each label, shape (labels, d), and the vectors minus the mean of their label.
+/// The mean of each class, shape (C, d), and the vectors minus the mean of their class.
 fn residuals(
     mut vectors: Array2<f32>,
-    labels: &[usize],
+    class: &[usize],
     counts: &[f64],
 ) -> (Array2<f64>, Array2<f32>) {
     let mut means = Array2::<f64>::zeros((counts.len(), vectors.ncols()));
-    for (row, &label) in vectors.rows().into_iter().zip(labels) {
-        means.row_mut(label).zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
+    for (row, &class) in vectors.rows().into_iter().zip(class) {
+        means.row_mut(class).zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
     }
     for (mut mean, &n) in means.rows_mut().into_iter().zip(counts) {
         mean /= f64::max(n, 1.0);
     }
-    for (mut row, &label) in vectors.rows_mut().into_iter().zip(labels) {
-        row.zip_mut_with(&means.row(label), |x, mean| *x -= *mean as f32);
+    for (mut row, &class) in vectors.rows_mut().into_iter().zip(class) {
+        row.zip_mut_with(&means.row(class), |x, mean| *x -= *mean as f32);
     }
     (means, vectors)
 }
@@ -271,104 +288,97 @@ fn shrinkage(residuals: &Array2<f32>, scatter: &Array2<f64>, trials: &[usize]) -
     if shrinkage.is_nan() { SHRINKAGE.1 } else { shrinkage.clamp(SHRINKAGE.0, SHRINKAGE.1) }
 }
 
-/// Rows whose scatter is what the scatter loses without a group, and the sum of the group's residuals
-/// for each class. The mean of a label with n rows moves when k of them leave: Σ r·rᵀ loses
-/// Σ_group r·rᵀ + s·sᵀ/(n − k), with s = Σ_group r. That is the scatter of r + β·s, where
-/// (1 + β·k)² = n/(n − k).
-fn left_out(
-    residuals: &Array2<f32>,
-    rows: &Rows,
-    group: usize,
-    (counts, left): (&[f64], &[f64]),
-) -> (Array2<f32>, Array2<f64>) {
+/// Rows whose scatter is what the scatter loses without a group. The mean of a class with n rows moves
+/// when k of them leave: Σ r·rᵀ loses Σ_group r·rᵀ + s·sᵀ/(n − k), with s = Σ_group r. That is the scatter
+/// of r + β·s, where (1 + β·k)² = n/(n − k).
+fn left_out(residuals: &Array2<f32>, rows: &Rows, group: usize, counts: &[f64]) -> Array2<f32> {
     let members: Vec<usize> =
-        (0..rows.labels.len()).filter(|&row| rows.groups[row] == group).collect();
+        (0..rows.class.len()).filter(|&row| rows.groups[row] == group).collect();
+    let leaving = rows.counts(|row| rows.groups[row] == group);
     let mut sums = Array2::<f64>::zeros((counts.len(), residuals.ncols()));
     let mut moved = residuals.select(Axis(0), &members);
     for (row, &member) in moved.rows().into_iter().zip(&members) {
-        let mut sum = sums.row_mut(rows.labels[member]);
+        let mut sum = sums.row_mut(rows.class[member]);
         sum.zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
     }
     for (mut row, &member) in moved.rows_mut().into_iter().zip(&members) {
-        let label = rows.labels[member];
-        let (n, k) = (counts[label], counts[label] - left[label]);
-        if left[label] > 0.5 {
-            let beta = ((n / left[label]).sqrt() - 1.0) / k;
-            row.zip_mut_with(&sums.row(label), |x, sum| *x += (beta * sum) as f32);
+        let class = rows.class[member];
+        let (n, k) = (counts[class], leaving[class]);
+        if n - k > 0.5 {
+            let beta = ((n / (n - k)).sqrt() - 1.0) / k;
+            row.zip_mut_with(&sums.row(class), |x, sum| *x += (beta * sum) as f32);
         }
     }
-    (moved, sums)
+    moved
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// 90 vectors of three classes in turn.
     fn data() -> (Array2<f32>, Vec<usize>) {
-        let labels: Vec<usize> = (0..90).map(|i| i % 3).collect();
+        let class: Vec<usize> = (0..90).map(|i| i % 3).collect();
         let vectors = Array2::from_shape_fn((90, 8), |(i, j)| {
             let noise = ((i * 37 + j * 101) as f32 * 0.7).sin() * (1.0 + j as f32 * 0.3);
             noise + if j == i % 3 { 2.0 } else { 0.0 }
         });
-        (vectors, labels)
+        (vectors, class)
     }
 
-    /// Like `data`, but every third vector of a class has the label of a copy.
-    fn data_with_copies() -> (Array2<f32>, Vec<usize>) {
-        let (vectors, labels) = data();
-        let label = |(i, class): (usize, &usize)| if i / 3 % 3 == 2 { class + 3 } else { *class };
-        let labels = labels.iter().enumerate().map(label).collect();
-        (vectors, labels)
-    }
-
-    fn rows(labels: &[usize], groups: Vec<usize>, classes: usize) -> Rows {
+    /// Every third vector of a class is of an excerpt.
+    fn rows(class: &[usize], groups: Vec<usize>, classes: usize) -> Rows {
         Rows {
-            labels: labels.to_vec(),
+            class: class.to_vec(),
+            whole: (0..class.len()).map(|i| i / 3 % 3 != 2).collect(),
             group_count: groups.iter().max().map_or(0, |last| last + 1),
             groups,
-            trials: (0..labels.len()).collect(),
+            trials: (0..class.len()).collect(),
             classes,
         }
     }
 
-    fn trained(vectors: &Array2<f32>, labels: &[usize], classes: usize) -> Option<Discriminant> {
-        Discriminant::train(vectors.clone(), &rows(labels, vec![], classes), 0).0
+    fn trained(vectors: &Array2<f32>, class: &[usize], classes: usize) -> Option<Discriminant> {
+        Discriminant::train(vectors.clone(), &rows(class, vec![0; class.len()], classes), 0).0
     }
 
     /// Mahalanobis distances of a vector to the class means, by the definition, with the scatter of the
     /// `kept` rows and the shrinkage of all.
     fn by_definition(
-        (vectors, labels): (&Array2<f32>, &[usize]),
+        (vectors, rows): (&Array2<f32>, &Rows),
         kept: &[usize],
-        classes: usize,
         vector: ArrayView1<'_, f32>,
     ) -> Vec<f64> {
         let z = vectors.mapv(f64::from);
-        let all = rows(labels, vec![], classes);
-        let (_, rest) = residuals(vectors.clone(), labels, &all.counts(|_| true));
-        let gamma = shrinkage(&rest, &lower_gram(&rest.view()), &all.trials);
-        let mut means = Array2::<f64>::zeros((2 * classes, z.ncols()));
+        let (_, rest) = residuals(vectors.clone(), &rows.class, &rows.counts(|_| true));
+        let gamma = shrinkage(&rest, &lower_gram(&rest.view()), &rows.trials);
+        let mut means = Array2::<f64>::zeros((rows.classes, z.ncols()));
         let (mut freedom, mut w) = (0.0, Array2::<f64>::zeros((z.ncols(), z.ncols())));
-        for label in 0..2 * classes {
-            let members: Vec<usize> =
-                kept.iter().copied().filter(|&i| labels[i] == label).collect();
-            let Some(mean) = z.select(Axis(0), &members).mean_axis(Axis(0)) else { continue };
+        for class in 0..rows.classes {
+            let of = |whole: bool| -> Vec<usize> {
+                let of_class = kept.iter().copied().filter(|&i| rows.class[i] == class);
+                of_class.filter(|&i| rows.whole[i] || !whole).collect()
+            };
+            let mean_of =
+                |members: &[usize]| z.select(Axis(0), members).mean_axis(Axis(0)).unwrap();
+            let members = of(false);
+            let mean = mean_of(&members);
             for &i in &members {
                 let r = (&z.row(i) - &mean).insert_axis(Axis(1));
                 w += &r.dot(&r.t());
             }
             freedom += members.len() as f64 - 1.0;
-            means.row_mut(label).assign(&mean);
+            means.row_mut(class).assign(&mean_of(&of(true)));
         }
         let ridge = gamma * w.diag().sum() / freedom / z.ncols() as f64;
         let metric = w * ((1.0 - gamma) / freedom) + Array2::<f64>::eye(z.ncols()) * ridge;
         let factor = cholesky(metric).unwrap();
-        let distance = |class: usize| {
-            let mut d = (&vector.mapv(f64::from) - &means.row(class)).insert_axis(Axis(1));
+        let distance = |mean: ArrayView1<'_, f64>| {
+            let mut d = (&vector.mapv(f64::from) - &mean).insert_axis(Axis(1));
             solve_lower(&factor, &mut d);
             d.iter().map(|x| x * x).sum::<f64>()
         };
-        (0..classes).map(distance).collect()
+        means.rows().into_iter().map(distance).collect()
     }
 
     fn distances(of: &Discriminant, vector: ArrayView1<'_, f32>) -> Vec<f64> {
@@ -384,26 +394,26 @@ mod tests {
 
     #[test]
     fn differences_of_distances_are_those_of_the_full_mahalanobis_distance() {
-        let (vectors, labels) = data_with_copies();
+        let (vectors, class) = data();
         let all: Vec<usize> = (0..90).collect();
-        let ours = distances(&trained(&vectors, &labels, 3).unwrap(), vectors.row(5));
-        let full = by_definition((&vectors, &labels), &all, 3, vectors.row(5));
+        let ours = distances(&trained(&vectors, &class, 3).unwrap(), vectors.row(5));
+        let full = by_definition((&vectors, &rows(&class, vec![], 3)), &all, vectors.row(5));
         differ_alike(&ours, &full);
         assert!(ours[0] <= full[0] + 1e-3, "a projection shortens");
     }
 
     #[test]
     fn leaving_a_group_out_is_training_without_it() {
-        let (vectors, labels) = data_with_copies();
+        let (vectors, class) = data();
         let groups: Vec<usize> = (0..90).map(|i| (i / 9).min(4)).collect();
-        let of = rows(&labels, groups.clone(), 3);
+        let of = rows(&class, groups.clone(), 3);
         let (all, without) = Discriminant::train(vectors.clone(), &of, of.group_count);
         assert!(all.is_some() && without.len() == 5);
         for (group, without) in without.into_iter().enumerate() {
             let kept: Vec<usize> = (0..90).filter(|&i| groups[i] != group).collect();
             for query in [3, 40, 80] {
                 let ours = distances(without.as_ref().unwrap(), vectors.row(query));
-                let full = by_definition((&vectors, &labels), &kept, 3, vectors.row(query));
+                let full = by_definition((&vectors, &of), &kept, vectors.row(query));
                 differ_alike(&ours, &full);
             }
         }
@@ -411,9 +421,9 @@ mod tests {
 
     #[test]
     fn a_class_that_is_only_in_one_group_is_unknown_without_it() {
-        let (vectors, labels) = data();
-        let groups = labels.iter().map(|&class| usize::from(class == 2)).collect();
-        let (_, without) = Discriminant::train(vectors.clone(), &rows(&labels, groups, 3), 2);
+        let (vectors, class) = data();
+        let groups = class.iter().map(|&class| usize::from(class == 2)).collect();
+        let (_, without) = Discriminant::train(vectors.clone(), &rows(&class, groups, 3), 2);
         let left = without[1].as_ref().unwrap();
         assert!(left.knows(0) && left.knows(1) && !left.knows(2));
         assert_eq!(distances(left, vectors.row(2))[2], f64::INFINITY);
@@ -422,8 +432,8 @@ mod tests {
 
     #[test]
     fn inner_products_with_the_class_means_make_the_distance() {
-        let (vectors, labels) = data();
-        let trained = trained(&vectors, &labels, 3).unwrap();
+        let (vectors, class) = data();
+        let trained = trained(&vectors, &class, 3).unwrap();
         let z = vectors.row(4);
         let (weights, offsets) = trained.weights();
         let projected = trained.projection.dot(&z);
@@ -438,13 +448,13 @@ mod tests {
 
     #[test]
     fn a_detector_that_never_errs_is_trusted_within_bounds_and_a_constant_is_not() {
-        let labels = [0, 1, 0, 1, 0, 1];
+        let class = [0, 1, 0, 1, 0, 1];
         let switch = Array2::from_shape_fn((6, 3), |(i, j)| ((i % 2) + j) as f32);
-        let trained_on = trained(&switch, &labels, 2).unwrap();
+        let trained_on = trained(&switch, &class, 2).unwrap();
         let d = distances(&trained_on, ArrayView1::from(&[1.0, 2.0, 3.0]));
         assert!(d[1] < 1e-3 && d[0].is_finite() && d[0] > 1.0, "{d:?}");
-        assert!(trained(&Array2::from_elem((6, 3), 0.7), &labels, 2).is_none());
+        assert!(trained(&Array2::from_elem((6, 3), 0.7), &class, 2).is_none());
         let two = switch.slice(s![..2, ..]).to_owned();
-        assert!(trained(&two, &labels[..2], 2).is_none());
+        assert!(trained(&two, &class[..2], 2).is_none());
     }
 }

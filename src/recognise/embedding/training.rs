@@ -1,7 +1,6 @@
 //! Training vectors of whole trials and their copies.
 //!
-//! There are three kinds of vectors: of whole trials, of excerpts and of twins ([`super::copies`]).
-//! The scatter within classes pools them, each minus the mean of its class and kind.
+//! There are vectors of whole trials, of excerpts and of twins ([`super::copies`]).
 
 use std::sync::Arc;
 
@@ -17,15 +16,11 @@ use super::labels::Labels;
 use super::packed;
 use crate::system::give_back_memory;
 
-/// Number of kinds of training vectors: whole trials, excerpts and twins.
-const KINDS: usize = 3;
-
 #[derive(Serialize, Deserialize)]
 pub(super) struct Training {
     /// Shape (rows, D): one row for each whole trial, then the rows of each trial's copies.
     #[serde(with = "packed::matrix")]
     vectors: Array2<f32>,
-    /// The label of a row is kind · classes + class; kind 0 is a whole trial.
     #[serde(skip)]
     rows: Rows,
     pub present: Vec<Present>,
@@ -61,8 +56,8 @@ impl Training {
         fits.then(|| Self { rows: rows(labels, self.vectors.nrows()), ..self })
     }
 
-    /// Sets the columns of a source that a row lacks to the mean of the other rows of its label, so
-    /// that they neither move means nor add scatter.
+    /// Sets the columns of a source that a row lacks to the mean of the other rows of its class, whole
+    /// scans and excerpts apart, so that they do not move means.
     fn fill_absent(&mut self, joint: &JointEmbedder) {
         let Self { vectors, rows, present, .. } = self;
         for (s, stretch) in joint.stretches.iter().enumerate() {
@@ -71,16 +66,19 @@ impl Training {
             }
             let columns = ndarray::s![stretch.columns.clone()];
             let none = (0.0f32, Array1::<f32>::zeros(stretch.columns.len()));
-            let mut sums = vec![none; KINDS * rows.classes];
+            let mut sums = vec![[none.clone(), none]; rows.classes];
+            let slot = |row: usize| (rows.class[row], usize::from(rows.whole[row]));
             for (row, values) in vectors.rows().into_iter().enumerate() {
                 if present[rows.trials[row]][s] {
-                    let (count, sum) = &mut sums[rows.labels[row]];
+                    let (class, whole) = slot(row);
+                    let (count, sum) = &mut sums[class][whole];
                     *count += 1.0;
                     *sum += &values.slice(columns);
                 }
             }
             for (row, mut values) in vectors.rows_mut().into_iter().enumerate() {
-                let (count, sum) = &sums[rows.labels[row]];
+                let (class, whole) = slot(row);
+                let (count, sum) = &sums[class][whole];
                 if !present[rows.trials[row]][s] && *count > 0.0 {
                     values.slice_mut(columns).assign(&(sum / *count));
                 }
@@ -116,18 +114,15 @@ impl Training {
     }
 }
 
-/// Labels, groups and trials of the training vectors of a library, `count` in all.
+/// Classes, groups and trials of the training vectors of a library, `count` in all.
 fn rows(labels: &Labels, count: usize) -> Rows {
-    let of_row = |row: usize| {
-        let (trial, vector) = place(row, labels.class.len());
-        let kind = usize::from(vector > 0) + usize::from(vector > EXCERPTS);
-        (kind * labels.classes + labels.class[trial], trial)
-    };
-    let (of_rows, trials): (Vec<usize>, Vec<usize>) = (0..count).map(of_row).unzip();
+    let places: Vec<_> = (0..count).map(|row| place(row, labels.class.len())).collect();
     Rows {
-        labels: of_rows,
-        groups: trials.iter().map(|&trial| labels.group[trial]).collect(),
-        trials,
+        class: places.iter().map(|&(trial, _)| labels.class[trial]).collect(),
+        // The trial itself, and its twin after the excerpts.
+        whole: places.iter().map(|&(_, vector)| vector == 0 || vector > EXCERPTS).collect(),
+        groups: places.iter().map(|&(trial, _)| labels.group[trial]).collect(),
+        trials: places.iter().map(|&(trial, _)| trial).collect(),
         classes: labels.classes,
         group_count: labels.groups,
     }
