@@ -52,8 +52,11 @@ fn recogniser() -> Arc<Recogniser> {
     Arc::new(by)
 }
 
+/// Changes, answers and warnings.
+type Heard = (Vec<Change>, Vec<Answer>, Vec<String>);
+
 #[derive(Clone, Default)]
-struct Told(Arc<Mutex<(Vec<Change>, Vec<Answer>, Vec<String>)>>);
+struct Told(Arc<Mutex<Heard>>);
 
 impl Listener for Told {
     fn on_event(&mut self, event: &StationEvent) {
