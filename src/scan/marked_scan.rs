@@ -381,7 +381,7 @@ mod tests {
         let mut streams = [stream];
         sink.push(&[0.5; 12]);
         sink.skip(5);
-        sink.push(&[0.5; 13]);
+        sink.push(&[0.5; 14]);
         streams[0].drain(10.0);
         let mut marked = Marked::default();
         let cut = CutFrom { source: id.clone(), stream: id, phase: Phase::Drag, channels };
