@@ -27,7 +27,7 @@
 //! use surfaced::{scene::SourceId, trial::{Series, Trial, TrialKey}};
 //!
 //! let drag = |step: u32, seed: u32| {
-//!     let samples = (0..2000).map(|t| ((t / step).wrapping_mul(seed * 2654435761) >> 8) as f32);
+//!     let samples = (0..2000).map(|t| ((t / step + 7919 * seed).wrapping_mul(2654435761) >> 8) as f32);
 //!     Series::new(1000.0, 2, samples.collect()) // 1000 samples a second, 2 channels, interleaved
 //! };
 //! let source = SourceId::new("signal")?;
