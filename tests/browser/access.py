@@ -19,8 +19,9 @@ LONG = ["polyurethane_foam_with_a_coarse_and_open_pored_surface_from_the_worksho
 # What has to have a name.
 NAMED = {"button", "link", "textbox", "combobox", "checkbox", "spinbutton", "slider", "image", "img",
          "dialog", "region", "alertdialog", "Video", "Audio"}
-# Buttons of the browser's own player, below the player's name.
-PLAYER = {"play", "pause", "mute", "unmute", "show more media controls"}
+# Buttons of the browser's own player and of its fields of dates, below the name of either.
+BROWSERS = {"play", "pause", "mute", "unmute", "show more media controls",
+            "Show local date and time picker Show local date and time picker"}
 
 
 def unnamed(browser):
@@ -38,7 +39,7 @@ def unnamed(browser):
             bad.append((role, about["nodeName"], about.get("attributes")))
     # Two buttons of one name do the same, or nobody can tell them apart.
     twice = [name for (role, name), nodes in names.items()
-             if role == "button" and len(nodes) > 1 and name not in PLAYER]
+             if role == "button" and len(nodes) > 1 and name not in BROWSERS]
     return bad, twice, len(names)
 
 
