@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::condition::WhereArgs;
-use super::figure::write;
+use super::figure::{can_draw, draw};
 use super::method::{at_least_one, honoured};
 use super::show::{Made, MadeBy};
 use super::{Done, Failure, bad_files, say, share, show};
@@ -29,7 +29,7 @@ use crate::scene::SourceId;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced duration lib\n  \
                         surfaced duration lib --accuracy 0.99\n  \
-                        surfaced duration lib --source ir --surface G7EPDMFoam --svg foam.svg\n  \
+                        surfaced duration lib --source ir --surface G7EPDMFoam --out foam.svg\n  \
                         surfaced duration LMT_108_SurfaceMaterials_Database --source mi2\n  \
                         surfaced duration lib --source ir --rule mean-ci --draws 200\n\nTime: 6 s for LMT108's 200 dragging sounds, on two cores")]
 pub(super) struct Args {
@@ -67,9 +67,10 @@ pub(super) struct Args {
     /// Number of independent samples that a scan must yield
     #[arg(long, default_value_t = 400, value_name = "N", value_parser = at_least_one)]
     samples: usize,
-    /// Draw the dependence against the lag, and the accuracy against the scan time, as SVG
-    #[arg(long, value_name = "FILE")]
-    svg: Option<PathBuf>,
+    /// Draw the dependence against the lag, and the accuracy against the scan time, as SVG or, named
+    /// .pdf, as PDF
+    #[arg(long, alias = "svg", value_name = "FILE")]
+    out: Option<PathBuf>,
     #[command(flatten)]
     look: Look,
     /// Print one JSON document on stdout
@@ -185,6 +186,7 @@ impl Algorithm1Args {
 
 pub(super) fn run(args: &Args) -> Done {
     let question = args.question()?;
+    args.out.as_deref().map_or(Ok(()), can_draw)?;
     let mut library = super::open(&args.lib)?;
     args.only.keep(&args.lib, &mut library)?;
     let (found, by_time, digest) = bad_files::work(&args.lib, library, |library| {
@@ -204,10 +206,10 @@ pub(super) fn run(args: &Args) -> Done {
         Ok(found) => (found.scan_time(goal), found.points()),
         Err(error) => (ScanTime::without_model(goal, error.to_string()), Vec::new()),
     };
-    if let Some(path) = &args.svg {
+    if let Some(path) = &args.out {
         let curve = AccuracyCurve { points, target: answer.target, enough_s: answer.scan_s() };
         let data = (found.library.as_str(), found.synthetic);
-        write(path, &figure(&found.durations, Some(&curve), data, args.look)?)?;
+        draw(path, &figure(&found.durations, Some(&curve), data, args.look)?)?;
         show::wrote(&[path]);
     }
     let refused = match args.accuracy {

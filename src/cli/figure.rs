@@ -1,4 +1,5 @@
-//! Writes figures, and their numbers as JSON beside them, so that figures can be drawn again.
+//! Writes figures as SVG or PDF, and their numbers as JSON beside them, so that figures can be drawn
+//! again.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +12,8 @@ use crate::draw::Look;
 /// The data of a figure, and the file to write.
 #[derive(clap::Args)]
 pub(super) struct FigureArgs {
-    /// SVG file to write; the JSON and any other pictures are written beside it
+    /// Picture to write, as SVG or, named .pdf, as PDF; the JSON and any other pictures are written
+    /// beside it
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     #[command(flatten)]
@@ -26,13 +28,14 @@ pub(super) struct FigureArgs {
 }
 
 impl FigureArgs {
-    /// Refuses a picture named `.json`, since the file of its numbers has that name.
+    /// Refuses a picture named `.json`, since the file of its numbers has that name, and one that
+    /// [`draw`] would refuse after the work.
     pub(super) fn check(&self) -> Done {
         if self.out.extension().is_some_and(|e| e == "json") {
             let problem = "name the picture, such as chart.svg; the JSON is written beside it";
             return Err(Failure::usage_at(&self.out, problem));
         }
-        Ok(())
+        can_draw(&self.out)
     }
 
     /// Writes the picture and, beside it, its numbers as JSON. Returns the paths of both.
@@ -42,8 +45,8 @@ impl FigureArgs {
         numbers: &impl Serialize,
     ) -> Result<Vec<PathBuf>, Failure> {
         let beside = self.out.with_extension("json");
-        write(&self.out, svg)?;
-        write(&beside, &(serde_json::to_string_pretty(numbers)? + "\n"))?;
+        draw(&self.out, svg)?;
+        write(&beside, serde_json::to_string_pretty(numbers)? + "\n")?;
         Ok(vec![self.out.clone(), beside])
     }
 }
@@ -53,6 +56,56 @@ pub(super) fn is_earlier(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == "json") && path.is_file()
 }
 
-pub(super) fn write(path: &Path, text: &str) -> Done {
-    std::fs::write(path, text).map_err(|error| Failure::at(path, error))
+/// Writes a picture: as PDF if it is named so, else as SVG.
+pub(super) fn draw(path: &Path, svg: &str) -> Done {
+    if is_pdf(path) { write(path, pdf(path, svg)?) } else { write(path, svg) }
+}
+
+/// Refuses a PDF where this program cannot write one.
+pub(super) fn can_draw(path: &Path) -> Done {
+    if is_pdf(path) && cfg!(not(feature = "pdf")) {
+        let problem = "this program was built without PDF (`--features pdf`); name it .svg";
+        return Err(Failure::usage_at(path, problem));
+    }
+    Ok(())
+}
+
+fn is_pdf(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("pdf"))
+}
+
+/// The PDF of an SVG, with the glyphs that it uses of a sans-serif font of this machine.
+#[cfg(feature = "pdf")]
+fn pdf(path: &Path, svg: &str) -> Result<Vec<u8>, Failure> {
+    use svg2pdf::usvg;
+
+    /// Fonts that hold the signs of the figures, the likeliest first.
+    const FONTS: [&str; 6] =
+        ["Arial", "Helvetica", "DejaVu Sans", "Liberation Sans", "Noto Sans", "Segoe UI"];
+    let mut options = usvg::Options::default();
+    let fonts = options.fontdb_mut();
+    fonts.load_system_fonts();
+    let is_here = |name: &&str| {
+        fonts.faces().any(|face| face.families.iter().any(|(family, _)| family == name))
+    };
+    let Some(font) = FONTS.into_iter().find(is_here) else {
+        let problem = "a PDF embeds its font, and this machine has none of Arial, Helvetica, DejaVu \
+                       Sans, Liberation Sans, Noto Sans and Segoe UI; install one (Debian: \
+                       fonts-dejavu-core), or name the picture .svg";
+        return Err(Failure::at(path, problem));
+    };
+    fonts.set_sans_serif_family(font);
+    let tree = usvg::Tree::from_str(svg, &options).map_err(|error| Failure::at(path, error))?;
+    let page = svg2pdf::PageOptions::default();
+    svg2pdf::to_pdf(&tree, svg2pdf::ConversionOptions::default(), page)
+        .map_err(|error| Failure::at(path, error))
+}
+
+#[cfg(not(feature = "pdf"))]
+fn pdf(path: &Path, _: &str) -> Result<Vec<u8>, Failure> {
+    can_draw(path).map(|()| Vec::new())
+}
+
+pub(super) fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Done {
+    std::fs::write(path, bytes).map_err(|error| Failure::at(path, error))
 }

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use super::method::MethodOptions;
+use super::show::{Made, MadeBy};
 use super::{Done, Failure, say, show};
 use crate::evaluate::paper::{self, PaperPart, PaperReport, ReportRow, Shard};
 use crate::library::Library;
@@ -34,7 +35,7 @@ pub(super) fn run(
 ) -> Done {
     let options = method.reference_options();
     let Some(shard) = shard else {
-        let part = paper::work(library, &options, Shard::WHOLE, &say::progress)?;
+        let part = worked(library, &options, Shard::WHOLE)?;
         return finish(&part, out, json);
     };
     let out = out.unwrap_or(Path::new("."));
@@ -50,10 +51,19 @@ pub(super) fn run(
         say!("{}: done before", path.display());
         return Ok(());
     }
-    let part = paper::work(library, &options, shard, &say::progress)?;
+    let part = worked(library, &options, shard)?;
     write(&path, &show::json_text(&part))?;
     say!("wrote {}", path.display());
     Ok(())
+}
+
+fn worked(
+    library: &Library,
+    options: &ReferenceOptions,
+    shard: Shard,
+) -> Result<PaperPart, Failure> {
+    let part = paper::work(library, options, shard, &say::progress)?;
+    Ok(PaperPart { library: library.digest(), ..part })
 }
 
 pub(super) fn merge(args: &MergeArgs) -> Done {
@@ -89,20 +99,21 @@ fn write(path: &Path, text: &str) -> Done {
 }
 
 fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {
-    let report = PaperReport::new(part);
+    let made_by = MadeBy::this(part.seed, part.library.clone());
+    let report = Made { of: PaperReport::new(part), made_by };
     if let Some(out) = out {
         let mut files = vec![
             ("report.json", serde_json::to_string_pretty(&report)?),
-            ("bars.svg", paper::bars(&report)?),
+            ("bars.svg", paper::bars(&report.of)?),
         ];
-        if let Some(confusion) = &report.confusion {
+        if let Some(confusion) = &report.of.confusion {
             files.push(("confusion.svg", paper::confusion(confusion)?));
         }
         files.iter().try_for_each(|(name, text)| write(&out.join(name), text))?;
         say!("wrote {} to {}", show::listed(files.iter().map(|(name, _)| name)), out.display());
     }
-    show::result(json, &report, print);
-    report.lacking().map_or(Ok(()), |lacking| Err(Failure::Damaged(lacking)))
+    show::result(json, &report, |made| print(&made.of));
+    report.of.lacking().map_or(Ok(()), |lacking| Err(Failure::Damaged(lacking)))
 }
 
 fn print(report: &PaperReport) {

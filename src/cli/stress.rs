@@ -1,10 +1,11 @@
 //! `surfaced stress`: disturbs queries or the library until each method fails.
 
+use std::ffi::OsStr;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use super::choose::{Choice, choose};
-use super::figure::{FigureArgs, is_earlier, write};
+use super::figure::{FigureArgs, draw, is_earlier, write};
 use super::method::{OneOrAll, at_least_one};
 use super::show::{Made, MadeBy};
 use super::{Done, Failure, bad_files, say, show};
@@ -18,8 +19,8 @@ use crate::scene::SourceSpec;
 /// Disturb queries, and the library, until each method breaks
 ///
 /// Writes a chart of the accuracy, the numbers as JSON, and a Markdown table of where each method
-/// loses 5 points. Beside the chart, NAME-unknown.svg and NAME-calibration.svg show the rejection
-/// of unknown surfaces and the stated probabilities. `reference` runs with --halving. If LIB is the
+/// loses 5 points. Beside the chart, NAME-unknown and NAME-calibration show the rejection of unknown
+/// surfaces and the stated probabilities. `reference` runs with --halving. If LIB is the
 /// JSON of an earlier run, its figures are drawn again.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced stress LMT_108_SurfaceMaterials_Database --sources \
@@ -143,16 +144,17 @@ fn keep(args: &Args, made: &Made<StressReport>) -> Result<Vec<PathBuf>, Failure>
     let mut written =
         args.figure.keep(&figure(report, Measure::Accuracy, args.figure.look)?, made)?;
     let table = out.with_extension("md");
-    write(&table, &report.markdown())?;
+    write(&table, report.markdown())?;
     written.push(table);
-    let stem = out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let part = |of: Option<&OsStr>| of.unwrap_or_default().to_string_lossy().into_owned();
+    let (stem, extension) = (part(out.file_stem()), part(out.extension()));
     for (name, measure) in
         [("unknown", Measure::UnknownRejected), ("calibration", Measure::CalibrationError)]
     {
         // If no method gives probabilities, there is no figure.
         if let Ok(svg) = figure(report, measure, args.figure.look) {
-            let path = out.with_file_name(format!("{stem}-{name}.svg"));
-            write(&path, &svg)?;
+            let path = out.with_file_name(format!("{stem}-{name}.{extension}"));
+            draw(&path, &svg)?;
             written.push(path);
         }
     }

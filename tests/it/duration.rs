@@ -1,5 +1,6 @@
 //! `surfaced duration` and `surfaced dependence` from outside, and κ by gamma on many data sets.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::common::simulate;
@@ -197,6 +198,29 @@ fn the_published_rule_gives_t_star_and_the_longest_scan_and_draws_the_curve() {
     assert!(metal["reason"].as_str().unwrap().contains("constant"));
     let drawn = std::fs::read_to_string(svg).unwrap();
     assert!(drawn.contains("T* =") && drawn.contains("wire &amp; mesh · ir (Q = 10)"), "{drawn}");
+}
+
+#[test]
+fn a_figure_named_pdf_is_a_pdf_with_its_font_or_refused_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    library(folder.path());
+    let pdf = folder.path().join("curve.pdf");
+    let args = ["duration", folder.path().to_str().unwrap(), "--width", "85mm", "--out"];
+    let (code, _, stderr) = surfaced(&[&args[..], &[pdf.to_str().unwrap()]].concat());
+    if cfg!(not(feature = "pdf")) {
+        assert!(code == 2 && stderr.contains("--features pdf") && !pdf.exists(), "{stderr}");
+        return;
+    }
+    if stderr.contains("this machine has none of Arial") {
+        let _ = writeln!(std::io::stderr(), "SKIPPED: a PDF, since this machine has no font for it");
+        return;
+    }
+    assert_eq!(code, 0, "{stderr}");
+    let bytes = std::fs::read(&pdf).unwrap();
+    let holds = |part: &str| bytes.windows(part.len()).any(|window| window == part.as_bytes());
+    assert!(holds("%PDF-") && holds("/FontFile") && holds("/ToUnicode"), "no font is embedded");
+    // 85 mm in points of 1/72 inch.
+    assert!(holds("240.94") || holds("241"), "another width than was asked for");
 }
 
 #[test]

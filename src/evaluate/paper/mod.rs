@@ -92,10 +92,12 @@ impl<'a> PaperRun<'a> {
         );
         let trial = |key: &TrialKey| (key.surface.clone(), key.user.clone(), key.number);
         PaperPart {
-            format: 1,
+            format: 2,
             data: self.library.name.clone(),
             synthetic: self.library.synthetic,
             settings,
+            seed: *seed,
+            library: String::new(),
             shard: self.shard,
             rows: self.plans.iter().map(|plan| self.answers(plan, scores)).collect(),
             trials: self.keys.iter().map(trial).collect(),

@@ -70,12 +70,15 @@ pub(crate) struct RowPart {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct PaperPart {
-    /// Version of this format, 1.
+    /// Version of this format, 2.
     pub format: u32,
     pub data: String,
     pub synthetic: bool,
     /// The settings of the method as text; they are the same in all shards of a run.
     pub settings: String,
+    pub seed: u64,
+    /// The digest of the trials; see [`crate::library::Library::digest`].
+    pub library: String,
     pub shard: Shard,
     /// Surface, user and number of every trial.
     pub trials: Vec<(String, String, u32)>,
@@ -117,7 +120,7 @@ pub(crate) fn merge(mut parts: Vec<PaperPart>) -> Result<PaperPart, String> {
     let mut numbers = BTreeSet::from([first.number]);
     for part in parts {
         let shard = part.shard;
-        if !part.is_of_run(&whole) {
+        if !part.is_of_run(&whole) || part.library != whole.library {
             return Err(format!(
                 "shard {shard} is of another run than shard {first}: other data or settings"
             ));
