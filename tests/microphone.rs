@@ -97,7 +97,7 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
                 DeviceReportKind::State { state: DeviceState::Stalled, .. }
                     if playing.is_none() => {}
                 DeviceReportKind::State { state, detail } => panic!("{state}: {detail}"),
-                DeviceReportKind::Warning(text) => warnings.push(text),
+                DeviceReportKind::Warning(warning) => warnings.push(warning.text),
                 other => panic!("{other:?}"),
             }
         }

@@ -16,7 +16,7 @@ use surfaced::device::DeviceState;
 use surfaced::history::History;
 use surfaced::outputs::{Output, OutputView};
 use surfaced::recognise::RankedSurface;
-use surfaced::station::config::{OutputsConfig, TlsFiles};
+use surfaced::station::config::{AlertCause, AlertConfig, OutputsConfig, TlsFiles};
 use surfaced::station::{Answer, AnswerState, Change, FoundSurface, Listener, StationEvent};
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
@@ -51,7 +51,27 @@ fn config(http: Option<String>, mqtt: Option<String>) -> OutputsConfig {
         station: "press-3".into(),
         http: http.map(|address| address.parse().unwrap()),
         mqtt: mqtt.map(|address| address.parse().unwrap()),
+        alerts: Vec::new(),
     }
+}
+
+/// A rule: two unknown scans of the last three.
+fn two_unknown() -> AlertConfig {
+    AlertConfig {
+        name: "reject".into(),
+        on: AlertCause::State(AnswerState::Unknown),
+        scans: 2,
+        of: 3,
+        cooldown: Duration::ZERO,
+        http: None,
+        coil: None,
+        hold: Duration::from_millis(50),
+    }
+}
+
+fn unknown(scan: u32) -> StationEvent {
+    let known = answer(scan, None);
+    StationEvent::Answer(Arc::new(Answer { state: AnswerState::Unknown, ..known }))
 }
 
 /// The only output of a configuration.
@@ -115,6 +135,78 @@ fn a_redirect_is_no_place_to_try_again_and_a_failure_is_seen_until_answers_arriv
     // The first is not tried again.
     assert_eq!(bodies(&listener, &[200])[0]["scan"], 2);
     until(&output, |view| view.problem.is_none() && view.waiting == 0 && view.failures == 1);
+}
+
+#[test]
+fn an_alert_is_posted_alone_and_waits_for_its_server() {
+    let folder = tempfile::tempdir().unwrap();
+    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let http = Some(format!("http://{address}/bell").parse().unwrap());
+    let rule = AlertConfig { http, ..two_unknown() };
+    let config = OutputsConfig { alerts: vec![rule], ..config(None, None) };
+    let mut output = start(&config, folder.path());
+    output.on_event(&unknown(1));
+    send(&mut output, 2);
+    output.on_event(&unknown(3));
+    until(&output, |view| view.waiting == 1 && view.problem.is_some());
+    let listener = TcpListener::bind(address).unwrap();
+    let alert = &bodies(&listener, &[200])[0];
+    let found = [&alert["station"], &alert["alert"], &alert["state"]];
+    assert_eq!(found, [&Value::from("press-3"), &"reject".into(), &"unknown".into()]);
+    let counts = [&alert["scans"], &alert["of"], &alert["sequence"]].map(Value::as_u64);
+    assert_eq!(counts, [Some(2), Some(3), Some(1)]);
+    assert!(alert["id"].is_string() && alert["ranked"].is_null(), "{alert}");
+}
+
+/// A controller with coils. It refuses the first request, follows the others, and gives unit, coil and
+/// whether it was switched on.
+fn controller() -> (u16, Receiver<(u8, u16, bool)>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let (send, switched) = channel();
+    std::thread::spawn(move || {
+        for (number, stream) in listener.incoming().enumerate() {
+            let mut stream = stream.unwrap();
+            // Transaction, protocol, length, unit; function, coil, value: Modbus over TCP, function 5.
+            let mut request = [0; 12];
+            stream.read_exact(&mut request).unwrap();
+            assert_eq!((&request[2..6], request[7]), (&[0, 0, 0, 6][..], 5));
+            if number == 0 {
+                // Function with its high bit, and a failure of the device.
+                let refusal = [&request[..4], &[0, 3, request[6], 0x85, 4]].concat();
+                stream.write_all(&refusal).unwrap();
+                continue;
+            }
+            stream.write_all(&request).unwrap();
+            let coil = u16::from_be_bytes([request[8], request[9]]);
+            let _ = send.send((request[6], coil, request[10..] == [0xff, 0]));
+        }
+    });
+    (port, switched)
+}
+
+#[test]
+fn an_alert_switches_a_coil_on_for_a_while_and_the_end_of_the_station_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let (port, switched) = controller();
+    let coil = Some(format!("modbus://127.0.0.1:{port}/9/300").parse().unwrap());
+    let rule = AlertConfig { coil, ..two_unknown() };
+    let start_with = |rule: &AlertConfig| {
+        let config = OutputsConfig { alerts: vec![rule.clone()], ..config(None, None) };
+        start(&config, folder.path())
+    };
+    let mut output = start_with(&rule);
+    (1..=2).for_each(|scan| output.on_event(&unknown(scan)));
+    let next = || switched.recv_timeout(SOON).unwrap();
+    assert_eq!([next(), next()], [(9, 300, true), (9, 300, false)]);
+    let view = until(&output, |view| view.problem.is_none());
+    assert_eq!(view.failures, 1, "the controller refused once");
+    // An hour is longer than the station lives.
+    let mut output = start_with(&AlertConfig { hold: Duration::from_secs(3600), ..rule });
+    (1..=2).for_each(|scan| output.on_event(&unknown(scan)));
+    assert_eq!(next(), (9, 300, true));
+    drop(output);
+    assert_eq!(next(), (9, 300, false));
 }
 
 #[test]
@@ -349,6 +441,14 @@ fn the_state_tells_of_devices_and_of_a_station_that_ends_or_is_gone() {
     drop(output);
     let ended = subscriber.next(STATE, |said| said["state"] == "offline");
     assert_eq!(ended["devices_down"], 1, "all that was known");
+    let address = Some(format!("mqtt://127.0.0.1:{port}"));
+    let config = OutputsConfig { alerts: vec![two_unknown()], ..config(None, address) };
+    let mut output = start(&config, folder.path());
+    subscriber.next(STATE, |said| said["state"] == "online");
+    (1..=2).for_each(|scan| output.on_event(&unknown(scan)));
+    assert_eq!(subscriber.next("surfaced/press-3/alert", |_| true)["alert"], "reject");
+    drop(output);
+    subscriber.next(STATE, |said| said["state"] == "offline");
     // One that is killed: the broker says so.
     let data = folder.path().join("station.toml");
     let outputs = format!(

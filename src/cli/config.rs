@@ -120,8 +120,17 @@ fn other(config: &StationConfig) -> Vec<(&'static str, String)> {
 }
 
 fn of_outputs(config: &OutputsConfig) -> String {
-    let OutputsConfig { station, http, mqtt } = config;
-    let http = http.iter().map(ToString::to_string);
-    let all = listed(http.chain(mqtt.iter().map(ToString::to_string)));
+    let OutputsConfig { station, http, mqtt, alerts } = config;
+    let of_alerts = alerts.iter().map(|alert| {
+        let (http, coil) = (alert.http.iter(), alert.coil.iter());
+        let to: Vec<_> =
+            http.map(ToString::to_string).chain(coil.map(ToString::to_string)).collect();
+        match to.is_empty() {
+            true => format!("alert {}", alert.name),
+            false => format!("alert {} to {}", alert.name, joined(to, " and ")),
+        }
+    });
+    let all = http.iter().map(ToString::to_string).chain(mqtt.iter().map(ToString::to_string));
+    let all = listed(all.chain(of_alerts));
     if all.is_empty() { "none".into() } else { format!("{all}, as {station}") }
 }

@@ -90,7 +90,7 @@ impl Listener for JsonLines {
             StationEvent::Change(change) => self.print(Some(&**change)),
             StationEvent::Enrolled(enrolled) => self.print(Some(enrolled)),
             StationEvent::Finished(_) if !self.warnings.is_empty() => self.print(None::<&()>),
-            StationEvent::Warning(text) => self.warn(text.clone()),
+            StationEvent::Warning(warning) => self.warn(warning.text.clone()),
             StationEvent::Unnamed(answer) => self.warn(answer.not_named()),
             _ => {}
         }

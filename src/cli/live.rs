@@ -21,6 +21,7 @@ use super::{Done, Failure, bad_files};
 use crate::dataset;
 use crate::device::lines::{LinesAddress, SURVEY_S, survey_of};
 use crate::device::serial::Selector;
+use crate::device::{Warning, WarningKind};
 use crate::history::{self, History, Keeper};
 use crate::outputs::Output;
 use crate::recognise::{LOOK_S, ReadyModel, ready_model};
@@ -318,7 +319,7 @@ pub(super) fn work(
     let _signals = watch_service(commands.clone())?;
     let mut station = station.listener(terminal);
     for what in assembled.left_out {
-        station.emit(&StationEvent::Warning(what));
+        station.emit(&StationEvent::Warning(Warning::new(WarningKind::LeftOut, what)));
     }
     Ok(station.run()?)
 }

@@ -26,7 +26,7 @@ impl Listener for Tally {
     fn on_event(&mut self, event: &StationEvent) {
         match event {
             StationEvent::Answer(answer) => self.answer(answer),
-            StationEvent::Warning(text) => self.damage(text),
+            StationEvent::Warning(warning) => self.damage(&warning.text),
             StationEvent::Unnamed(answer) => {
                 self.too_little += usize::from(answer.doubts.contains(&Doubt::TooLittle));
                 self.damage(&answer.not_named());

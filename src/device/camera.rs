@@ -20,7 +20,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use self::compared_region::compared;
 use super::{
     Device, DeviceError, DeviceLink, DeviceState, Disconnected, LONGEST_RETRY, OpenError,
-    StreamSpec, keep_connected,
+    StreamSpec, WarningKind, keep_connected,
 };
 use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
@@ -226,7 +226,8 @@ impl CameraWatch<'_> {
         self.damaged += 1;
         if self.summed_up.is_none_or(|at| at.elapsed() >= SUM_UP) {
             let count = self.damaged;
-            self.link.warn(format!("{count} frames were damaged; the last: {error}"));
+            let text = format!("{count} frames were damaged; the last: {error}");
+            self.link.warn(WarningKind::Damaged, text);
             (self.damaged, self.summed_up) = (0, Some(Instant::now()));
         }
     }
@@ -250,7 +251,7 @@ impl CameraWatch<'_> {
     fn no_light(&mut self, why: &str) {
         self.cycle.cancel();
         self.camera.viewfinder.light(FlashState::Failed);
-        self.link.warn(format!("the flash cannot be switched: {why}"));
+        self.link.warn(WarningKind::Light, format!("the flash cannot be switched: {why}"));
     }
 }
 

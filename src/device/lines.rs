@@ -23,7 +23,7 @@ use serialport::ClearBuffer;
 use super::serial::{BUFFER, OVERFLOWED, REPORT_EVERY, STALLED, Selector, lost, read_some};
 use super::{
     Device, DeviceError, DeviceLink, DeviceState, Disconnected, OpenError, RETRY, StreamSpec,
-    keep_connected,
+    WarningKind, keep_connected,
 };
 use crate::ring::Sink;
 use crate::system;
@@ -361,10 +361,11 @@ impl Work<'_> {
         self.measure_from(now);
         if off && !self.off_pace {
             let seen_hz = intake::rounded(seen_hz, 3);
-            self.link.warn(format!(
+            let text = format!(
                 "its rate is {seen_hz} Hz, but {rate_hz} Hz are expected, so scans are recorded at a \
                  wrong rate; say rate_hz = {seen_hz} in its [[lines]] of the configuration"
-            ));
+            );
+            self.link.warn(WarningKind::OffPace, text);
         }
         self.off_pace = off;
     }
@@ -372,9 +373,10 @@ impl Work<'_> {
     fn report(&mut self) {
         if let Some(intake) = &mut self.intake {
             intake.errors.report(self.link);
-            intake.examples.take().into_iter().for_each(|example| self.link.warn(example));
+            let warn = |example| self.link.warn(WarningKind::Damaged, example);
+            intake.examples.take().into_iter().for_each(warn);
             if let Some(swapped) = intake.swapped() {
-                self.link.warn(swapped);
+                self.link.warn(WarningKind::Swapped, swapped);
             }
         }
     }

@@ -25,7 +25,7 @@ use lost_sound::Listening;
 
 use super::{
     Device, DeviceError, DeviceLink, DeviceState, Disconnected, LONGEST_RETRY, OpenError,
-    StreamSpec, keep_connected,
+    StreamSpec, WarningKind, keep_connected,
 };
 use crate::ring::{SeriesSink, SeriesTap, Sink, Waker, series};
 use crate::scene::SourceId;
@@ -104,7 +104,8 @@ impl Device for Microphone {
             drop(open);
             let count = broken.load(Ordering::Relaxed);
             if count > 0 {
-                link.warn(format!("{count} samples were not numbers and became silence"));
+                let text = format!("{count} samples were not numbers and became silence");
+                link.warn(WarningKind::Damaged, text);
             }
             end
         })
@@ -137,7 +138,7 @@ fn follow(
             link.state(DeviceState::Streaming, "");
         }
         if let Some(level) = carried.level {
-            link.warn(said_of(level));
+            link.warn(WarningKind::Level, said_of(level));
         }
         if let Some(why) = gone {
             return Err(Disconnected::Lost(why));

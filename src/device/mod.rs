@@ -15,8 +15,10 @@ pub mod microphone;
 mod replay;
 #[doc(hidden)]
 pub mod serial;
+mod warning;
 
 pub use replay::{Replay, Speed};
+pub use warning::{Warning, WarningKind};
 
 use std::cell::RefCell;
 use std::fmt;
@@ -112,7 +114,7 @@ pub enum DeviceReportKind {
     Mark(Mark),
     /// The rate in Hz measured for all streams of the device; sent before the first frame.
     Rate(f64),
-    Warning(String),
+    Warning(Warning),
     /// The result of the device's thread, which has ended; sent by the session.
     Ended(Result<(), DeviceError>),
 }
@@ -166,8 +168,8 @@ impl DeviceLink {
 
     /// Reports a problem that does not stop the device. Frequent problems must be summed up, since
     /// they may occur a thousand times a second.
-    pub fn warn(&self, text: impl Into<String>) {
-        self.send(DeviceReportKind::Warning(text.into()));
+    pub fn warn(&self, kind: WarningKind, text: impl Into<String>) {
+        self.send(DeviceReportKind::Warning(Warning::new(kind, text)));
     }
 
     pub fn rate(&self, rate_hz: f64) {
@@ -310,7 +312,7 @@ fn keep_connected(
                 link.state(state, error.to_string());
                 // Warns of a new reason, such as busy instead of absent, even if the state is the same.
                 if reported.as_ref().is_some_and(|before| *before != error) {
-                    link.warn(error.to_string());
+                    link.warn(WarningKind::Unopened, error.to_string());
                 }
                 reported = Some(error);
                 link.sleep_until(Instant::now() + wait);

@@ -11,7 +11,10 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 
-use super::{Begin, CutFrom, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamSpec};
+use super::{
+    Begin, CutFrom, Device, DeviceError, DeviceLink, DeviceState, Mark, Open, StreamSpec,
+    WarningKind,
+};
 use crate::library::Entry;
 use crate::ring::{RingSink, Sink, Stop, Stopped};
 use crate::scene::{Domain, Phase, Scene, SourceSpec};
@@ -112,7 +115,8 @@ impl Device for Replay {
             let trial = match next(&loaded, link)? {
                 Ok(trial) => trial,
                 Err(problem) => {
-                    link.warn(format!("{} is left out: {problem}", entry.key));
+                    let text = format!("{} is left out: {problem}", entry.key);
+                    link.warn(WarningKind::LeftOut, text);
                     continue;
                 }
             };
@@ -318,10 +322,11 @@ impl Player<'_> {
             Signal::Image(_) => "a picture".into(),
             Signal::Series(series) => format!("a series of {} channels", series.channels()),
         };
-        self.link.warn(format!(
+        let text = format!(
             "{}: source {} is left out: it holds {found}, but the scene says {:?} with {} channels",
             trial.key, spec.id, spec.domain, spec.channels
-        ));
+        );
+        self.link.warn(WarningKind::LeftOut, text);
     }
 
     fn open(&self, index: usize, start: u64, rate_hz: f64, channels: usize) {

@@ -20,7 +20,8 @@ use serialport::SerialPort;
 use surfaced_wire::{Command, DecodeError, MAX_ENCODED, Message, Status, encode};
 
 use super::{
-    Device, DeviceError, DeviceLink, DeviceState, Disconnected, RETRY, StreamSpec, keep_connected,
+    Device, DeviceError, DeviceLink, DeviceState, Disconnected, RETRY, StreamSpec, WarningKind,
+    keep_connected,
 };
 use crate::ring::Sink;
 
@@ -188,7 +189,7 @@ impl ErrorCounts {
         let counts = std::mem::take(&mut self.0).into_iter().filter(|(_, count)| *count > 0);
         let parts: Vec<String> = counts.map(|(text, count)| format!("{count} {text}")).collect();
         if !parts.is_empty() {
-            link.warn(parts.join(", "));
+            link.warn(WarningKind::Damaged, parts.join(", "));
         }
     }
 }
@@ -278,7 +279,8 @@ impl Connection<'_> {
             IntakeEvent::Status(new) => {
                 light.reported.store(new.light, Ordering::Release);
                 if new.crystal_failed && !status.is_some_and(|old| old.crystal_failed) {
-                    link.warn("its crystal has failed: its rate is accurate to 1 % only");
+                    let text = "its crystal has failed: its rate is accurate to 1 % only";
+                    link.warn(WarningKind::Crystal, text);
                 }
                 errors.stylus(status.as_ref(), &new);
                 *status = Some(new);
@@ -370,10 +372,12 @@ impl LinkErrors {
 
     /// Reports the errors so far as a summary, and resets the counts.
     fn report(&mut self, link: &DeviceLink) {
-        match self.hello.take() {
-            Some((last, count @ 2..)) => link.warn(format!("{last} (and {} more)", count - 1)),
-            Some((last, _)) => link.warn(last),
-            None => {}
+        if let Some((last, count)) = self.hello.take() {
+            let text = match count {
+                2.. => format!("{last} (and {} more)", count - 1),
+                _ => last,
+            };
+            link.warn(WarningKind::Damaged, text);
         }
         self.counts.report(link);
     }
@@ -399,7 +403,7 @@ mod tests {
         let texts: Vec<String> = reports
             .try_iter()
             .map(|report| match report.kind {
-                DeviceReportKind::Warning(text) => text,
+                DeviceReportKind::Warning(warning) => warning.text,
                 other => panic!("{other:?}"),
             })
             .collect();

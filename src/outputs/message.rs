@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::device::DeviceState;
 use crate::printable::json_text;
 use crate::recognise::{RankedSurface, stated_probabilities};
-use crate::station::{Answer, Change, StationEvent, SurfaceProbability};
+use crate::station::{Answer, StationEvent, SurfaceProbability};
 
 /// The largest answer, in bytes (about 1000 surfaces), since many brokers refuse larger messages.
 pub(super) const LARGEST: usize = 128 << 10;
@@ -43,15 +43,17 @@ pub(super) fn answer(station: &str, sequence: u64, answer: &Answer) -> String {
     }
 }
 
-/// A change of the surface as JSON.
-pub(super) fn change(station: &str, change: &Change) -> String {
+/// A change of the surface, or an alert, as JSON; `sequence` counts the messages of an outbox.
+pub(super) fn event<T: Serialize>(station: &str, sequence: Option<u64>, event: &T) -> String {
     #[derive(Serialize)]
-    struct Message<'a> {
+    struct Message<'a, T> {
         station: &'a str,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        sequence: Option<u64>,
         #[serde(flatten)]
-        change: &'a Change,
+        event: &'a T,
     }
-    json_text(&Message { station, change })
+    json_text(&Message { station, sequence, event })
 }
 
 fn of_surfaces(station: &str, sequence: u64, answer: &Answer, most: usize) -> String {

@@ -7,6 +7,7 @@
 
 #![warn(missing_docs)]
 
+mod alert;
 pub(crate) mod http;
 mod message;
 pub(crate) mod mqtt;
@@ -24,13 +25,14 @@ use serde::Serialize;
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 
+use self::alert::{Alert, Watch};
 use self::http::Receiver;
 use self::message::StationCard;
 use self::mqtt::Line;
 use self::outbox::Outbox;
 use crate::history::{History, HistoryError};
 use crate::scan::Scan;
-use crate::station::config::OutputsConfig;
+use crate::station::config::{AlertConfig, OutputsConfig};
 use crate::station::{Answer, Change, End, Listener, StationEvent};
 use crate::trial::Doubt;
 
@@ -66,11 +68,9 @@ struct OutputState {
 }
 
 impl OutputHealth {
-    fn new(output: String, outbox: &Outbox) -> Self {
+    fn new(output: String) -> Self {
         let view = OutputView { output, waiting: 0, failures: 0, dropped: 0, problem: None };
-        let health = Self(Arc::new(Mutex::new(OutputState { view, not_taken: 0 })));
-        health.holds(outbox);
-        health
+        Self(Arc::new(Mutex::new(OutputState { view, not_taken: 0 })))
     }
 
     /// A copy of the present state.
@@ -110,17 +110,34 @@ impl OutputHealth {
 #[derive(Debug)]
 enum Said {
     Answer(Arc<Answer>),
-    /// By HTTP, changes are not sent: the answers to their stretches are.
+    /// For the broker alone: by HTTP the answers to the stretches are sent.
     Change(Arc<Change>),
+    Alert(Arc<Alert>),
 }
 
 /// Sends the answers of a station to one address.
 #[derive(Debug)]
 pub struct Output {
-    answers: Option<mpsc::Sender<Said>>,
+    said: Option<mpsc::Sender<Said>>,
     health: OutputHealth,
-    card: Card,
+    wants: Wants,
     end: End,
+}
+
+/// What an output is told of.
+#[derive(Debug)]
+struct Wants {
+    /// The state of the station, which the broker is told of.
+    card: Option<Card>,
+    /// All answers, and not only alerts.
+    answers: bool,
+    alerts: Vec<Watch>,
+}
+
+impl Wants {
+    fn alert(rule: &AlertConfig) -> Self {
+        Self { card: None, answers: false, alerts: vec![Watch::new(rule)] }
+    }
 }
 
 type Card = Arc<Mutex<StationCard>>;
@@ -142,14 +159,18 @@ impl Pending {
     /// Opens the outbox for an output (its name and address) in a station's folder.
     fn open(folder: &Path, output: (&str, String), station: &str) -> Result<Self, HistoryError> {
         let outbox = Outbox::open(folder, output.0)?;
-        let health = OutputHealth::new(output.1, &outbox);
+        let health = OutputHealth::new(output.1);
+        health.holds(&outbox);
         Ok(Self { station: station.into(), outbox, health })
     }
 
-    /// Puts an answer into the outbox.
+    /// Puts an answer or an alert into the outbox.
     fn add(&mut self, said: &Said) {
-        let Said::Answer(answer) = said else { return };
-        let text = |sequence| message::answer(&self.station, sequence, answer);
+        let text = |sequence| match said {
+            Said::Answer(answer) => message::answer(&self.station, sequence, answer),
+            Said::Alert(alert) => message::event(&self.station, Some(sequence), &**alert),
+            Said::Change(change) => message::event(&self.station, Some(sequence), &**change),
+        };
         if let Err(error) = self.outbox.push(text) {
             self.health
                 .failed(&format!("{error}; answers wait in memory, and end with the program"));
@@ -184,21 +205,39 @@ impl Output {
         folder: &Path,
         shown: (&Arc<History>, &Arc<OnceLock<String>>),
     ) -> Result<Vec<Self>, HistoryError> {
-        let OutputsConfig { station, http, mqtt } = config;
+        let OutputsConfig { station, http, mqtt, alerts } = config;
         let folder = folder.join(station);
         let mut outputs = Vec::new();
         if let Some(address) = http {
             let pending = Pending::open(&folder, ("http", address.to_string()), station)?;
             let (health, receiver) = (pending.health.clone(), Receiver::of(address)?);
             let post = |answers| http::post_all(pending, receiver, answers);
-            outputs.push(Self::new(health, Card::default(), post)?);
+            let wants = Wants { card: None, answers: true, alerts: Vec::new() };
+            outputs.push(Self::new(health, wants, post)?);
         }
         if let Some(address) = mqtt {
             let output = ("mqtt", format!("{address}/{station}"));
             let pending = Pending::open(&folder, output, station)?;
             let (health, card) = (pending.health.clone(), Card::default());
             let publisher = mqtt::Publisher::new(pending, address, card.clone(), shown)?;
-            outputs.push(Self::new(health, card, |answers| publisher.run(answers))?);
+            let alerts = alerts.iter().map(Watch::new).collect();
+            let wants = Wants { card: Some(card), answers: true, alerts };
+            outputs.push(Self::new(health, wants, |answers| publisher.run(answers))?);
+        }
+        for rule in alerts {
+            if let Some(address) = &rule.http {
+                let name = format!("alert-{}", rule.name);
+                let pending = Pending::open(&folder, (&name, address.to_string()), station)?;
+                let (health, receiver) = (pending.health.clone(), Receiver::of(address)?);
+                let post = |alerts| http::post_all(pending, receiver, alerts);
+                outputs.push(Self::new(health, Wants::alert(rule), post)?);
+            }
+            if let Some(coil) = rule.coil.clone() {
+                let (health, hold) = (OutputHealth::new(coil.to_string()), rule.hold);
+                let own = health.clone();
+                let switch = move |alerts| alert::switch_all(own, coil, hold, alerts);
+                outputs.push(Self::new(health, Wants::alert(rule), switch)?);
+            }
         }
         Ok(outputs)
     }
@@ -206,10 +245,10 @@ impl Output {
     /// Creates an output that runs `work` on its own thread.
     fn new<F: Future<Output = ()>>(
         health: OutputHealth,
-        card: Card,
+        wants: Wants,
         work: impl FnOnce(mpsc::Receiver<Said>) -> F + Send + 'static,
     ) -> Result<Self, HistoryError> {
-        let (answers, to_send) = mpsc::channel(QUEUE);
+        let (said, to_send) = mpsc::channel(QUEUE);
         let (working, ended) = crossbeam_channel::bounded::<Infallible>(0);
         let system = |error| HistoryError::Io { path: health.view().output.into(), error };
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
@@ -219,7 +258,7 @@ impl Output {
             runtime.block_on(work(to_send));
         };
         std::thread::Builder::new().name("output".into()).spawn(run).map_err(system)?;
-        Ok(Self { answers: Some(answers), health, card, end: End::of(ended) })
+        Ok(Self { said: Some(said), health, wants, end: End::of(ended) })
     }
 
     /// A handle by which the state of the output can be read at any time.
@@ -231,31 +270,36 @@ impl Output {
 impl Listener for Output {
     fn on_event(&mut self, event: &StationEvent) {
         if self.end.is_here(event) {
-            self.answers.take();
+            self.said.take();
         }
-        lock(&self.card).take(event);
-        let Some(answers) = &self.answers else { return };
-        let answer = match event {
-            StationEvent::Answer(answer) => answer,
-            // A change that finds no room is dropped; the answer to its stretch is not.
-            StationEvent::Change(change) => {
-                return drop(answers.try_send(Said::Change(change.clone())));
+        let Wants { card, answers, alerts } = &mut self.wants;
+        if let Some(card) = card {
+            lock(card).take(event);
+            if let (StationEvent::Change(change), Some(said)) = (event, &self.said) {
+                // A change that finds no room is dropped; the answer to its stretch is not.
+                let _ = said.try_send(Said::Change(change.clone()));
             }
-            _ => return,
-        };
-        if answers.try_send(Said::Answer(answer.clone())).is_err() {
-            self.health.not_taken();
-            self.health.failed(&format!(
-                "the disk is too slow: {QUEUE} answers are to be written, so answer {} is dropped",
-                answer.id
-            ));
+        }
+        let (StationEvent::Answer(answer) | StationEvent::Unnamed(answer)) = event else { return };
+        let compared = matches!(event, StationEvent::Answer(_));
+        let news = (*answers && compared).then(|| Said::Answer(answer.clone()));
+        let alerts = alerts.iter_mut().filter_map(|watch| watch.hears(answer)).map(Said::Alert);
+        let Some(said) = &self.said else { return };
+        for one in news.into_iter().chain(alerts) {
+            if said.try_send(one).is_err() {
+                self.health.not_taken();
+                self.health.failed(&format!(
+                    "the disk is too slow: {QUEUE} answers are to be written, so answer {} is dropped",
+                    answer.id
+                ));
+            }
         }
     }
 }
 
 impl Drop for Output {
     fn drop(&mut self) {
-        self.answers.take();
+        self.said.take();
         self.end.wait(PATIENCE);
     }
 }
@@ -287,7 +331,9 @@ impl BackOff {
 pub(crate) fn check(config: &OutputsConfig) -> Result<(), HistoryError> {
     config.http.iter().try_for_each(|address| Receiver::of(address).map(drop))?;
     let read = |address| mqtt::options(address, "surfaced".into()).map(drop);
-    config.mqtt.iter().try_for_each(read)
+    config.mqtt.iter().try_for_each(read)?;
+    let mut posted = config.alerts.iter().filter_map(|alert| alert.http.as_ref());
+    posted.try_for_each(|address| Receiver::of(address).map(drop))
 }
 
 const TEST_PATIENCE: Duration = Duration::from_secs(10);
@@ -317,6 +363,17 @@ pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryErr
         let done = runtime.block_on(tried(publish(options, &topic, text)));
         tests.push(OutputTest::of(format!("{address}/{}/test", config.station), done));
     }
+    for alert in &config.alerts {
+        if let Some(address) = &alert.http {
+            let done = runtime.block_on(tried(post(&Receiver::of(address)?, text.clone())));
+            tests.push(OutputTest::of(address.to_string(), done));
+        }
+        if let Some(coil) = &alert.coil {
+            let done = runtime.block_on(tried(alert::read(coil)));
+            let said = |on| format!("the coil is {}", if on { "on" } else { "off" });
+            tests.push(OutputTest::of(coil.to_string(), done.map(said)));
+        }
+    }
     Ok(tests)
 }
 
@@ -326,7 +383,7 @@ impl OutputTest {
     }
 }
 
-async fn tried(work: impl Future<Output = Result<String, String>>) -> Result<String, String> {
+async fn tried<T>(work: impl Future<Output = Result<T, String>>) -> Result<T, String> {
     timeout(TEST_PATIENCE, work).await.unwrap_or_else(|_| Err("no answer in time".into()))
 }
 
@@ -356,7 +413,7 @@ mod tests {
     fn answers_that_the_outbox_never_got_stay_counted() {
         let dir = tempfile::tempdir().unwrap();
         let outbox = Outbox::open(dir.path(), "http").unwrap();
-        let health = OutputHealth::new("http://here".into(), &outbox);
+        let health = OutputHealth::new("http://here".into());
         health.not_taken();
         health.not_taken();
         health.holds(&outbox);

@@ -16,7 +16,7 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout_at};
 
-use super::message::{LARGEST, change, discovery};
+use super::message::{self, LARGEST, discovery};
 use super::{BackOff, Card, PATIENCE, Pending, Said, lock, tls};
 use crate::history::{History, HistoryError};
 use crate::station::config::{MqttAddress, Password};
@@ -31,6 +31,7 @@ pub(super) struct Publisher {
     options: MqttOptions,
     answer_topic: String,
     change_topic: String,
+    alert_topic: String,
     state_topic: String,
     card: Card,
     history: Arc<History>,
@@ -76,7 +77,7 @@ impl Publisher {
             format!("surfaced-{:08x}", SysRng.try_next_u32().unwrap_or_else(|_| process::id()));
         let topic = |what: &str| format!("{}/{}/{what}", address.prefix, pending.station);
         let (answer_topic, change_topic) = (topic("answer"), topic("change"));
-        let state_topic = topic("state");
+        let (alert_topic, state_topic) = (topic("alert"), topic("state"));
         let mut options = options(address, client)?;
         // The broker publishes this message if the station disappears without notice.
         let will = json!({ "station": pending.station, "state": "offline" }).to_string();
@@ -86,6 +87,7 @@ impl Publisher {
             options,
             answer_topic,
             change_topic,
+            alert_topic,
             state_topic,
             card,
             history: history.clone(),
@@ -100,8 +102,11 @@ impl Publisher {
             let until = Instant::now() + self.back_off.next();
             while let Ok(answer) = timeout_at(until, answers.recv()).await {
                 // Other answers wait on disk for the next connection.
-                let Some(answer) = answer else { return };
-                self.pending.add(&answer);
+                match answer {
+                    Some(answer @ Said::Answer(_)) => self.pending.add(&answer),
+                    Some(_) => {}
+                    None => return,
+                }
             }
         }
     }
@@ -126,12 +131,17 @@ impl Publisher {
                     None => return Some("the connection ended".into()),
                 },
                 said = answers.recv() => match said {
-                    // A change is of no use later, so it does not wait for a connection.
-                    Some(Said::Change(found)) if on.is_connected => {
-                        let text = change(&self.pending.station, &found);
+                    Some(said @ Said::Answer(_)) => self.pending.add(&said),
+                    // Changes and alerts are of no use later, so they wait for no connection.
+                    Some(_) if !on.is_connected => {}
+                    Some(Said::Change(found)) => {
+                        let text = message::event(&self.pending.station, None, &*found);
                         on.publish(&self.change_topic, text, false, None);
                     }
-                    Some(said) => self.pending.add(&said),
+                    Some(Said::Alert(alert)) => {
+                        let text = message::event(&self.pending.station, None, &*alert);
+                        on.publish(&self.alert_topic, text, false, None);
+                    }
                     None => {
                         self.finish(on).await;
                         return None;

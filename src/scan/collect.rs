@@ -16,7 +16,9 @@ use super::marked_scan::{Marked, cut, next_snapshot, trace};
 use super::recent_frames::Stream;
 use super::scan_detector::ScanDetector;
 use super::{Event, Options, ScanCommand, Totals};
-use crate::device::{DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark};
+use crate::device::{
+    DeviceError, DeviceReport, DeviceReportKind, DeviceState, Mark, Warning, WarningKind,
+};
 use crate::ring::Stop;
 
 const TURN: Duration = Duration::from_millis(5);
@@ -110,7 +112,9 @@ impl Collector {
     fn on_report(&mut self, DeviceReport { device, kind }: DeviceReport) {
         let name = self.devices[device].0.clone();
         match kind {
-            DeviceReportKind::Warning(text) => self.event_queue.warn(format!("{name}: {text}")),
+            DeviceReportKind::Warning(Warning { kind, text }) => {
+                self.event_queue.warn(kind, format!("{name}: {text}"));
+            }
             DeviceReportKind::State { state, detail } => {
                 self.event_queue.push(Event::Device { device: name, state, detail });
             }
@@ -145,7 +149,8 @@ impl Collector {
             _ => {}
         }
         let Some(scan) = self.scans.back_mut().filter(|scan| scan.ended.is_none()) else {
-            return self.event_queue.warn(format!("{name}: a mark outside of any scan"));
+            let text = format!("{name}: a mark outside of any scan");
+            return self.event_queue.warn(WarningKind::ScanMark, text);
         };
         let number = scan.number;
         let part = match &mark {
@@ -154,7 +159,8 @@ impl Collector {
         };
         let over = matches!(mark, Mark::End { .. });
         if let Err(problem) = scan.follow(mark, &self.streams) {
-            return self.event_queue.warn(format!("{name}: scan {number}: {problem}"));
+            let text = format!("{name}: scan {number}: {problem}");
+            return self.event_queue.warn(WarningKind::ScanMark, text);
         }
         if over || part.is_some() {
             scan.phase = part.or(scan.phase);
@@ -165,7 +171,7 @@ impl Collector {
     fn command(&mut self, command: ScanCommand) {
         if self.detector.is_none() {
             let why = "the command was ignored: a recording sets the begin and end of its scans";
-            self.event_queue.warn(why.into());
+            self.event_queue.warn(WarningKind::Ignored, why);
         }
         self.detect("the command", |detector, streams| detector.command(command, streams));
     }
@@ -178,7 +184,7 @@ impl Collector {
         let marks = std::mem::take(&mut detector.marks);
         let warnings = std::mem::take(&mut detector.warnings);
         marks.into_iter().for_each(|mark| self.mark(DETECTOR, who, mark));
-        warnings.into_iter().for_each(|text| self.event_queue.warn(text));
+        warnings.into_iter().for_each(|warning| self.event_queue.push(Event::Warning(warning)));
     }
 
     /// Gives up the scan in progress if `of` is true for it.
@@ -186,7 +192,8 @@ impl Collector {
         if let Some(scan) = self.scans.back().filter(|scan| scan.ended.is_none() && of(scan)) {
             let number = scan.number;
             self.scans.pop_back();
-            self.event_queue.warn(format!("scan {number} was cut off: {why}"));
+            let text = format!("scan {number} was cut off: {why}");
+            self.event_queue.warn(WarningKind::ScanCut, text);
             self.event_queue.push(Event::Phase { scan: number, phase: None });
         }
     }
@@ -260,7 +267,8 @@ impl Collector {
         self.send_scans(Instant::now(), true);
         for (name, ended) in self.devices.clone() {
             if !ended {
-                self.event_queue.warn(format!("{name} did not stop in time and was abandoned"));
+                let text = format!("{name} did not stop in time and was abandoned");
+                self.event_queue.warn(WarningKind::Abandoned, text);
                 self.event_queue.totals.abandoned.push(name);
             }
         }

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{SendTimeoutError, Sender};
 
 use super::{Event, Totals};
+use crate::device::{Warning, WarningKind};
 use crate::ring::Stop;
 
 /// Most events kept for a slow reader, in addition to those in the channel.
@@ -54,8 +55,8 @@ impl EventQueue {
         }
     }
 
-    pub(super) fn warn(&mut self, text: String) {
-        self.push(Event::Warning(text));
+    pub(super) fn warn(&mut self, kind: WarningKind, text: impl Into<String>) {
+        self.push(Event::Warning(Warning::new(kind, text)));
     }
 
     /// Sends a snapshot; returns false if the reader is busy. The next snapshot then includes this one.
@@ -123,7 +124,7 @@ mod tests {
         let mut event_queue = EventQueue::new(sender, Stop::default(), false);
         for number in 1..=10 {
             event_queue.push(scan(number));
-            (0..1000).for_each(|_| event_queue.warn("noise".into()));
+            (0..1000).for_each(|_| event_queue.warn(WarningKind::Damaged, "noise"));
         }
         let reader = std::thread::spawn(move || {
             events.iter().filter(|event| matches!(event, Event::Scan(_))).count()
@@ -140,7 +141,7 @@ mod tests {
         drop(events);
         let stop = Stop::default();
         let mut event_queue = EventQueue::new(sender, stop.clone(), true);
-        event_queue.warn("nobody reads this".into());
+        event_queue.warn(WarningKind::Damaged, "nobody reads this");
         assert!(stop.requested());
         assert_eq!(event_queue.finish().dropped_events, 1);
     }

@@ -23,7 +23,7 @@ pub use session::{Session, SessionError};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use crate::device::DeviceState;
+use crate::device::{DeviceState, Warning};
 use crate::ring::Counts;
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Doubt, Trial, TrialKey};
@@ -81,8 +81,7 @@ pub enum Event {
         /// the reason, and what to do
         detail: String,
     },
-    /// Something was lost, damaged or not understood, and work continues.
-    Warning(String),
+    Warning(Warning),
     /// The last event. All devices have ended, and all that they sent was processed.
     Finished(Totals),
 }

@@ -10,7 +10,7 @@ use super::detect::DetectorEvent;
 use super::device_group::DeviceGroup;
 use super::recent_frames::{Stream, StreamBuffer};
 use super::{CutFrom, Detection, ScanCommand};
-use crate::device::{Begin, Mark, Open};
+use crate::device::{Begin, Mark, Open, Warning, WarningKind};
 use crate::scene::Phase;
 use crate::trial::Doubt;
 
@@ -48,7 +48,7 @@ pub(super) struct ScanDetector {
     scan: Option<Running>,
     /// Marks and warnings that the collector has not taken yet.
     pub marks: Vec<Mark>,
-    pub warnings: Vec<String>,
+    pub warnings: Vec<Warning>,
 }
 
 impl ScanDetector {
@@ -100,7 +100,7 @@ impl ScanDetector {
         if self.scan.as_ref().is_some_and(|scan| now_s - scan.begun_s >= self.longest_scan_s) {
             let longest_s = self.longest_scan_s;
             let text = format!("a scan was ended after {longest_s} s, the longest allowed");
-            self.warnings.push(text);
+            self.warnings.push(Warning::new(WarningKind::LongestScan, text));
             self.end_now(streams, now_s);
         }
     }

@@ -220,6 +220,7 @@ async fn connection(stream: TcpStream, peer: Peer, router: Router, limits: Limit
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::{Warning, WarningKind};
     use crate::scan::Trace;
 
     #[test]
@@ -227,7 +228,8 @@ mod tests {
         let (mut reporter, mut notices) = Reporter::new();
         let trace = StationEvent::Trace(Arc::new(Trace { fresh: vec![], images: vec![] }));
         (0..10 * QUEUE).for_each(|_| reporter.on_event(&trace));
-        (0..10).for_each(|n| reporter.on_event(&StationEvent::Warning(n.to_string())));
+        let warning = StationEvent::Warning(Warning::new(WarningKind::Damaged, "lost"));
+        (0..10).for_each(|_| reporter.on_event(&warning));
         let mut warnings = 0;
         while let Ok(event) = notices.try_recv() {
             warnings += usize::from(matches!(event, StationEvent::Warning(_)));

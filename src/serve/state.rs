@@ -6,7 +6,7 @@ use std::time::SystemTime;
 
 use serde::Serialize;
 
-use crate::device::DeviceState;
+use crate::device::{DeviceState, Warning, WarningKind};
 use crate::record;
 use crate::scene::Phase;
 use crate::station::{Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent, damage};
@@ -61,6 +61,7 @@ pub(crate) struct DeviceView {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct WarningView {
     pub unix_ms: u64,
+    pub kind: WarningKind,
     pub text: String,
 }
 
@@ -142,7 +143,7 @@ impl State {
             StationEvent::Library(library) => {
                 (self.library, self.reading) = (Some(library.clone()), false);
             }
-            StationEvent::Warning(text) => self.warned(text),
+            StationEvent::Warning(warning) => self.warned(warning),
             StationEvent::Unnamed(answer) => {
                 self.counts.unnamed += 1;
                 self.warned(&answer.not_named());
@@ -191,9 +192,10 @@ impl State {
         self.answer = Some(answer.clone());
     }
 
-    fn warned(&mut self, text: &str) {
+    fn warned(&mut self, Warning { kind, text }: &Warning) {
         self.counts.warnings += 1;
-        self.warnings.push_front(WarningView { unix_ms: unix_ms(), text: text.into() });
+        let now = WarningView { unix_ms: unix_ms(), kind: *kind, text: text.clone() };
+        self.warnings.push_front(now);
         self.warnings.truncate(MOST_WARNINGS);
     }
 

@@ -13,7 +13,7 @@ use super::account;
 use super::answer::{Answer, AnswerState};
 use super::continuous::Change;
 use super::recogniser::{LibraryState, Recogniser};
-use crate::device::DeviceState;
+use crate::device::{DeviceState, Warning};
 use crate::scan::{Scan, StreamMeter, Totals, Trace};
 use crate::scene::Phase;
 use crate::trial::Doubt;
@@ -141,8 +141,7 @@ pub enum StationEvent {
     Reading,
     /// From now on, scans are compared with this library.
     Library(LibraryState),
-    /// Something was lost, damaged or not understood; the station continues.
-    Warning(String),
+    Warning(Warning),
     /// The answer to [`Command::Ping`], which proves that the station's loop is running.
     Alive,
     /// [`Command::Quit`] was given. Listeners may work until the moment that this event holds.

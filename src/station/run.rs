@@ -15,7 +15,7 @@ use super::orders::{Enrolment, Keep, Orders};
 use super::recogniser::{LibraryState, Load, Recogniser};
 use super::store::{RecordingThread, ScanStore, StoredScan};
 use super::worker::{Job, Work, Worker, WorkerEvent, unnamed};
-use crate::device::Device;
+use crate::device::{Device, Warning, WarningKind};
 use crate::scan::{Event, Options, Progress, Scan, ScanCommand, Session, SessionError, Totals};
 use crate::scene::SourceId;
 use crate::trial::Doubt;
@@ -167,8 +167,8 @@ impl<'a> StationRun<'a> {
         self.listeners.iter_mut().for_each(|listener| listener.on_event(&event));
     }
 
-    fn warn(&mut self, text: impl Into<String>) {
-        self.emit(StationEvent::Warning(text.into()));
+    fn warn(&mut self, kind: WarningKind, text: impl Into<String>) {
+        self.emit(StationEvent::Warning(Warning::new(kind, text)));
     }
 
     /// Works until the session has ended and its scans are named, or until time is up.
@@ -238,7 +238,7 @@ impl<'a> StationRun<'a> {
             Event::Device { device, state, detail } => {
                 self.emit(StationEvent::Device { device, state, detail });
             }
-            Event::Warning(text) => self.warn(text),
+            Event::Warning(warning) => self.emit(StationEvent::Warning(warning)),
             // `until_finished` handles this event, so it does not come here.
             Event::Finished(_) => {}
         }
@@ -271,7 +271,7 @@ impl<'a> StationRun<'a> {
         };
         let text = what.map(|what| format!("scan {} {what}: {why}", enrolled.scan));
         self.emit(StationEvent::Enrolled(enrolled));
-        text.into_iter().for_each(|text| self.warn(text));
+        text.into_iter().for_each(|text| self.warn(WarningKind::TrialUnwritten, text));
         self.report_order();
     }
 
@@ -288,7 +288,8 @@ impl<'a> StationRun<'a> {
             Command::Start => self.session.command(ScanCommand::Begin),
             Command::Stop => self.session.command(ScanCommand::End),
             Command::Enroll { .. } if self.recording.is_none() => {
-                self.warn("this scan cannot be kept: no library is set");
+                let text = "this scan cannot be kept: no library is set";
+                self.warn(WarningKind::Ignored, text);
             }
             Command::Enroll { surface, user, trials } => {
                 let keep = Keep { surface, user, trials: Some(trials), good_only: true };
@@ -298,10 +299,13 @@ impl<'a> StationRun<'a> {
             Command::KeepRefused(scan) => {
                 match (self.orders.keep_refused(scan), &mut self.recording) {
                     (Some(enrolment), Some(recording)) => recording.keep_refused(scan, enrolment),
-                    _ => self.warn(format!(
-                        "scan {scan} was not kept: only the scan that was refused last can be; \
-                         repeat it"
-                    )),
+                    _ => {
+                        let text = format!(
+                            "scan {scan} was not kept: only the scan that was refused last can be; \
+                             repeat it"
+                        );
+                        self.warn(WarningKind::Ignored, text);
+                    }
                 }
                 self.report_order();
             }
@@ -338,7 +342,7 @@ impl<'a> StationRun<'a> {
                     why.clone_from(&problem);
                 }
                 self.emit(StationEvent::Library(state));
-                self.warn(problem);
+                self.warn(WarningKind::LibraryUnread, problem);
             }
         }
     }
@@ -351,7 +355,8 @@ impl<'a> StationRun<'a> {
     /// Starts to read the library. Until it is read, the old one stays in use, or scans wait.
     fn reload(&mut self) {
         let Some(load) = self.load.clone() else {
-            return self.warn("nothing was reloaded: no library is set");
+            let text = "nothing was reloaded: no library is set";
+            return self.warn(WarningKind::Ignored, text);
         };
         // Only one thread reads at a time, since each would need the memory of a whole library.
         if self.loading.is_some() {
@@ -480,7 +485,8 @@ impl<'a> StationRun<'a> {
             false => "time had run out",
         };
         for number in unnamed {
-            self.warn(format!("scan {number} was not named: {busy} when the station was ended"));
+            let text = format!("scan {number} was not named: {busy} when the station was ended");
+            self.warn(WarningKind::Unnamed, text);
         }
         for (enrolment, enrolled) in std::mem::take(&mut self.kept) {
             self.enrolled(&enrolment, enrolled);

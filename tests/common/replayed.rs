@@ -110,7 +110,7 @@ pub fn listen(device: impl Device + 'static, options: Options) -> Reported {
                 sum.add(&progress);
                 so_far.push((progress.number, progress.scan_s, sum.trial()));
             }
-            Event::Warning(text) => warnings.push(text),
+            Event::Warning(warning) => warnings.push(warning.text),
             Event::Device { state: DeviceState::Lost, detail, .. } => lost.push(detail),
             Event::Finished(_) => finished = true,
             Event::Device { .. } | Event::Phase { .. } | Event::Trace(_) => {}

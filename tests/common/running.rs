@@ -28,7 +28,7 @@ impl Running {
     fn next(&self) -> String {
         match self.reports.recv_timeout(Duration::from_secs(10)).unwrap().kind {
             DeviceReportKind::State { state, detail } => format!("{state}: {detail}"),
-            DeviceReportKind::Warning(text) => text,
+            DeviceReportKind::Warning(warning) => warning.text,
             other => panic!("{other:?}"),
         }
     }

@@ -65,7 +65,7 @@ impl Listener for Told {
             StationEvent::Change(change) => changes.push(Change::clone(change)),
             StationEvent::Answer(answer) => answers.push(Answer::clone(answer)),
             StationEvent::Unnamed(answer) => warnings.push(format!("unnamed {}", answer.scan)),
-            StationEvent::Warning(text) => warnings.push(text.clone()),
+            StationEvent::Warning(warning) => warnings.push(warning.text.clone()),
             _ => {}
         }
     }

@@ -212,7 +212,8 @@ fn a_figure_named_pdf_is_a_pdf_with_its_font_or_refused_before_the_work() {
         return;
     }
     if stderr.contains("this machine has none of Arial") {
-        let _ = writeln!(std::io::stderr(), "SKIPPED: a PDF, since this machine has no font for it");
+        let _ =
+            writeln!(std::io::stderr(), "SKIPPED: a PDF, since this machine has no font for it");
         return;
     }
     assert_eq!(code, 0, "{stderr}");

@@ -99,7 +99,7 @@ fn unnamed(station: impl FnOnce(Station<'static>) -> Station<'static>) -> Vec<u3
     let events = events.lock().unwrap();
     assert!(matches!(events.last(), Some(StationEvent::Finished(_))));
     let number = |event: &StationEvent| match event {
-        StationEvent::Warning(text) if text.contains("was not named") => {
+        StationEvent::Warning(warning) if warning.text.contains("was not named") => {
             text.split(' ').nth(1)?.parse().ok()
         }
         _ => None,

@@ -108,7 +108,7 @@ fn all(session: &Session) -> (Vec<Scan>, Vec<String>) {
     for event in session.events() {
         match event {
             Event::Scan(scan) => scans.push(*scan),
-            Event::Warning(text) => warnings.push(text),
+            Event::Warning(warning) => warnings.push(warning.text),
             _ => {}
         }
     }

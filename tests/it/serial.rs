@@ -88,7 +88,7 @@ impl Bench {
                     self.states.push(state);
                     self.texts.push(detail);
                 }
-                DeviceReportKind::Warning(text) => self.texts.push(text),
+                DeviceReportKind::Warning(warning) => self.texts.push(warning.text),
                 other => panic!("{other:?}"),
             }
         }

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use crate::common;
 use crate::common::http::{Events, SOON, Served, answer, serve, session};
 use serde_json::Value;
+use surfaced::device::{Warning, WarningKind};
 use surfaced::serve::{Server, Settings, Token};
 use surfaced::station::{LibraryState, StationEvent};
 
@@ -17,6 +18,10 @@ fn impatient() -> Served {
         settings.limits.request = Duration::from_millis(300);
         settings.limits.unread = Duration::from_millis(500);
     })
+}
+
+fn warning(text: &str) -> StationEvent {
+    StationEvent::Warning(Warning::new(WarningKind::Damaged, text))
 }
 
 #[test]
@@ -132,11 +137,11 @@ fn a_script_in_a_label_is_refused_or_stays_text() {
     assert!(reply.head.contains("content-type: application/json"));
     assert!(reply.head.contains("x-content-type-options: nosniff"));
     // Nor does a line break in a device's name break the metrics or the stream.
-    served.report([StationEvent::Warning("event: answer\ndata: {}\n\n".into())]);
+    served.report([warning("event: answer\ndata: {}\n\n")]);
     served.until("/api/v1/state", |state| state["warnings"] != serde_json::json!([]));
     let mut events = Events::open(&served, "");
     events.next("state");
-    served.report([StationEvent::Warning("a\n\nevent: answer\ndata: 1".into())]);
+    served.report([warning("a\n\nevent: answer\ndata: 1")]);
     assert_eq!(events.next("warning")["text"], "a\n\nevent: answer\ndata: 1");
 }
 
@@ -204,10 +209,7 @@ fn stalled_readers_cost_a_good_one_nothing() {
     // Enough to fill whatever the sockets hold.
     let text = "x".repeat(100_000);
     for n in 0..400 {
-        served.report([
-            StationEvent::Warning(text.clone()),
-            StationEvent::Answer(Arc::new(answer(n, None))),
-        ]);
+        served.report([warning(&text), StationEvent::Answer(Arc::new(answer(n, None)))]);
         assert_eq!(good.next("answer")["scan"], n);
     }
     let metrics = served.get("/metrics").body;
@@ -221,7 +223,7 @@ fn stalled_readers_cost_a_good_one_nothing() {
     let begin = Instant::now();
     while !served.get("/metrics").body.contains("surfaced_readers 1\n") {
         assert!(begin.elapsed() < SOON);
-        served.report([StationEvent::Warning(text.clone())]);
+        served.report([warning(&text)]);
         std::thread::sleep(Duration::from_millis(50));
     }
     drop(stalled);

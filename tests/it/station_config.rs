@@ -6,7 +6,10 @@ use std::process::Command;
 use surfaced::device::lines::LinesAddress;
 use surfaced::device::serial::Selector;
 use surfaced::scene::SourceId;
-use surfaced::station::config::{HttpAddress, MqttAddress, Password, StationConfig, TlsFiles};
+use surfaced::station::AnswerState;
+use surfaced::station::config::{
+    AlertCause, HttpAddress, MqttAddress, Password, StationConfig, TlsFiles,
+};
 
 fn parse(text: &str) -> Result<StationConfig, String> {
     StationConfig::parse(text, Path::new("here/stylus.toml")).map_err(|error| error.to_string())
@@ -202,6 +205,48 @@ fn certificates_and_header_are_of_the_outputs_that_can_use_them() {
     ] {
         let why = outputs(stray).unwrap_err();
         assert!(why.contains(part), "{why}");
+    }
+}
+
+#[test]
+fn a_rule_for_alerts_says_when_and_to_whom_and_is_refused_where_nobody_would_hear_of_it() {
+    let alerts =
+        |text: &str| parse(&format!("format = 1\n[[alert]]\n{text}")).map(|c| c.outputs.alerts);
+    let rule = "name = \"reject\"\nstate = \"unknown\"\nscans = 2\nof = 3\ncooldown_s = 0.5\n\
+                http = \"https://bell\"\nheader_file = \"h\"\nmodbus = \"modbus://plc/1/12\"\n\
+                [outputs]\nca = \"ca\"";
+    let rule = alerts(rule).unwrap().pop().unwrap();
+    assert_eq!((rule.on, rule.scans, rule.of), (AlertCause::State(AnswerState::Unknown), 2, 3));
+    let http = rule.http.unwrap();
+    assert_eq!(http.tls.unwrap().ca, Some("here/ca".into()));
+    assert_eq!(http.header_file, Some("here/h".into()));
+    assert_eq!(rule.coil.unwrap().to_string(), "modbus://plc:502/1/12");
+    let seconds = [rule.cooldown, rule.hold].map(|time| time.as_secs_f64());
+    assert_eq!(seconds, [0.5, 2.0]);
+    let oak = "name = \"oak\"\nsurface = \"oak\"\n[outputs]\nmqtt = \"mqtt://b\"";
+    assert_eq!(alerts(oak).unwrap()[0].on, AlertCause::Surface("oak".into()));
+    let bell = "http = \"http://bell\"";
+    for (text, part) in [
+        ("name = \"a b\"\nstate = \"unknown\"", "line 3: name: use 1 to 64 letters"),
+        ("name = \"a\"", "line 3: give `state`, such as \"unknown\", or `surface`"),
+        ("name = \"a\"\nstate = \"lost\"", "unknown variant `lost`"),
+        ("name = \"a\"\nstate = \"unknown\"", "line 3: nobody would hear of it"),
+        ("name = \"a\"\nstate = \"unknown\"\nscans = 3\nof = 2", "line 5: scans = 3, of = 2;"),
+        ("name = \"a\"\nstate = \"unknown\"\nscans = 0", "line 5: scans = 0, of = 0;"),
+        ("name = \"a\"\nstate = \"unknown\"\nhold_s = 1", "hold_s: it goes with `modbus`"),
+        ("name = \"a\"\nstate = \"unknown\"\nmodbus = \"plc/1\"", "modbus: expected host, unit"),
+        ("name = \"a\"\nstate = \"unknown\"\nheader_file = \"h\"", "it goes with `http`"),
+        (&format!("name = \"a\"\nstate = \"unknown\"\n{bell}\ncooldown_s = -1"), "expected 0 to"),
+        (
+            &format!(
+                "name = \"a\"\nstate = \"unknown\"\n{bell}\n[[alert]]\nname = \"a\"\n\
+                 state = \"unsure\"\n{bell}"
+            ),
+            "line 7: name: another [[alert]] has it",
+        ),
+    ] {
+        let why = alerts(text).unwrap_err();
+        assert!(why.contains(part), "{text}: {why}");
     }
 }
 

@@ -15,6 +15,7 @@ use crate::device::serial::Value;
 use crate::scan::detect::SensorKind;
 use crate::scene::config::SourceBlock;
 use crate::scene::{Scene, SourceId};
+use crate::station::AnswerState;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -34,6 +35,8 @@ pub(super) struct StationFile {
     pub history: HistoryBlock,
     #[serde(default)]
     pub outputs: OutputsBlock,
+    #[serde(default)]
+    pub alert: Vec<AlertBlock>,
     #[serde(default)]
     pub sources: BTreeMap<String, Spanned<SourceBlock>>,
 }
@@ -151,6 +154,21 @@ pub(super) struct OutputsBlock {
     pub ca: Option<Spanned<PathBuf>>,
     pub certificate: Option<Spanned<PathBuf>>,
     pub key: Option<Spanned<PathBuf>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct AlertBlock {
+    pub name: Spanned<String>,
+    pub state: Option<Spanned<AnswerState>>,
+    pub surface: Option<Spanned<String>>,
+    pub scans: Option<Spanned<usize>>,
+    pub of: Option<Spanned<usize>>,
+    pub cooldown_s: Option<Spanned<f64>>,
+    pub http: Option<Spanned<String>>,
+    pub header_file: Option<Spanned<PathBuf>>,
+    pub modbus: Option<Spanned<String>>,
+    pub hold_s: Option<Spanned<f64>>,
 }
 
 pub(super) const DEFAULTS: &str = include_str!("../../../configs/stylus.toml");

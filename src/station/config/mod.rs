@@ -24,7 +24,10 @@ use crate::station::Continuous;
 use file::DEFAULTS;
 
 pub(crate) use lines::fitting;
-pub use output_address::{HttpAddress, MqttAddress, OutputsConfig, Password, TlsFiles};
+pub use output_address::{
+    AlertCause, AlertConfig, CoilAddress, HttpAddress, MqttAddress, OutputsConfig, Password,
+    TlsFiles,
+};
 pub(crate) use output_address::{STRAY_PASSWORD_FILE, is_segment, machine_name};
 
 /// A mistake in a configuration. The text names the file, the line if known, and what was expected.

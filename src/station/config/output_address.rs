@@ -2,8 +2,11 @@
 
 use std::path::PathBuf;
 use std::str::FromStr;
+use std::time::Duration;
 
 use http::Uri;
+
+use crate::station::AnswerState;
 
 /// The first segment of topics if the address of the broker names none.
 const PREFIX: &str = "surfaced";
@@ -14,6 +17,7 @@ pub struct OutputsConfig {
     pub station: String,
     pub http: Option<HttpAddress>,
     pub mqtt: Option<MqttAddress>,
+    pub alerts: Vec<AlertConfig>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -55,6 +59,66 @@ pub struct TlsFiles {
     pub ca: Option<PathBuf>,
     /// The client's certificate and its key, if the receiver requires them.
     pub client: Option<(PathBuf, PathBuf)>,
+}
+
+/// A rule by which answers become an alert.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AlertConfig {
+    /// Letters, digits, `-` and `_`; no other rule has it.
+    pub name: String,
+    pub on: AlertCause,
+    /// How many of the last `of` answers must fit; from 1 to `of`.
+    pub scans: usize,
+    pub of: usize,
+    /// Time after an alert in which there is no other.
+    pub cooldown: Duration,
+    /// Where the alert is posted, beside its topic.
+    pub http: Option<HttpAddress>,
+    /// The coil that is on for the time `hold` after an alert.
+    pub coil: Option<CoilAddress>,
+    pub hold: Duration,
+}
+
+/// The answers that fit a rule.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum AlertCause {
+    State(AnswerState),
+    /// Answers that name this surface, also those that are not sure.
+    Surface(String),
+}
+
+/// A coil (digital output) of a device that speaks Modbus TCP.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CoilAddress {
+    /// The host and the port; the default port is 502.
+    pub host: (String, u16),
+    pub unit: u8,
+    /// Counted from 0.
+    pub coil: u16,
+}
+
+impl std::fmt::Display for CoilAddress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { host, unit, coil } = self;
+        write!(f, "modbus://{}:{}/{unit}/{coil}", host.0, host.1)
+    }
+}
+
+impl FromStr for CoilAddress {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let place = |uri: &Uri| {
+            let (unit, coil) = uri.path().strip_prefix('/')?.split_once('/')?;
+            Some((unit.parse().ok()?, coil.parse().ok()?))
+        };
+        let found = parts(text, &[("modbus", 502)]);
+        let found = found.and_then(|(uri, host)| Some((place(&uri)?, host)));
+        let ((unit, coil), host) = found.ok_or(
+            "expected host, unit and coil, counted from 0, such as \"modbus://10.0.3.7:502/1/12\"",
+        )?;
+        Ok(Self { host, unit, coil })
+    }
 }
 
 impl MqttAddress {

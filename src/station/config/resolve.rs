@@ -9,14 +9,15 @@ use http::Uri;
 use toml::Spanned;
 
 use super::file::{
-    CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, Mistake, OutputsBlock,
-    ScanBlock, ScanMode, StationFile, StylusBlock, is_default, known, merged, mistake, no_stray,
-    parsed, positive, source_of,
+    AlertBlock, CameraBlock, DEFAULTS, DetectionBlock, FlashName, MicrophoneBlock, Mistake,
+    OutputsBlock, ScanBlock, ScanMode, StationFile, StylusBlock, is_default, known, merged,
+    mistake, no_stray, parsed, positive, source_of,
 };
 use super::output_address::{STRAY_PASSWORD_FILE, is_segment, machine_name, without_passwords};
 use super::{
-    CameraConfig, ConfigError, DevicePart, FlashConfig, HttpAddress, MicrophoneConfig, MqttAddress,
-    OutputsConfig, StationConfig, StylusConfig, TlsFiles, lines,
+    AlertCause, AlertConfig, CameraConfig, CoilAddress, ConfigError, DevicePart, FlashConfig,
+    HttpAddress, MicrophoneConfig, MqttAddress, OutputsConfig, StationConfig, StylusConfig,
+    TlsFiles, lines,
 };
 use crate::device::camera::Turn;
 use crate::device::microphone::Pick;
@@ -29,6 +30,9 @@ use crate::station::Continuous;
 
 /// Name of the microphone's stream. Several sources are cut from it.
 const SOUND: &str = "sound";
+/// The most answers that a rule for alerts watches, and its longest time in seconds (a day).
+const MOST_WATCHED: usize = 1000;
+const MOST_S: f64 = 86_400.0;
 
 impl StationConfig {
     /// Parses the text of a configuration; `path` is where the file is, or would be.
@@ -108,7 +112,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         stale_after_s: positive("stale_after_s", &file.page.stale_after_s)?,
         public_address: file.page.public_address.as_ref().map(public_address).transpose()?,
         keep_mb: file.history.keep_mb,
-        outputs: outputs(file.outputs, folder)?,
+        outputs: outputs(file.outputs, file.alert, folder)?,
     };
     config.detection.groups = groups(&file.detection.listen, &config)?;
     Ok(config)
@@ -121,7 +125,11 @@ fn public_address(text: &Spanned<String>) -> Result<Uri, Mistake> {
 }
 
 /// Resolves the outputs. Paths of certificates, header and password are relative to the configuration's folder.
-fn outputs(block: OutputsBlock, folder: &Path) -> Result<OutputsConfig, Mistake> {
+fn outputs(
+    block: OutputsBlock,
+    rules: Vec<AlertBlock>,
+    folder: &Path,
+) -> Result<OutputsConfig, Mistake> {
     let OutputsBlock { http, header_file, mqtt, password_file, station, ca, certificate, key } =
         block;
     let name = match &station {
@@ -156,17 +164,88 @@ fn outputs(block: OutputsBlock, folder: &Path) -> Result<OutputsConfig, Mistake>
         }
         (None, None) => {}
     }
+    let mut alerts: Vec<AlertConfig> = Vec::new();
+    for rule in rules {
+        if alerts.iter().any(|alert| alert.name == *rule.name.get_ref()) {
+            return mistake(&rule.name, "name: another [[alert]] has it");
+        }
+        alerts.push(alert(rule, address.is_some(), file)?);
+    }
     let files = TlsFiles { ca: ca.as_ref().map(file), client };
-    let of_http = http.as_mut().and_then(|http| http.tls.as_mut());
+    let of_alerts = alerts.iter_mut().filter_map(|alert| alert.http.as_mut());
+    let of_http = http.iter_mut().chain(of_alerts).filter_map(|http| http.tls.as_mut());
     let of_mqtt = address.as_mut().and_then(|mqtt| mqtt.tls.as_mut());
-    let with_tls: Vec<_> = of_http.into_iter().chain(of_mqtt).collect();
+    let with_tls: Vec<_> = of_http.chain(of_mqtt).collect();
     if let (true, Some(stray)) = (with_tls.is_empty(), ca.as_ref().or(key.as_ref())) {
         let problem =
             "certificates are for TLS; begin `mqtt` with mqtts:// or `http` with https://";
         return mistake(stray, problem);
     }
     with_tls.into_iter().for_each(|tls| *tls = files.clone());
-    Ok(OutputsConfig { station: name, http, mqtt: address })
+    Ok(OutputsConfig { station: name, http, mqtt: address, alerts })
+}
+
+/// Resolves a rule for alerts, which go to the broker if there is one (`to_broker`).
+fn alert(
+    block: AlertBlock,
+    to_broker: bool,
+    file: impl Fn(&Spanned<PathBuf>) -> PathBuf,
+) -> Result<AlertConfig, Mistake> {
+    let AlertBlock { name, state, surface, http, header_file, modbus, .. } = &block;
+    if !is_segment(name.get_ref()) {
+        return mistake(name, "name: use 1 to 64 letters, digits, `-` and `_`, such as \"reject\"");
+    }
+    let on = match (state, surface) {
+        (Some(state), None) => AlertCause::State(*state.get_ref()),
+        (None, Some(surface)) => AlertCause::Surface(surface.get_ref().clone()),
+        _ => return mistake(name, "give `state`, such as \"unknown\", or `surface`, and not both"),
+    };
+    let count = |value: &Option<Spanned<usize>>| value.as_ref().map(|value| *value.get_ref());
+    let scans = count(&block.scans).unwrap_or(1);
+    let of = count(&block.of).unwrap_or(scans);
+    if !(1..=of).contains(&scans) || of > MOST_WATCHED {
+        let at = block.scans.as_ref().or(block.of.as_ref()).map_or(name.span(), Spanned::span);
+        let problem = format!(
+            "scans = {scans}, of = {of}; expected `scans` of at least 1, and `of` from there to \
+             {MOST_WATCHED}"
+        );
+        return Err(Mistake { at, problem });
+    }
+    let seconds = |key: &str, value: &Option<Spanned<f64>>, usual: f64| match value {
+        Some(value) if (0.0..=MOST_S).contains(value.get_ref()) => {
+            Ok(Duration::from_secs_f64(*value.get_ref()))
+        }
+        Some(value) => {
+            mistake(value, format!("{key} = {}; expected 0 to {MOST_S}", value.get_ref()))
+        }
+        None => Ok(Duration::from_secs_f64(usual)),
+    };
+    let mut posted = http.as_ref().map(|http| parsed::<HttpAddress>("http", http)).transpose()?;
+    match (&mut posted, header_file) {
+        (Some(http), path) => http.header_file = path.as_ref().map(file),
+        (None, Some(stray)) => {
+            return mistake(stray, "header_file: it goes with `http`; give both");
+        }
+        (None, None) => {}
+    }
+    let coil = modbus.as_ref().map(|coil| parsed::<CoilAddress>("modbus", coil)).transpose()?;
+    if let (None, Some(stray)) = (&coil, &block.hold_s) {
+        return mistake(stray, "hold_s: it goes with `modbus`; give both");
+    }
+    if posted.is_none() && coil.is_none() && !to_broker {
+        let problem = "nobody would hear of it; add `http` or `modbus`, or `mqtt` to [outputs]";
+        return mistake(name, problem);
+    }
+    Ok(AlertConfig {
+        name: name.get_ref().clone(),
+        on,
+        scans,
+        of,
+        cooldown: seconds("cooldown_s", &block.cooldown_s, 60.0)?,
+        http: posted,
+        coil,
+        hold: seconds("hold_s", &block.hold_s, 2.0)?,
+    })
 }
 
 fn stylus(block: StylusBlock, scene: &Scene) -> Result<Option<StylusConfig>, Mistake> {

@@ -1,0 +1,201 @@
+//! Alerts: answers that somebody must hear of at once, by rules; and the coil of a Modbus device that an
+//! alert switches.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde::Serialize;
+use tokio::net::TcpStream;
+use tokio::sync::mpsc;
+use tokio::time::{Instant, sleep, timeout, timeout_at};
+use tokio_modbus::client::{Context, Reader, Writer, tcp};
+use tokio_modbus::slave::Slave;
+
+use super::{BackOff, OutputHealth, Said};
+use crate::station::config::{AlertCause, AlertConfig, CoilAddress};
+use crate::station::{Answer, AnswerState};
+
+/// How long one attempt to switch a coil may take.
+const ATTEMPT: Duration = Duration::from_secs(3);
+/// How long after an alert its coil may still be switched on: later, the part is gone.
+const LATEST: Duration = Duration::from_secs(10);
+
+/// What an alert says.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Alert {
+    /// The name of its rule.
+    pub alert: String,
+    /// When the answer was given that made it, in milliseconds since 1970.
+    pub unix_ms: u64,
+    /// How many of the last `of` answers fit the rule.
+    pub scans: usize,
+    pub of: usize,
+    /// The newest of these answers.
+    pub id: String,
+    pub link: String,
+    pub state: AnswerState,
+    pub surface: Option<String>,
+}
+
+/// A rule, and the answers that it has heard.
+#[derive(Debug)]
+pub(super) struct Watch {
+    rule: AlertConfig,
+    /// Whether each of the last answers fits the rule, the newest last.
+    heard: VecDeque<bool>,
+    quiet_until_ms: u64,
+}
+
+impl Watch {
+    pub(super) fn new(rule: &AlertConfig) -> Self {
+        Self { rule: rule.clone(), heard: VecDeque::new(), quiet_until_ms: 0 }
+    }
+
+    /// Hears an answer; gives an alert if the answer fits the rule, as enough of the last ones do, and no
+    /// alert came within the cooldown.
+    pub(super) fn hears(&mut self, answer: &Answer) -> Option<Arc<Alert>> {
+        let fits = match &self.rule.on {
+            AlertCause::State(state) => answer.state == *state,
+            AlertCause::Surface(surface) => answer.surface.as_ref() == Some(surface),
+        };
+        self.heard.push_back(fits);
+        if self.heard.len() > self.rule.of {
+            self.heard.pop_front();
+        }
+        let scans = self.heard.iter().filter(|fits| **fits).count();
+        if !fits || scans < self.rule.scans || answer.unix_ms < self.quiet_until_ms {
+            return None;
+        }
+        let cooldown = u64::try_from(self.rule.cooldown.as_millis()).unwrap_or(u64::MAX);
+        self.quiet_until_ms = answer.unix_ms.saturating_add(cooldown);
+        Some(Arc::new(Alert {
+            alert: self.rule.name.clone(),
+            unix_ms: answer.unix_ms,
+            scans,
+            of: self.rule.of,
+            id: answer.id.clone(),
+            link: answer.link.clone(),
+            state: answer.state,
+            surface: answer.surface.clone(),
+        }))
+    }
+}
+
+/// Switches the coil on with each alert, and off once `hold` has passed since the last. At the end of the
+/// station it is switched off at once.
+pub(super) async fn switch_all(
+    health: OutputHealth,
+    coil: CoilAddress,
+    hold: Duration,
+    mut alerts: mpsc::Receiver<Said>,
+) {
+    while alerts.recv().await.is_some() {
+        if !switched_on(&health, &coil).await {
+            continue;
+        }
+        // Another alert holds the coil for longer.
+        while let Ok(Some(_)) = timeout(hold, alerts.recv()).await {}
+        // A coil must not stay on, so this is tried until it succeeds or nobody waits any more.
+        let mut back_off = BackOff::new();
+        while let Err(why) = switch(&coil, false).await {
+            health.failed(&format!("it is still on: {why}; tried again"));
+            if alerts.is_closed() {
+                return;
+            }
+            sleep(back_off.next()).await;
+        }
+        health.arrived();
+    }
+}
+
+async fn switched_on(health: &OutputHealth, coil: &CoilAddress) -> bool {
+    let (until, mut back_off) = (Instant::now() + LATEST, BackOff::new());
+    loop {
+        match switch(coil, true).await {
+            Ok(()) => {
+                health.arrived();
+                return true;
+            }
+            Err(why) => health.failed(&format!("not switched on: {why}")),
+        }
+        let pause = back_off.next();
+        if Instant::now() + pause > until {
+            return false;
+        }
+        sleep(pause).await;
+    }
+}
+
+async fn switch(coil: &CoilAddress, on: bool) -> Result<(), String> {
+    let work = async |mut device: Context| match device.write_single_coil(coil.coil, on).await {
+        Ok(Ok(())) => Ok(()),
+        Ok(Err(refusal)) => Err(refusal.to_string()),
+        Err(error) => Err(error.to_string()),
+    };
+    reached(coil, work).await
+}
+
+/// Whether the coil is on now; switches nothing.
+pub(super) async fn read(coil: &CoilAddress) -> Result<bool, String> {
+    let work = async |mut device: Context| match device.read_coils(coil.coil, 1).await {
+        Ok(Ok(coils)) => coils.first().copied().ok_or_else(|| "it gave no coil".into()),
+        Ok(Err(refusal)) => Err(refusal.to_string()),
+        Err(error) => Err(error.to_string()),
+    };
+    reached(coil, work).await
+}
+
+/// Connects to the coil's device, and does `work` there.
+async fn reached<T>(
+    coil: &CoilAddress,
+    work: impl AsyncFnOnce(Context) -> Result<T, String>,
+) -> Result<T, String> {
+    let until = Instant::now() + ATTEMPT;
+    let late = |_| "no answer in time".to_string();
+    let (host, port) = &coil.host;
+    let stream = timeout_at(until, TcpStream::connect((host.as_str(), *port))).await;
+    let stream = stream.map_err(late)?.map_err(|error| error.to_string())?;
+    let device = tcp::attach_slave(stream, Slave(coil.unit));
+    timeout_at(until, work(device)).await.map_err(late)?
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn watch(on: AlertCause, (scans, of): (usize, usize), cooldown_s: u64) -> Watch {
+        let cooldown = Duration::from_secs(cooldown_s);
+        let (name, http, coil, hold) = ("reject".into(), None, None, Duration::ZERO);
+        Watch::new(&AlertConfig { name, on, scans, of, cooldown, http, coil, hold })
+    }
+
+    /// The seconds at which a rule gives alerts, of answers a second apart.
+    fn alerts(watch: &mut Watch, answers: &str) -> Vec<u64> {
+        let states = answers.chars().map(|letter| match letter {
+            'u' => (AnswerState::Unknown, None),
+            '?' => (AnswerState::Unsure, Some("oak")),
+            _ => (AnswerState::Named, Some("oak")),
+        });
+        let answers = (0..).zip(states).map(|(second, (state, surface))| Answer {
+            unix_ms: 1000 * second,
+            state,
+            surface: surface.map(String::from),
+            ..Answer::of(&crate::scan::Scan::of_signals(0, Default::default()), 0.0)
+        });
+        answers
+            .filter_map(|answer| watch.hears(&answer))
+            .map(|alert| alert.unix_ms / 1000)
+            .collect()
+    }
+
+    #[test]
+    fn an_alert_comes_when_enough_of_the_last_answers_fit_and_not_within_the_cooldown() {
+        let unknown = || AlertCause::State(AnswerState::Unknown);
+        assert_eq!(alerts(&mut watch(unknown(), (1, 1), 0), "..u.uu"), [2, 4, 5]);
+        assert_eq!(alerts(&mut watch(unknown(), (2, 3), 0), "u..u.u...uu"), [5, 10]);
+        assert_eq!(alerts(&mut watch(unknown(), (2, 2), 3), "uuuuuuu"), [1, 4]);
+        let oak = || AlertCause::Surface("oak".into());
+        assert_eq!(alerts(&mut watch(oak(), (1, 1), 0), "u?u."), [1, 3]);
+    }
+}
