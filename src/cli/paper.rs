@@ -8,6 +8,7 @@ use super::show::{Made, MadeBy};
 use super::{Done, Failure, say, show};
 use crate::evaluate::paper::{self, PaperPart, PaperReport, ReportRow, Shard};
 use crate::library::Library;
+use crate::recognise::ReferenceOptions;
 use crate::library::files::{self, Listed};
 use crate::record::replace_file;
 

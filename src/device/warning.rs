@@ -37,7 +37,7 @@ pub enum WarningKind {
     Swapped,
     /// A device cannot be opened, for another reason than before.
     Unopened,
-    /// The station was ended before a scan was named.
+    /// A scan was not named.
     Unnamed,
 }
 

@@ -360,7 +360,7 @@ pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryErr
     if let Some(address) = &config.mqtt {
         let topic = format!("{}/{}/test", address.prefix, config.station);
         let options = mqtt::options(address, format!("surfaced-test-{}", std::process::id()))?;
-        let done = runtime.block_on(tried(publish(options, &topic, text)));
+        let done = runtime.block_on(tried(publish(options, &topic, text.clone())));
         tests.push(OutputTest::of(format!("{address}/{}/test", config.station), done));
     }
     for alert in &config.alerts {

@@ -146,7 +146,7 @@ impl State {
             StationEvent::Warning(warning) => self.warned(warning),
             StationEvent::Unnamed(answer) => {
                 self.counts.unnamed += 1;
-                self.warned(&answer.not_named());
+                self.warned(&Warning::new(WarningKind::Unnamed, answer.not_named()));
             }
             StationEvent::Finished(_) => {
                 (self.finished, self.reading) = (true, false);

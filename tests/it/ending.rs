@@ -100,7 +100,7 @@ fn unnamed(station: impl FnOnce(Station<'static>) -> Station<'static>) -> Vec<u3
     assert!(matches!(events.last(), Some(StationEvent::Finished(_))));
     let number = |event: &StationEvent| match event {
         StationEvent::Warning(warning) if warning.text.contains("was not named") => {
-            text.split(' ').nth(1)?.parse().ok()
+            warning.text.split(' ').nth(1)?.parse().ok()
         }
         _ => None,
     };
@@ -281,6 +281,7 @@ fn of_a_station_in_which_everything_hangs_at_once() {
         station: "press-3".into(),
         http: Some(format!("http://{http}/answers").parse().unwrap()),
         mqtt: Some(format!("mqtt://{mqtt}/answers").parse().unwrap()),
+        alerts: Vec::new(),
     };
     let shown = (&history, &Arc::default());
     let outputs = Output::start(&outputs, &folder.path().join(".outbox"), shown).unwrap();
