@@ -290,8 +290,9 @@ impl<'a> StationRun<'a> {
             Command::Enroll { .. } if self.recording.is_none() => {
                 self.warn("this scan cannot be kept: no library is set");
             }
-            Command::Enroll { surface, user, trials } => {
-                let keep = Keep { surface, user, trials: Some(trials), good_only: true };
+            Command::Enroll { surface, user, trials, ordered_by } => {
+                let trials = Some(trials);
+                let keep = Keep { surface, user, trials, good_only: true, ordered_by };
                 self.orders.give(keep, self.session.next_scan());
                 self.report_order();
             }
