@@ -80,7 +80,11 @@ fn an_operator_sees_scans_and_corrects_and_is_refused_all_else() {
         assert!(reply.json()["message"].as_str().unwrap().contains("only an administrator"));
     }
     for path in ["audit", "audit.jsonl"] {
-        assert_eq!(word(&operator("GET", path, "")), (403, "administrator_needed".into()), "{path}");
+        assert_eq!(
+            word(&operator("GET", path, "")),
+            (403, "administrator_needed".into()),
+            "{path}"
+        );
     }
     assert!(served.orders.is_empty());
     assert_eq!(trials(&served), ["oak/anna-01"], "nothing moved");
@@ -111,7 +115,8 @@ fn each_token_has_its_role_on_every_way_in_and_without_tokens_everyone_is_admini
 #[test]
 fn an_operators_token_needs_an_administrators_that_is_another_one() {
     let start = |change: fn(&mut Settings)| {
-        let mut settings = Settings { address: "127.0.0.1:0".parse().unwrap(), ..Settings::default() };
+        let mut settings =
+            Settings { address: "127.0.0.1:0".parse().unwrap(), ..Settings::default() };
         two_tokens(&mut settings);
         change(&mut settings);
         Server::start(&settings, crossbeam_channel::bounded(1).0).map(drop)
@@ -128,8 +133,16 @@ fn an_operators_token_needs_an_administrators_that_is_another_one() {
 fn the_program_says_which_token_is_wrong_and_shows_none() {
     for (token, operator, says) in [
         (None, "operator-of-a-day", "SURFACED_OPERATOR_TOKEN is set, but SURFACED_TOKEN"),
-        (Some("0123456789abcdef"), "0123456789abcdef", "SURFACED_OPERATOR_TOKEN equals SURFACED_TOKEN"),
-        (Some("0123456789abcdef"), "too-short", "SURFACED_OPERATOR_TOKEN: the token must be 16 to 256"),
+        (
+            Some("0123456789abcdef"),
+            "0123456789abcdef",
+            "SURFACED_OPERATOR_TOKEN equals SURFACED_TOKEN",
+        ),
+        (
+            Some("0123456789abcdef"),
+            "too-short",
+            "SURFACED_OPERATOR_TOKEN: the token must be 16 to 256",
+        ),
     ] {
         let mut command = assert_cmd::Command::cargo_bin("surfaced").unwrap();
         command.args(["replay", "--serve=127.0.0.1:0"]).env("SURFACED_OPERATOR_TOKEN", operator);

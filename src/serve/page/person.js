@@ -31,11 +31,12 @@ function keep(name) {
 
 function show() {
   const said = known();
+  const name = String(said?.name ?? "").toWellFormed();
   hide("person-form", said !== null);
   hide("person-known", said === null);
-  if (said?.name) commandHeaders["X-Surfaced-Person"] = encodeURIComponent(said.name);
+  if (name) commandHeaders["X-Surfaced-Person"] = encodeURIComponent(name);
   else delete commandHeaders["X-Surfaced-Person"];
-  say("person-text", said?.name ? `Changes are made by ${said.name}.` : "Changes are made without a name.");
+  say("person-text", name ? `Changes are made by ${name}.` : "Changes are made without a name.");
 }
 
 // Asks the station for the role of this page, which hides what an operator may not do.
