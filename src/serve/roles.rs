@@ -6,7 +6,7 @@ use axum::response::Json;
 use serde_json::{Value, json};
 
 use super::request::Problem;
-use crate::history::{Actor, Role};
+use crate::history::Actor;
 use crate::station::config::percent_decoded;
 
 /// The header with the name of the person, as percent-encoded UTF-8.
