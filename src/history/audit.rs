@@ -238,7 +238,7 @@ mod tests {
         for history in [History::open(dir.path(), 1 << 20).unwrap(), History::default()] {
             let names: Vec<String> = (0..40).map(|n| format!("{n}").repeat(1 + n)).collect();
             names.iter().for_each(|name| note(&history, name));
-            let (mut before, mut found) = (None, Vec::new());
+            let (mut before, mut found) = (None, Vec::<String>::new());
             loop {
                 let rows = history.changes(before, 7).unwrap();
                 let Some(last) = rows.last() else { break };
