@@ -14,6 +14,7 @@ import tempfile
 import urllib.request
 from pathlib import Path
 
+from access import long_names_wrap
 from page import ENTER, Station, requests, scene
 from review import shots_of
 from webdriver import Browser
@@ -74,6 +75,7 @@ def many_are_corrected_and_undone(browser, station, shots):
         browser.keys(" ")
     assert browser.text("#selected") == "3 scans selected", browser.text("#selected")
     shots_of(browser, shots, "select")
+    long_names_wrap(browser, "selected scans")
     browser.accessible("selected scans")
     requests(browser)
     browser.type("#all-were", "slate" + ENTER)
@@ -102,6 +104,7 @@ def changes_are_listed(browser, station, shots):
     assert PERSON in newest and "slate → not reviewed" in newest, newest
     assert PERSON in first and "not reviewed → slate" in first, first
     shots_of(browser, shots, "changes")
+    long_names_wrap(browser, "changes")
     browser.accessible("changes")
     href = browser.run("return document.getElementById('changes-export').href")
     exported = [json.loads(line) for line in get(station, href.removeprefix(station.url)).splitlines()]
