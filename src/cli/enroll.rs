@@ -58,7 +58,7 @@ pub(super) fn enroll(args: &EnrollArgs) -> Done {
     let config = args.station.config()?;
     let wanted = args.trials.map_or(config.trials, |trials| trials.try_into().unwrap_or(u32::MAX));
     let (surface, user) = (args.label.clone(), args.user.clone());
-    let keep = Keep { surface, user, trials: Some(wanted), good_only: true };
+    let keep = Keep { surface, user, trials: Some(wanted), good_only: true, ordered_by: None };
     let trials = show::counted(wanted as usize, "trial");
     let hint = format!("{}: {trials} to go; tap the surface, then drag over it", args.label);
     let Kept { kept, lost } = store(&config, &args.station, keep, hint)?;
@@ -72,7 +72,7 @@ pub(super) fn enroll(args: &EnrollArgs) -> Done {
 pub(super) fn record(args: &RecordArgs) -> Done {
     let config = args.station.config()?;
     let (surface, user) = (args.label.clone(), args.user.clone());
-    let keep = Keep { surface, user, trials: None, good_only: false };
+    let keep = Keep { surface, user, trials: None, good_only: false, ordered_by: None };
     let hint = format!("keeping every scan as {}; q quits", args.label);
     let Kept { kept, lost } = store(&config, &args.station, keep, hint)?;
     let text = || format!("{} could not be written", show::counted(lost as usize, "scan"));

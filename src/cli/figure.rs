@@ -96,7 +96,8 @@ fn pdf(path: &Path, svg: &str) -> Result<Vec<u8>, Failure> {
     };
     fonts.set_sans_serif_family(font);
     let tree = usvg::Tree::from_str(svg, &options).map_err(|error| Failure::at(path, error))?;
-    let page = svg2pdf::PageOptions::default();
+    // Millimetres of an SVG are of 96 pixels an inch.
+    let page = svg2pdf::PageOptions { dpi: 96.0 };
     svg2pdf::to_pdf(&tree, svg2pdf::ConversionOptions::default(), page)
         .map_err(|error| Failure::at(path, error))
 }

@@ -3,9 +3,7 @@
 use std::path::PathBuf;
 
 use super::{Done, Failure, show};
-use crate::history::{
-    COLUMNS, Correction, FOLDER, History, HistoryRow, Precision, Wanted, write_csv,
-};
+use crate::history::{COLUMNS, FOLDER, History, HistoryRow, Precision, Truth, Wanted, write_csv};
 
 /// Show past scans: answers, their states and reasons, and corrections
 ///
@@ -67,11 +65,11 @@ pub(super) fn run(args: &Args) -> Done {
 fn cells(row: HistoryRow) -> Vec<String> {
     let HistoryRow { head, scan_s, reasons, correction, .. } = row;
     let surface = head.surface.unwrap_or_else(|| "-".into());
-    let was = match correction {
+    let was = match correction.map(|correction| correction.truth) {
         None => String::new(),
-        Some(Correction::Surface { surface }) => surface,
-        Some(Correction::Unknown) => "unknown".into(),
-        Some(Correction::Bad) => "bad".into(),
+        Some(Truth::Surface { surface }) => surface,
+        Some(Truth::Unknown) => "unknown".into(),
+        Some(Truth::Bad) => "bad".into(),
     };
     let (state, drag) = (head.state.as_str().into(), format!("{scan_s:.1} s"));
     vec![head.id, state, surface, drag, was, reasons.join("; ")]

@@ -8,8 +8,8 @@ use super::show::{Made, MadeBy};
 use super::{Done, Failure, say, show};
 use crate::evaluate::paper::{self, PaperPart, PaperReport, ReportRow, Shard};
 use crate::library::Library;
-use crate::recognise::ReferenceOptions;
 use crate::library::files::{self, Listed};
+use crate::recognise::ReferenceOptions;
 use crate::record::replace_file;
 
 /// Join the shards that `surfaced eval --paper --shard` wrote, and show the result

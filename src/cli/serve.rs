@@ -9,8 +9,9 @@ use crate::serve::{Reporter, ServeError, Server, Settings, Token};
 use crate::station::Station;
 use crate::station::config::machine_name;
 
-/// The environment variable that holds the token.
+/// The environment variables that hold the tokens of administrators and of operators.
 const TOKEN: &str = "SURFACED_TOKEN";
+const OPERATOR_TOKEN: &str = "SURFACED_OPERATOR_TOKEN";
 /// Interval at which new samples are sent to the page, in seconds. At 25 times a second, the
 /// page can draw 20 times a second even if some samples come late.
 const TRACE_EVERY_S: f64 = 0.04;
@@ -26,7 +27,8 @@ pub(super) struct ServeArgs {
     ///
     /// ADDR is an address with its port, or either alone; port 0 picks a free one. To serve other
     /// machines, give an address such as 0.0.0.0, and a token of at least 16 characters in the
-    /// environment variable SURFACED_TOKEN. [default: 127.0.0.1:8080; of a fleet 127.0.0.1:8081]
+    /// environment variable SURFACED_TOKEN. Who has only the token in SURFACED_OPERATOR_TOKEN sees
+    /// everything, begins and ends scans, and corrects them. [default: 127.0.0.1:8080; of a fleet 127.0.0.1:8081]
     #[arg(long, value_name = "ADDR", value_parser = address)]
     serve: Option<Option<Address>>,
     /// A trusted proxy in front of the server
@@ -99,24 +101,31 @@ impl ServeArgs {
 
     /// Adds the token and the command line's options to the settings.
     pub(super) fn settings(&self, settings: Settings) -> Result<Settings, Failure> {
-        let token = match std::env::var(TOKEN) {
-            Ok(text) => Some(Token::new(&text).map_err(failure)?),
-            Err(_) => None,
-        };
+        let (token, operator_token) = (token(TOKEN)?, token(OPERATOR_TOKEN)?);
         let usual = settings.address;
         let address = self
             .serve
             .flatten()
             .map_or(usual, |(ip, port)| SocketAddr::new(ip, port.unwrap_or(usual.port())));
         let proxies = self.proxies.iter().map(|proxy| proxy.to_canonical()).collect();
-        Ok(Settings { address, token, proxies, ..settings })
+        Ok(Settings { address, token, operator_token, proxies, ..settings })
     }
+}
+
+/// The token in an environment variable; `None` if the variable is not set.
+fn token(variable: &str) -> Result<Option<Token>, Failure> {
+    let Ok(text) = std::env::var(variable) else { return Ok(None) };
+    let token = Token::new(&text);
+    token.map(Some).map_err(|error| Failure::Usage(format!("{variable}: {error}")))
 }
 
 /// Turns an error of the server's start into the failure of the command.
 pub(super) fn failure(error: ServeError) -> Failure {
     match error {
-        ServeError::Open(_) | ServeError::Token => Failure::Usage(error.to_string()),
+        ServeError::Open(_)
+        | ServeError::Token
+        | ServeError::OperatorAlone
+        | ServeError::SameToken => Failure::Usage(error.to_string()),
         ServeError::Bind { .. } | ServeError::System(_) => error.into(),
     }
 }

@@ -4,12 +4,13 @@
 //! ```text
 //! {"answer": {…}}                                        an answer, as clients get it
 //! {"signals": {"id": "…", "bytes": 1500000}}             bytes of the scan's signals; null if removed
-//! {"correction": {"id": "…", "correction": {"was": "surface", "surface": "oak"}}}
+//! {"correction": {"id": "…", "correction": {"was": "surface", "surface": "oak", "person": "anna"}}}
 //! {"trial": {"id": "…", "trial": "oak/anna-03"}}         the scan became this trial of the library
 //! ```
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
@@ -138,23 +139,42 @@ impl Log {
         &self,
         most: u64,
     ) -> Result<Vec<(T, Span)>, HistoryError> {
-        self.lines(most).map_err(HistoryError::io(&self.path))
+        let mut lines = Vec::new();
+        self.each(self.bytes.saturating_sub(most)..self.bytes, |line, span| {
+            lines.extend(serde_json::from_slice::<T>(line).ok().map(|said| (said, span)));
+            Ok(())
+        })?;
+        Ok(lines)
     }
 
-    fn lines<T: DeserializeOwned>(&self, most: u64) -> std::io::Result<Vec<(T, Span)>> {
-        let mut lines = Vec::new();
+    /// Calls `act` with each line that lies in a range of bytes, and with the place of the line. Skips
+    /// the rest of a line that begins before the range.
+    pub(crate) fn each(
+        &self,
+        range: Range<u64>,
+        act: impl FnMut(&[u8], Span) -> io::Result<()>,
+    ) -> Result<(), HistoryError> {
+        self.lines(range, act).map_err(HistoryError::io(&self.path))
+    }
+
+    fn lines(
+        &self,
+        range: Range<u64>,
+        mut act: impl FnMut(&[u8], Span) -> io::Result<()>,
+    ) -> io::Result<()> {
         let mut reader = BufReader::new(File::open(&self.path)?);
-        let mut offset = reader.seek(SeekFrom::Start(self.bytes.saturating_sub(most)))?;
+        let mut offset = reader.seek(SeekFrom::Start(range.start))?;
         let (mut text, mut is_begin) = (Vec::new(), offset == 0);
         loop {
             text.clear();
-            let read = reader.by_ref().take(LONGEST as u64).read_until(b'\n', &mut text)?;
+            let most = range.end.saturating_sub(offset).min(LONGEST as u64);
+            let read = reader.by_ref().take(most).read_until(b'\n', &mut text)?;
             if read == 0 {
-                return Ok(lines);
+                return Ok(());
             }
             let line = text.trim_ascii_end();
-            if is_begin && let Ok(said) = serde_json::from_slice::<T>(line) {
-                lines.push((said, Span { offset, length: line.len() as u32 }));
+            if is_begin {
+                act(line, Span { offset, length: line.len() as u32 })?;
             }
             is_begin = text.ends_with(b"\n");
             offset += read as u64;

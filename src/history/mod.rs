@@ -4,6 +4,7 @@
 //! ```text
 //! HISTORY/
 //!   answers.jsonl                every answer, and every correction by a person; see `log`
+//!   audit.jsonl                  who changed what; see `audit`
 //!   scans/ID/                    one scan in the recording format; old scans make room for new ones
 //!     trial.toml  ac.wav  ca1.png  …
 //!     .why.json                  why the scan got its name; small views of scan and nearest trial
@@ -13,6 +14,7 @@
 //! [`Keeper`] listens to a station and writes its scans; the page and the commands read
 //! [`History`]. Nothing here uses the network.
 
+mod audit;
 mod csv;
 mod entries;
 mod folder;
@@ -20,6 +22,7 @@ mod keeper;
 pub(crate) mod log;
 mod view;
 
+pub(crate) use self::audit::{Actor, AuditRecord, Role};
 pub(crate) use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
 pub(crate) use self::entries::HistoryRow;
 pub use keeper::Keeper;
@@ -32,6 +35,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use self::audit::AuditLog;
 use self::entries::{HistoryEntry, HistoryState};
 use self::folder::{Disk, SCANS};
 use self::log::{Head, LogLine, Text};
@@ -58,6 +62,7 @@ pub struct History {
     inner: Mutex<HistoryState>,
     /// Locked while a scan becomes a trial, or while a trial that was a scan is corrected.
     review: Mutex<()>,
+    audit: Mutex<AuditLog>,
 }
 
 /// Which answers are asked for. What is absent or empty lets all through.
@@ -127,7 +132,8 @@ impl History {
         inner.signals = inner.entries.iter().filter_map(|entry| entry.signals).sum();
         inner.disk = Some(disk);
         inner.make_room()?;
-        Ok(Self { inner: Mutex::new(inner), review: Mutex::default() })
+        let audit = Mutex::new(AuditLog::open(folder)?);
+        Ok(Self { inner: Mutex::new(inner), audit, ..Self::default() })
     }
 
     /// Opens the history in a folder for reading only.
@@ -139,7 +145,7 @@ impl History {
         let mut inner = HistoryState::default();
         inner.take_log(&disk.log, u64::MAX)?;
         inner.disk = Some(disk);
-        Ok(Self { inner: Mutex::new(inner), review: Mutex::default() })
+        Ok(Self { inner: Mutex::new(inner), ..Self::default() })
     }
 
     fn lock(&self) -> MutexGuard<'_, HistoryState> {
@@ -183,19 +189,20 @@ impl History {
         inner.make_room()
     }
 
-    /// Sets the correction of a scan (what it truly was), or removes it.
+    /// Sets the correction of a scan (what it truly was), or removes it. Returns the correction before.
     pub(crate) fn correct(
         &self,
         id: &str,
         correction: Option<Correction>,
-    ) -> Result<(), HistoryError> {
+    ) -> Result<Option<Correction>, HistoryError> {
         let inner = &mut *self.lock();
-        inner.find(id)?;
+        let before = inner.find(id)?.correction.clone();
         if let Some(disk) = &inner.disk {
             let label = correction.as_ref().and_then(Correction::surface);
             disk.label(id, label.unwrap_or(SCANS))?;
         }
-        inner.change(LogLine::Correction { id: id.into(), correction })
+        inner.change(LogLine::Correction { id: id.into(), correction })?;
+        Ok(before)
     }
 
     /// Notes which trial of the library a scan became; `None` if it is no longer one.
@@ -314,10 +321,20 @@ impl History {
     }
 }
 
+/// The truth about a scan, and who gave it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Correction {
+    #[serde(flatten)]
+    pub truth: Truth,
+    /// `None` if nobody gave a name.
+    #[serde(default)]
+    pub person: Option<String>,
+}
+
 /// The truth about a scan, as a person gave it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "was", rename_all = "lowercase")]
-pub(crate) enum Correction {
+pub(crate) enum Truth {
     Surface {
         surface: String,
     },
@@ -329,9 +346,18 @@ pub(crate) enum Correction {
 
 impl Correction {
     pub(crate) fn surface(&self) -> Option<&str> {
-        match self {
-            Self::Surface { surface } => Some(surface),
-            Self::Unknown | Self::Bad => None,
+        match &self.truth {
+            Truth::Surface { surface } => Some(surface),
+            Truth::Unknown | Truth::Bad => None,
+        }
+    }
+
+    /// The correction in a table: its surface, or a word in brackets.
+    pub(crate) fn text(&self) -> &str {
+        match &self.truth {
+            Truth::Surface { surface } => surface,
+            Truth::Unknown => "(unknown)",
+            Truth::Bad => "(bad)",
         }
     }
 }
@@ -356,10 +382,10 @@ fn precision<'a>(
 ) -> Vec<Precision> {
     let mut counts: BTreeMap<Option<&str>, (usize, usize)> = BTreeMap::new();
     for (answered, correction) in corrected {
-        let right = match correction {
-            Correction::Bad => continue,
-            Correction::Unknown => answered.is_none(),
-            Correction::Surface { surface } => answered == Some(surface),
+        let right = match &correction.truth {
+            Truth::Bad => continue,
+            Truth::Unknown => answered.is_none(),
+            Truth::Surface { surface } => answered == Some(surface),
         };
         let (all, rights) = counts.entry(answered).or_default();
         *all += 1;

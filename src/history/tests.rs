@@ -22,6 +22,16 @@ fn answer(scan: u32, surface: Option<&str>) -> Answer {
     }
 }
 
+impl From<Truth> for Correction {
+    fn from(truth: Truth) -> Self {
+        Self { truth, person: Some("anna".into()) }
+    }
+}
+
+fn was(surface: &str) -> Correction {
+    Truth::Surface { surface: surface.into() }.into()
+}
+
 /// Adds an answer, and writes `bytes` bytes of signals for it.
 fn keep(history: &History, scan: u32, bytes: usize) -> String {
     let answer = answer(scan, Some("oak"));
@@ -45,7 +55,7 @@ fn scans(history: &History) -> Vec<u32> {
 #[test]
 fn what_was_answered_kept_and_corrected_is_there_after_a_restart() {
     let dir = tempfile::tempdir().unwrap();
-    let was = Correction::Surface { surface: "ash".into() };
+    let was = was("ash");
     let id = {
         let history = History::open(dir.path(), 1 << 20).unwrap();
         let id = keep(&history, 1, 100);
@@ -107,7 +117,7 @@ fn a_scan_without_a_name_is_kept_with_its_reason_and_its_signals() {
     }
     assert!(history.folder("1").unwrap().join("ir.wav").exists());
     assert_eq!(history.extent().problem, None);
-    history.correct(&answer(1, None).id, Some(Correction::Unknown)).unwrap();
+    history.correct(&answer(1, None).id, Some(Truth::Unknown.into())).unwrap();
     assert_eq!(history.precision(), [], "it was no answer");
 }
 
@@ -120,7 +130,7 @@ fn only_what_is_asked_for_is_given_by_page_and_as_a_whole() {
         history.answered(&Answer { user, ..answer }).unwrap();
     }
     let first = history.answer("3").unwrap().head;
-    history.correct(&first.id, Some(Correction::Surface { surface: "elm".into() })).unwrap();
+    history.correct(&first.id, Some(was("elm"))).unwrap();
     let at = |scan: u64| Some(first.unix_ms - 3 + scan);
     let text = |text: &str| Some(text.to_string());
     for (wanted, scans) in [
@@ -177,14 +187,14 @@ fn the_log_is_bounded_and_keeps_the_newest_answers_with_what_was_said_of_them() 
     for scan in 1..=1000 {
         let answer = answer(scan, Some("oak"));
         history.answered(&answer).unwrap();
-        history.correct(&answer.id, Some(Correction::Unknown)).unwrap();
+        history.correct(&answer.id, Some(Truth::Unknown.into())).unwrap();
     }
     let log = fs::metadata(dir.path().join("answers.jsonl")).unwrap().len();
     assert!(log <= most / 8 + 2000, "{log}");
     let newest = history.newest(None, 1000, &Wanted::default()).unwrap();
     assert!(newest.len() > 20 && newest.len() < 1000);
     assert_eq!(newest[0].head.scan, 1000);
-    assert!(newest.iter().all(|row| row.correction == Some(Correction::Unknown)));
+    assert!(newest.iter().all(|row| row.correction == Some(Truth::Unknown.into())));
     let before = &newest[5].head.id;
     assert_eq!(history.newest(Some(before), 1, &Wanted::default()).unwrap()[0].head.scan, 994);
 }
@@ -194,8 +204,8 @@ fn a_history_in_memory_remembers_a_thousand_answers() {
     let history = History::default();
     (1..=1200).for_each(|scan| history.answered(&answer(scan, None)).unwrap());
     assert_eq!((scans(&history).len(), scans(&history)[0]), (1000, 1200));
-    history.correct(&answer(1200, None).id, Some(Correction::Bad)).unwrap();
-    assert_eq!(history.answer("1200").unwrap().correction, Some(Correction::Bad));
+    history.correct(&answer(1200, None).id, Some(Truth::Bad.into())).unwrap();
+    assert_eq!(history.answer("1200").unwrap().correction, Some(Truth::Bad.into()));
 }
 
 #[test]
@@ -245,13 +255,12 @@ fn a_log_that_is_no_file_is_refused_and_of_a_long_one_only_the_end_is_read() {
 
 #[test]
 fn precision_counts_by_what_was_answered_and_not_bad_scans() {
-    let was = |surface: &str| Correction::Surface { surface: surface.into() };
     let said = [
         (Some("oak"), was("oak")),
         (Some("oak"), was("ash")),
-        (Some("oak"), Correction::Unknown),
-        (Some("oak"), Correction::Bad),
-        (None, Correction::Unknown),
+        (Some("oak"), Truth::Unknown.into()),
+        (Some("oak"), Truth::Bad.into()),
+        (None, Truth::Unknown.into()),
         (None, was("elm")),
     ];
     let found = precision(said.iter().map(|(answered, was)| (*answered, was)));

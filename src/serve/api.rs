@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use axum::Router;
 use axum::body::Body;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{DefaultBodyLimit, Query, State};
@@ -10,15 +9,19 @@ use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::{MethodRouter, get, post};
+use axum::{Extension, Router};
 use serde::Deserialize;
 use serde_json::json;
 
 use super::guard::{Guard, Traffic, guard};
 use super::hub::{Hub, Shared};
 use super::request::{Problem, Said, body, label};
+use super::roles::By;
 use super::settings::{LARGEST_BODY, Settings};
 use super::subscribers::EventFilter;
-use super::{library, metrics, scans};
+use super::{audit, library, metrics, review, roles, scans};
+use crate::history::{Actor, AuditRecord};
+use crate::printable::counted;
 use crate::station::Command;
 use crate::trial::EXPERT;
 
@@ -26,8 +29,11 @@ const MOST_TRIALS: u32 = 1000;
 
 pub(crate) fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
     let api = Router::new()
+        .route("/me", get(roles::me))
         .route("/state", get(state))
         .merge(scans::router())
+        .merge(review::router())
+        .merge(audit::router())
         .merge(library::router())
         .route("/library", get(library))
         .route("/events", get(events))
@@ -96,7 +102,7 @@ struct Enroll {
     trials: Option<u32>,
 }
 
-async fn enroll(State(hub): Shared, said: Said) -> Result<Response, Problem> {
+async fn enroll(State(hub): Shared, Extension(by): By, said: Said) -> Result<Response, Problem> {
     let expected = "{\"surface\": \"oak\", \"user\": \"anna\", \"trials\": 3}";
     let Enroll { surface, user, trials } = body(said, expected)?;
     let surface = label("surface", &surface)?;
@@ -105,7 +111,8 @@ async fn enroll(State(hub): Shared, said: Said) -> Result<Response, Problem> {
     if !(1..=MOST_TRIALS).contains(&trials) {
         return Err(Problem::Bad(format!("`trials` is {trials}; expected 1 to {MOST_TRIALS}")));
     }
-    send(&hub, "enroll", Command::Enroll { surface, user, trials })
+    let ordered_by = by.person.clone();
+    send(hub, by, "enroll", Command::Enroll { surface, user, trials, ordered_by }).await
 }
 
 #[derive(Deserialize)]
@@ -114,9 +121,13 @@ struct KeepRefused {
     scan: u32,
 }
 
-async fn keep_refused(State(hub): Shared, said: Said) -> Result<Response, Problem> {
+async fn keep_refused(
+    State(hub): Shared,
+    Extension(by): By,
+    said: Said,
+) -> Result<Response, Problem> {
     let KeepRefused { scan } = body(said, "{\"scan\": 7}")?;
-    send(&hub, "enroll/keep", Command::KeepRefused(scan))
+    send(hub, by, "enroll/keep", Command::KeepRefused(scan)).await
 }
 
 async fn open_api() -> Response {
@@ -124,11 +135,30 @@ async fn open_api() -> Response {
 }
 
 fn order_by_post(accepted: &'static str, order: Command) -> MethodRouter<Arc<Hub>> {
-    post(move |State(hub): Shared| async move { send(&hub, accepted, order) })
+    post(move |State(hub): Shared, Extension(by): By| send(hub, by, accepted, order))
 }
 
-fn send(hub: &Hub, accepted: &'static str, order: Command) -> Result<Response, Problem> {
+/// Gives the station an order. The audit log gets those that change what is kept or compared.
+async fn send(
+    hub: Arc<Hub>,
+    by: Actor,
+    accepted: &'static str,
+    order: Command,
+) -> Result<Response, Problem> {
+    let (subject, after) = match &order {
+        Command::Enroll { surface, user, trials, .. } => {
+            let trials = counted(*trials as usize, "trial");
+            (Some(surface.clone()), Some(format!("{trials} of {user}")))
+        }
+        Command::KeepRefused(scan) => (Some(format!("scan {scan}")), None),
+        _ => (None, None),
+    };
+    let is_noted = !matches!(order, Command::Start | Command::Stop);
     hub.order(order)?;
+    if is_noted {
+        let change = (None, after.as_deref());
+        audit::note(hub, vec![AuditRecord::now(&by, accepted, subject.as_deref(), change)]).await?;
+    }
     Ok((StatusCode::ACCEPTED, Json(json!({ "accepted": accepted }))).into_response())
 }
 
@@ -156,7 +186,7 @@ async fn ready(State(hub): Shared) -> Response {
 }
 
 /// The files of the page: path, content type and text of each.
-pub(crate) const FILES: [(&str, &str, &str); 17] = [
+pub(crate) const FILES: [(&str, &str, &str); 20] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
@@ -166,6 +196,9 @@ pub(crate) const FILES: [(&str, &str, &str); 17] = [
     ("/answer.js", "text/javascript; charset=utf-8", include_str!("page/answer.js")),
     ("/history.js", "text/javascript; charset=utf-8", include_str!("page/history.js")),
     ("/now.js", "text/javascript; charset=utf-8", include_str!("page/now.js")),
+    ("/person.js", "text/javascript; charset=utf-8", include_str!("page/person.js")),
+    ("/changes.js", "text/javascript; charset=utf-8", include_str!("page/changes.js")),
+    ("/select.js", "text/javascript; charset=utf-8", include_str!("page/select.js")),
     ("/enrol.js", "text/javascript; charset=utf-8", include_str!("page/enrol.js")),
     ("/route.js", "text/javascript; charset=utf-8", include_str!("page/route.js")),
     ("/scan.js", "text/javascript; charset=utf-8", include_str!("page/scan.js")),

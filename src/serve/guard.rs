@@ -20,7 +20,9 @@ use rand::TryRng;
 use rand::rngs::SysRng;
 
 use super::request::Problem;
-use super::settings::{Limits, Settings, Token};
+use super::roles::{may_operator, person};
+use super::settings::{Limits, Settings};
+use crate::history::{Actor, Role};
 
 const TOKEN_COOKIE: &str = "surfaced_token";
 /// The cookie by which a browser that knew the token is recognised later.
@@ -63,6 +65,12 @@ pub(super) struct Guard {
     budgets: Mutex<Budgets>,
 }
 
+/// What becomes of a request that is not refused.
+enum Admission {
+    Answered(Response),
+    Passes(Actor),
+}
+
 /// The budgets of clients: how many requests and how many wrong tokens each may still send.
 #[derive(Debug)]
 struct Budgets {
@@ -91,13 +99,13 @@ impl Budgets {
         }
     }
 
-    /// Compares the token that a client gave. Each attempt takes one guess from the client's
-    /// budget; a correct token gives the guess back.
+    /// Compares the token that a client gave, and returns the client's role. Each attempt takes one
+    /// guess from the client's budget; a correct token gives the guess back.
     fn try_token(
         &mut self,
-        (token, given): (&Token, &str),
+        (settings, given): (&Settings, &str),
         (address, session): (IpAddr, Option<u128>),
-    ) -> Result<(), Problem> {
+    ) -> Result<Role, Problem> {
         let now = Instant::now();
         let session = session.filter(|session| self.sessions.contains(session));
         let admitted = match session {
@@ -107,14 +115,12 @@ impl Budgets {
         if !admitted {
             return Err(Problem::TooOften);
         }
-        if !token.matches(given) {
-            return Err(Problem::Token);
-        }
+        let role = settings.role_of(given).ok_or(Problem::Token)?;
         match session {
             Some(session) => self.session_guesses.give_back(session),
             None => self.guesses.give_back(address),
         }
-        self.known.admit(address, now).then_some(()).ok_or(Problem::TooOften)
+        self.known.admit(address, now).then_some(role).ok_or(Problem::TooOften)
     }
 
     /// Starts a session, and drops the oldest of too many; `None` if there are no random numbers.
@@ -148,26 +154,28 @@ impl Guard {
         self.budgets.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets a request pass (`None`), or answers it. A person opens `/?token=…` once; the answer
-    /// sets the cookies and redirects to the page's address without the token.
-    fn check(&self, request: &Request, client: Client) -> Result<Option<Response>, Problem> {
+    /// Lets a request pass, or answers it. A person opens `/?token=…` once; the answer sets the
+    /// cookies and redirects to the page's address without the token.
+    fn check(&self, request: &Request, client: Client) -> Result<Admission, Problem> {
         let (headers, address) = (request.headers(), neighbourhood(client.address));
         let host = text(headers, &HOST).unwrap_or_default();
         let in_address = in_address(request);
         let given = bearer(headers).or_else(|| cookie(headers, TOKEN_COOKIE)).or(in_address);
         let is_open = OPEN.contains(&request.uri().path());
-        match (&self.settings.token, given) {
-            (Some(token), Some(given)) => {
+        let role = match (&self.settings.token, given) {
+            (Some(_), Some(given)) => {
                 let given = in_address.unwrap_or(given);
                 let session = cookie(headers, SESSION_COOKIE);
                 let session = session.and_then(|text| u128::from_str_radix(text, 16).ok());
-                match self.budgets().try_token((token, given), (address, session)) {
-                    Err(Problem::Token) if is_open => {}
-                    tried => tried?,
-                }
+                let role =
+                    match self.budgets().try_token((&self.settings, given), (address, session)) {
+                        Err(Problem::Token) if is_open => Role::Operator,
+                        tried => tried?,
+                    };
                 if in_address.is_some() {
-                    return Ok(Some(self.enter(token, client)));
+                    return Ok(Admission::Answered(self.enter(given, client)));
                 }
+                role
             }
             (token, _) => {
                 if !self.budgets().strangers.admit(address, Instant::now()) {
@@ -177,20 +185,25 @@ impl Guard {
                 // point any other name here. With a token, any host is allowed, since a stranger does
                 // not know the token.
                 match token {
-                    Some(_) if is_open => {}
+                    Some(_) if is_open => Role::Operator,
                     Some(_) => return Err(Problem::Token),
-                    None if is_loopback(host) => {}
+                    None if is_loopback(host) => Role::Administrator,
                     None => return Err(Problem::Host(host.into())),
                 }
             }
-        }
-        if request.method() != Method::GET && request.method() != Method::HEAD {
+        };
+        let (method, path) = (request.method(), request.uri().path());
+        if method != Method::GET && method != Method::HEAD {
             check_origin(headers, host, self.settings.public_address.as_ref())?;
         }
-        Ok(None)
+        if role == Role::Operator && !is_open && !may_operator(method, path) {
+            return Err(Problem::Role);
+        }
+        Ok(Admission::Passes(Actor { role, person: person(headers)? }))
     }
 
-    fn enter(&self, token: &Token, client: Client) -> Response {
+    /// The answer to a client that gave a token, which is one of the two.
+    fn enter(&self, token: &str, client: Client) -> Response {
         let secure = if client.tls { "; Secure" } else { "" };
         let session = self.budgets().begin_session().map(|session| format!("{session:032x}"));
         let cookie = |name: &str, value: &str| {
@@ -198,7 +211,7 @@ impl Guard {
             let life = "HttpOnly; SameSite=Strict; Max-Age=31536000";
             (SET_COOKIE, format!("{name}={value}; {life}{secure}"))
         };
-        let cookies = std::iter::once(cookie(TOKEN_COOKIE, token.reveal()))
+        let cookies = std::iter::once(cookie(TOKEN_COOKIE, token))
             .chain(session.map(|session| cookie(SESSION_COOKIE, &session)));
         let cookies: Vec<_> = cookies.collect();
         let headers = [(LOCATION, "./"), (CACHE_CONTROL, "no-store")];
@@ -209,7 +222,7 @@ impl Guard {
 /// Passes a request to its handler, or refuses it.
 pub(super) async fn guard(
     State(guard): State<Arc<Guard>>,
-    request: Request,
+    mut request: Request,
     next: Next,
 ) -> Response {
     let settings = &guard.settings;
@@ -220,10 +233,13 @@ pub(super) async fn guard(
     let is_tried = in_address(&request).is_some();
     guard.traffic.requests.fetch_add(1, Ordering::Relaxed);
     let mut response = match guard.check(&request, client) {
-        Ok(Some(answer)) => answer,
-        Ok(None) => tokio::time::timeout(settings.limits.request, next.run(request))
-            .await
-            .unwrap_or_else(|_| Problem::Slow.into_response()),
+        Ok(Admission::Answered(answer)) => answer,
+        Ok(Admission::Passes(actor)) => {
+            request.extensions_mut().insert(actor);
+            tokio::time::timeout(settings.limits.request, next.run(request))
+                .await
+                .unwrap_or_else(|_| Problem::Slow.into_response())
+        }
         Err(problem) if has_form => {
             let text = match &problem {
                 Problem::Token if is_tried => "This token is not right.".to_string(),

@@ -2,17 +2,19 @@
 
 use std::sync::Arc;
 
-use axum::Router;
 use axum::extract::State;
 use axum::response::Json;
 use axum::routing::{get, post};
+use axum::{Extension, Router};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::hub::{CheckView, Hub, Shared};
 use super::request::{Problem, Said, aside, body, label};
+use super::roles::By;
 use super::state::unix_ms;
 use super::subscribers::EventKind;
+use crate::history::{Actor, AuditRecord};
 use crate::library::LibraryError;
 use crate::record::edit::{self, Editor, Step};
 use crate::station::Command;
@@ -63,16 +65,16 @@ struct Chosen {
     trials: Vec<String>,
 }
 
-async fn rename(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
+async fn rename(State(hub): Shared, Extension(by): By, said: Said) -> Result<Json<Step>, Problem> {
     let Rename { surface, to } = body(said, "{\"surface\": \"oak\", \"to\": \"ash\"}")?;
     let to = label("to", &to)?;
-    edited(&hub, move |editor| editor.rename(&surface, &to)).await
+    edited(&hub, (by, "rename"), move |editor| editor.rename(&surface, &to)).await
 }
 
-async fn move_to(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
+async fn move_to(State(hub): Shared, Extension(by): By, said: Said) -> Result<Json<Step>, Problem> {
     let MoveTo { trials, to } = body(said, "{\"trials\": [\"oak/anna-01\"], \"to\": \"ash\"}")?;
     let (trials, to) = (few(trials)?, label("to", &to)?);
-    edited(&hub, move |editor| editor.move_to(&trials, &to)).await
+    edited(&hub, (by, "move"), move |editor| editor.move_to(&trials, &to)).await
 }
 
 fn chosen(said: Said) -> Result<Vec<String>, Problem> {
@@ -80,18 +82,18 @@ fn chosen(said: Said) -> Result<Vec<String>, Problem> {
     few(trials)
 }
 
-async fn remove(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
+async fn remove(State(hub): Shared, Extension(by): By, said: Said) -> Result<Json<Step>, Problem> {
     let trials = chosen(said)?;
-    edited(&hub, move |editor| editor.remove(&trials)).await
+    edited(&hub, (by, "remove"), move |editor| editor.remove(&trials)).await
 }
 
-async fn restore(State(hub): Shared, said: Said) -> Result<Json<Step>, Problem> {
+async fn restore(State(hub): Shared, Extension(by): By, said: Said) -> Result<Json<Step>, Problem> {
     let trials = chosen(said)?;
-    edited(&hub, move |editor| editor.restore(&trials)).await
+    edited(&hub, (by, "restore"), move |editor| editor.restore(&trials)).await
 }
 
-async fn undo(State(hub): Shared) -> Result<Json<Step>, Problem> {
-    edited(&hub, Editor::undo).await
+async fn undo(State(hub): Shared, Extension(by): By) -> Result<Json<Step>, Problem> {
+    edited(&hub, (by, "undo"), Editor::undo).await
 }
 
 fn few(trials: Vec<String>) -> Result<Vec<String>, Problem> {
@@ -101,9 +103,10 @@ fn few(trials: Vec<String>) -> Result<Vec<String>, Problem> {
     }
 }
 
-/// Makes an edit, then tells the station to read the library again.
+/// Makes an edit, notes each of its moves, then tells the station to read the library again.
 async fn edited(
     hub: &Hub,
+    (by, action): (Actor, &'static str),
     edit: impl FnOnce(&mut Editor) -> Result<Step, LibraryError> + Send + 'static,
 ) -> Result<Json<Step>, Problem> {
     let library = hub.settings.library.clone().ok_or(Problem::NoLibrary)?;
@@ -112,12 +115,26 @@ async fn edited(
         let step = edit(&mut Editor::open(&library.folder, &library.scene)?)?;
         // If the moves cannot be recorded now, moved trials are found later by their notes.
         let _ = history.relocated(&step.moves);
+        let moves = step.moves.iter();
+        history.note_changes(moves.map(|one| moved(&by, action, Some(&one.from), Some(&one.to))));
         Ok(step)
     });
     let step = step.await?;
     // If the station is too busy to take this command, the operator can reload later.
     let _ = hub.order(Command::Reload);
     Ok(Json(step))
+}
+
+/// The record of a trial that went from one place in the library to another, or to the removed trials
+/// or back.
+pub(super) fn moved(
+    by: &Actor,
+    action: &'static str,
+    from: Option<&str>,
+    to: Option<&str>,
+) -> AuditRecord {
+    let [from, to] = [from, to].map(|place| place.filter(|place| !place.starts_with('.')));
+    AuditRecord::now(by, action, from.or(to), (from, to))
 }
 
 async fn check(State(hub): Shared) -> Json<CheckView> {

@@ -12,11 +12,14 @@
 //! A subscriber that is slow misses events and is told how many. It never delays other subscribers.
 
 pub(crate) mod api;
+mod audit;
 mod guard;
 mod hub;
 mod library;
 mod metrics;
 pub(crate) mod request;
+mod review;
+mod roles;
 pub(crate) mod scans;
 mod server;
 mod settings;

@@ -40,6 +40,11 @@ pub(crate) enum Problem {
     Origin(String),
     #[error("a token is needed: open /?token=…, or send `Authorization: Bearer …`")]
     Token,
+    #[error(
+        "only an administrator may do this; open /?token=… with the administrator's token, or send \
+         that one"
+    )]
+    Role,
     #[error("the station is busy with earlier commands; try again")]
     Busy,
     #[error("the station has ended")]
@@ -49,7 +54,8 @@ pub(crate) enum Problem {
 }
 
 impl Problem {
-    fn kind(&self) -> (StatusCode, &'static str) {
+    /// The status of the answer, and the word for programs.
+    pub(crate) fn kind(&self) -> (StatusCode, &'static str) {
         match self {
             Self::NotFound | Self::Gone(_) => (StatusCode::NOT_FOUND, "not_found"),
             Self::Failed(_) => (StatusCode::CONFLICT, "failed"),
@@ -62,6 +68,7 @@ impl Problem {
             Self::Host(_) => (StatusCode::MISDIRECTED_REQUEST, "wrong_host"),
             Self::Origin(_) => (StatusCode::FORBIDDEN, "wrong_origin"),
             Self::Token => (StatusCode::UNAUTHORIZED, "token_needed"),
+            Self::Role => (StatusCode::FORBIDDEN, "administrator_needed"),
             Self::Busy => (StatusCode::SERVICE_UNAVAILABLE, "busy"),
             Self::Ended => (StatusCode::CONFLICT, "ended"),
             Self::NoLibrary => (StatusCode::CONFLICT, "no_library"),

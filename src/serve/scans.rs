@@ -1,4 +1,4 @@
-//! Past scans for programs and the page. Serves the list, single scans, their files and corrections.
+//! Past scans for programs and the page. Serves the list, single scans and their files.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -9,25 +9,20 @@ use axum::extract::{Path, Query, State};
 use axum::http::header::{ACCEPT_RANGES, CONTENT_RANGE, CONTENT_TYPE, RANGE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Json, Response};
-use axum::routing::{get, post};
+use axum::routing::get;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::hub::{Hub, Shared};
-use super::request::{CSV, JSON_LINES, Problem, Said, aside, body, exported, label};
-use super::settings::LibraryFolder;
-use super::subscribers::EventKind;
+use super::request::{CSV, JSON_LINES, Problem, aside, exported};
 use crate::history::{
-    COLUMNS, Correction, HistoryError, HistoryRow, NOTES, Wanted, nearest_picture, write_csv,
+    COLUMNS, HistoryError, HistoryRow, NOTES, Wanted, nearest_picture, write_csv,
 };
 use crate::jpeg;
-use crate::library::{About, LibraryError, recording};
+use crate::library::LibraryError;
 use crate::printable::json_text;
-use crate::record::TrialOptions;
-use crate::record::edit::{self, Editor};
 use crate::scene::SourceId;
-use crate::station::{AnswerState, Command};
-use crate::trial::{EXPERT, Trial, TrialKey};
+use crate::station::AnswerState;
 
 /// How many scans one answer holds by default (`USUAL`) and at most (`MOST`).
 pub(crate) const USUAL: usize = 100;
@@ -40,8 +35,6 @@ pub(crate) fn router() -> Router<Arc<Hub>> {
         .route("/scans.jsonl", get(json_lines))
         .route("/scans/{id}", get(scan))
         .route("/scans/{id}/why", get(why))
-        .route("/scans/{id}/correct", post(correct))
-        .route("/scans/{id}/keep", post(keep))
         .route("/scans/{id}/{file}", get(file))
         .route("/history", get(history))
         .route("/pictures/{file}", get(live_picture))
@@ -143,7 +136,7 @@ async fn json_lines(State(hub): Shared, asked: Asked) -> Result<Response, Proble
     }))
 }
 
-type ScanPath = Result<Path<String>, PathRejection>;
+pub(super) type ScanPath = Result<Path<String>, PathRejection>;
 
 async fn scan(State(hub): Shared, id: ScanPath) -> Result<Json<HistoryRow>, Problem> {
     let Path(id) = id?;
@@ -235,136 +228,4 @@ async fn history(State(hub): Shared) -> Json<Value> {
     let mut view = json!(history.extent());
     view["precision"] = json!(history.precision());
     Json(view)
-}
-
-/// The truth about a scan, as a request states it. An empty request removes the correction.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Was {
-    surface: Option<String>,
-    #[serde(default)]
-    unknown: bool,
-    #[serde(default)]
-    bad: bool,
-}
-
-async fn correct(
-    State(hub): Shared,
-    id: ScanPath,
-    said: Said,
-) -> Result<Json<HistoryRow>, Problem> {
-    let Path(id) = id?;
-    let expected = "{\"surface\": \"oak\"}, {\"unknown\": true} or {\"bad\": true}";
-    let Was { surface, unknown, bad } = body(said, expected)?;
-    let correction = match (surface, unknown, bad) {
-        (None, false, false) => None,
-        (None, true, false) => Some(Correction::Unknown),
-        (None, false, true) => Some(Correction::Bad),
-        (Some(surface), false, false) => {
-            Some(Correction::Surface { surface: label("surface", &surface)? })
-        }
-        _ => return Err(Problem::Bad("give only one of `surface`, `unknown` and `bad`".into())),
-    };
-    let (history, library) = (hub.settings.history.clone(), hub.settings.library.clone());
-    let scan = aside(move || {
-        let _reviewing = history.reviewing();
-        let scan = history.answer(&id)?;
-        let id = &scan.head.id;
-        let mut is_moved = false;
-        if let (Some(_), Some(library)) = (&scan.became, library) {
-            let label = correction.as_ref().and_then(Correction::surface);
-            history.became(id, correct_trial(&library, &scan, label)?)?;
-            is_moved = true;
-        }
-        history.correct(id, correction)?;
-        Ok((history.answer(id)?, is_moved))
-    });
-    let (scan, is_moved) = scan.await?;
-    hub.lock().publish(EventKind::Correction, &scan);
-    if is_moved {
-        // If the station is too busy to take this command, the operator can reload later.
-        let _ = hub.order(Command::Reload);
-    }
-    Ok(Json(scan))
-}
-
-/// The notes written into the trial made of a scan. By these notes, the trial is found later.
-fn notes(scan: &HistoryRow) -> String {
-    format!("scan {}", scan.head.id)
-}
-
-/// Moves the trial made of a scan to another label, or removes the trial if `label` is `None`.
-/// Returns the trial's new name; `None` if the trial is gone.
-fn correct_trial(
-    library: &LibraryFolder,
-    scan: &HistoryRow,
-    label: Option<&str>,
-) -> Result<Option<String>, LibraryError> {
-    let trial = edit::trial_of_note(&library.folder, &notes(scan), scan.became.as_deref());
-    let Some(trial) = trial else { return Ok(None) };
-    let mut editor = Editor::open(&library.folder, &library.scene)?;
-    let Some(label) = label else {
-        return editor.remove(&[trial]).map(|_| None);
-    };
-    let step = editor.move_to(std::slice::from_ref(&trial), label)?;
-    Ok(Some(step.moves.first().map_or(trial, |one| one.to.clone())))
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct KeepRequest {
-    user: Option<String>,
-}
-
-async fn keep(State(hub): Shared, id: ScanPath, said: Said) -> Result<Json<HistoryRow>, Problem> {
-    let Path(id) = id?;
-    let KeepRequest { user } = body(said, "{\"user\": \"anna\"}")?;
-    let user = label("user", user.as_deref().unwrap_or(EXPERT))?;
-    let library = hub.settings.library.clone().ok_or(Problem::NoLibrary)?;
-    let history = hub.settings.history.clone();
-    let scan = aside(move || {
-        let _reviewing = history.reviewing();
-        let scan = history.answer(&id)?;
-        let id = &scan.head.id;
-        let there = edit::trial_of_note(&library.folder, &notes(&scan), scan.became.as_deref());
-        if let Some(trial) = there {
-            // After a crash, the trial may exist although the history does not say so.
-            history.became(id, Some(trial.clone()))?;
-            let why = format!("this scan is a trial of the library already: {trial}");
-            return Err(Problem::Bad(why));
-        }
-        let trial = to_library(&library, &scan, &history.folder(id)?, user)?;
-        history.became(id, Some(trial))?;
-        Ok(history.answer(id)?)
-    });
-    let scan = scan.await?;
-    hub.lock().publish(EventKind::Correction, &scan);
-    // If the station is too busy to take this command, the operator can reload later.
-    let _ = hub.order(Command::Reload);
-    Ok(Json(scan))
-}
-
-/// Writes a corrected scan into a library, and returns the name of the new trial.
-fn to_library(
-    library: &LibraryFolder,
-    scan: &HistoryRow,
-    folder: &std::path::Path,
-    user: String,
-) -> Result<String, Problem> {
-    let refuse = |why: &str| Err(Problem::Bad(why.into()));
-    let Some(surface) = scan.correction.as_ref().and_then(Correction::surface) else {
-        return refuse("say first which surface this scan was");
-    };
-    if !scan.spoiled.is_empty() {
-        return refuse("this scan is spoiled, so it cannot become a trial");
-    }
-    let about = About::read(folder)?;
-    let opened = recording::open_trial(folder, &library.scene)?;
-    let [entry] = opened.entries.as_slice() else { return refuse("this scan holds no signals") };
-    let key = TrialKey::new(surface, user, 1).with_session(about.session.clone());
-    let trial = Trial { key, signals: entry.load()?.signals };
-    let about = About { notes: Some(notes(scan)), ..about };
-    let options = TrialOptions { about, durable: true };
-    let what = format!("keep {} as a trial of {surface}", notes(scan));
-    Ok(edit::keep(&library.folder, &library.scene, trial, &options, what)?)
 }

@@ -41,8 +41,9 @@ impl Server {
     /// Starts the server. It sends commands to the station through `orders`.
     ///
     /// # Errors
-    /// If other machines can reach the address but no token is set, if the address cannot be used,
-    /// or if no thread can be started.
+    /// If other machines can reach the address but no token is set, if operators have a token but
+    /// administrators have none or the same, if the address cannot be used, or if no thread can be
+    /// started.
     pub fn start(
         settings: &Settings,
         orders: Sender<Command>,
@@ -60,9 +61,7 @@ impl Server {
         served: (Router, Arc<Traffic>),
         work: impl FnOnce(watch::Receiver<bool>) -> W + Send + 'static,
     ) -> Result<Self, ServeError> {
-        if !settings.address.ip().is_loopback() && settings.token.is_none() {
-            return Err(ServeError::Open(settings.address));
-        }
+        settings.check_tokens()?;
         let bind = |error| ServeError::Bind { address: settings.address, error };
         let (stop, stopped) = watch::channel(false);
         let runtime = tokio::runtime::Builder::new_current_thread()

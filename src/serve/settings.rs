@@ -11,7 +11,7 @@ use subtle::ConstantTimeEq;
 
 use crate::device::camera::Viewfinder;
 use crate::evaluate::CheckReport;
-use crate::history::History;
+use crate::history::{History, Role};
 use crate::outputs::OutputHealth;
 use crate::scene::Scene;
 
@@ -21,8 +21,12 @@ const PORT: u16 = 8080;
 pub struct Settings {
     /// Address and port; with port 0, the system picks a free port.
     pub address: SocketAddr,
-    /// The token that clients must give; `None` if no token is needed.
+    /// The token of administrators, who may do everything. If it is `None`, no token is needed, and
+    /// everyone is an administrator.
     pub token: Option<Token>,
+    /// The token of operators, who see everything, begin and end scans, and correct them. Needs
+    /// `token`, and is another one.
+    pub operator_token: Option<Token>,
     /// Trusted proxies. Their `X-Forwarded-For` and `X-Forwarded-Proto` headers are believed, and
     /// the limit of connections for one address does not apply to them.
     pub proxies: Vec<IpAddr>,
@@ -57,6 +61,7 @@ impl Default for Settings {
         Self {
             address: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), PORT),
             token: None,
+            operator_token: None,
             proxies: Vec::new(),
             limits: Limits::default(),
             enrolls: true,
@@ -67,6 +72,31 @@ impl Default for Settings {
             outputs: Vec::new(),
             stale_after_s: 30.0,
             public_address: None,
+        }
+    }
+}
+
+impl Settings {
+    /// The role of a client that gave a token; `None` if the token is wrong.
+    pub(super) fn role_of(&self, given: &str) -> Option<Role> {
+        let is = |token: &Option<Token>| token.as_ref().is_some_and(|token| token.matches(given));
+        // Both are compared, so that the time does not tell which of them it is like.
+        match (is(&self.token), is(&self.operator_token)) {
+            (true, _) => Some(Role::Administrator),
+            (false, true) => Some(Role::Operator),
+            (false, false) => None,
+        }
+    }
+
+    /// Checks that the tokens fit the address and each other.
+    pub(super) fn check_tokens(&self) -> Result<(), ServeError> {
+        match (&self.token, &self.operator_token) {
+            (None, Some(_)) => Err(ServeError::OperatorAlone),
+            (Some(token), Some(operator)) if token.matches(operator.reveal()) => {
+                Err(ServeError::SameToken)
+            }
+            (None, None) if !self.address.ip().is_loopback() => Err(ServeError::Open(self.address)),
+            _ => Ok(()),
         }
     }
 }
@@ -135,7 +165,7 @@ impl Token {
         self.0.as_bytes().ct_eq(given.as_bytes()).into()
     }
 
-    pub(super) fn reveal(&self) -> &str {
+    fn reveal(&self) -> &str {
         &self.0
     }
 }
@@ -158,6 +188,16 @@ pub enum ServeError {
     Bind { address: SocketAddr, error: std::io::Error },
     #[error("the token must be 16 to 256 letters, digits, `-`, `.`, `_` or `~`")]
     Token,
+    #[error(
+        "SURFACED_OPERATOR_TOKEN is set, but SURFACED_TOKEN, the administrator's token, is not; set \
+         both, or neither"
+    )]
+    OperatorAlone,
+    #[error(
+        "SURFACED_OPERATOR_TOKEN equals SURFACED_TOKEN, so every operator would be an administrator; \
+         give operators another token"
+    )]
+    SameToken,
     #[error("cannot serve: {0}")]
     System(std::io::Error),
 }

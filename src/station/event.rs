@@ -88,6 +88,8 @@ pub struct Enrolling {
     pub trials: Option<u32>,
     pub kept: u32,
     pub refused: Option<RefusedScan>,
+    /// Who gave the order; `None` if nobody gave a name.
+    pub ordered_by: Option<String>,
 }
 
 /// A scan that was refused as a trial. It can be kept anyway until the next scan is judged.
@@ -161,6 +163,8 @@ pub enum Command {
         surface: String,
         user: String,
         trials: u32,
+        /// Who gives this order; `None` if nobody gave a name.
+        ordered_by: Option<String>,
     },
     /// Keep the scan with this number as a trial anyway. It must be the scan refused last.
     KeepRefused(u32),

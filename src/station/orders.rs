@@ -13,6 +13,8 @@ pub struct Keep {
     pub trials: Option<u32>,
     /// Whether a scan that would be a bad trial is refused.
     pub good_only: bool,
+    /// Who gave the order; `None` if nobody gave a name.
+    pub ordered_by: Option<String>,
 }
 
 /// The order under which a scan is kept as a trial.
@@ -148,9 +150,9 @@ impl Orders {
         let newest = self.given.last().filter(|order| order.until.is_none());
         let open = |order: &&Order| order.to_come() != Some(0);
         let order = newest.filter(open).or(self.own.as_ref().filter(open))?;
-        let Keep { surface, user, trials, .. } = order.enrolment.keep.clone();
+        let Keep { surface, user, trials, ordered_by, .. } = order.enrolment.keep.clone();
         let (wanted, kept, refused) = (order.to_come(), order.kept, order.refused.clone());
-        Some(Enrolling { surface, user, wanted, trials, kept, refused })
+        Some(Enrolling { surface, user, wanted, trials, kept, refused, ordered_by })
     }
 
     fn forget(&mut self) {
@@ -165,7 +167,8 @@ mod tests {
     use super::*;
 
     fn keep(surface: &str, trials: Option<u32>) -> Keep {
-        Keep { surface: surface.into(), user: "anna".into(), trials, good_only: true }
+        let (surface, user) = (surface.into(), "anna".into());
+        Keep { surface, user, trials, good_only: true, ordered_by: None }
     }
 
     fn became(of: &Enrolment, outcome: EnrolledOutcome) -> Enrolled {

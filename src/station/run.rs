@@ -291,8 +291,9 @@ impl<'a> StationRun<'a> {
                 let text = "this scan cannot be kept: no library is set";
                 self.warn(WarningKind::Ignored, text);
             }
-            Command::Enroll { surface, user, trials } => {
-                let keep = Keep { surface, user, trials: Some(trials), good_only: true };
+            Command::Enroll { surface, user, trials, ordered_by } => {
+                let trials = Some(trials);
+                let keep = Keep { surface, user, trials, good_only: true, ordered_by };
                 self.orders.give(keep, self.session.next_scan());
                 self.report_order();
             }

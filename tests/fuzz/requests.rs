@@ -109,7 +109,7 @@ fn check((server, orders): &(Server, Receiver<Command>), method: &str, request: 
     let ordered = orders.try_recv().ok();
     assert_eq!(ordered.is_some(), status == 202, "{said}: {head}");
     assert!(ordered.is_none() || method == "POST", "{said} ordered something");
-    if let Some(Command::Enroll { surface, user, trials }) = ordered {
+    if let Some(Command::Enroll { surface, user, trials, .. }) = ordered {
         for name in [surface, user] {
             assert!(name == name.trim() && (1..=80).contains(&name.chars().count()), "{name:?}");
             assert!(!name.starts_with('.') && !name.contains(['/', '\\', '\0', '<', '\n']));

@@ -110,8 +110,13 @@ fn unnamed(station: impl FnOnce(Station<'static>) -> Station<'static>) -> Vec<u3
 #[test]
 fn of_a_station_whose_library_is_still_being_read() {
     let folder = tempfile::tempdir().unwrap();
-    let keep =
-        Keep { surface: "oak".into(), user: "anna".into(), trials: Some(1), good_only: false };
+    let keep = Keep {
+        surface: "oak".into(),
+        user: "anna".into(),
+        trials: Some(1),
+        good_only: false,
+        ordered_by: None,
+    };
     let load = || {
         std::thread::sleep(FOR_EVER);
         Err("no library".to_string())
@@ -134,7 +139,13 @@ fn of_a_station_whose_disk_takes_no_scan() {
     // A file lies in the place of the library's folder.
     let folder = dir.path().join("library");
     std::fs::write(&folder, "").unwrap();
-    let keep = Keep { surface: "oak".into(), user: "anna".into(), trials: None, good_only: false };
+    let keep = Keep {
+        surface: "oak".into(),
+        user: "anna".into(),
+        trials: None,
+        good_only: false,
+        ordered_by: None,
+    };
     let (lost, listener) = Became::new(EnrolledOutcome::Lost);
     let store = ScanStore::new(folder, Scene::lmt108());
     let station = |mut station: Station<'static>| {
@@ -225,7 +236,13 @@ fn named_by<'a>(mut station: Station<'a>, slow_part: &'static str) -> Station<'a
 #[test]
 fn of_a_station_that_keeps_scans_and_cannot_say_what_they_are_like() {
     let folder = tempfile::tempdir().unwrap();
-    let keep = Keep { surface: "oak".into(), user: "anna".into(), trials: None, good_only: false };
+    let keep = Keep {
+        surface: "oak".into(),
+        user: "anna".into(),
+        trials: None,
+        good_only: false,
+        ordered_by: None,
+    };
     let (kept, listener) = Became::new(EnrolledOutcome::Kept);
     let store = ScanStore::new(folder.path().to_path_buf(), Scene::lmt108());
     let station = |mut station: Station<'static>| {

@@ -44,6 +44,7 @@ mod plan;
 mod ready_model;
 mod reload;
 mod ring_and_replay;
+mod roles;
 mod run;
 mod run_serve;
 mod scene;

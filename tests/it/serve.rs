@@ -100,22 +100,18 @@ fn every_answer_that_the_page_shows_is_what_a_server_says() {
 #[test]
 fn orders_reach_the_station_and_nothing_else_does() {
     let served = short_session();
+    let enroll = |surface: &str, user: &str, trials| {
+        let (surface, user) = (surface.into(), user.into());
+        Command::Enroll { surface, user, trials, ordered_by: None }
+    };
     for (path, body, order) in [
         ("start", "", Command::Start),
         ("stop", "", Command::Stop),
         ("reload", "", Command::Reload),
         ("enroll/end", "", Command::EndEnroll),
         ("enroll/keep", r#"{"scan": 7}"#, Command::KeepRefused(7)),
-        (
-            "enroll",
-            r#"{"surface": "ash", "user": "anna", "trials": 3}"#,
-            Command::Enroll { surface: "ash".into(), user: "anna".into(), trials: 3 },
-        ),
-        (
-            "enroll",
-            r#"{"surface": " oak "}"#,
-            Command::Enroll { surface: "oak".into(), user: "expert".into(), trials: 1 },
-        ),
+        ("enroll", r#"{"surface": "ash", "user": "anna", "trials": 3}"#, enroll("ash", "anna", 3)),
+        ("enroll", r#"{"surface": " oak "}"#, enroll("oak", "expert", 1)),
     ] {
         let reply = served.post(&format!("/api/v1/{path}"), body);
         assert_eq!((reply.status, reply.json()["accepted"].as_str()), (202, Some(path)));
@@ -193,12 +189,13 @@ fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
     let ash = |wanted| {
         let (surface, user) = ("ash".into(), "anna".into());
         let (trials, wanted) = (Some(2), Some(wanted));
-        let left = Enrolling { surface, user, wanted, trials, kept: 0, refused: None };
+        let left =
+            Enrolling { surface, user, wanted, trials, kept: 0, refused: None, ordered_by: None };
         StationEvent::Enrolling(Some(left).filter(|left| left.wanted > Some(0)))
     };
     served.report([ash(2)]);
     let ordered = json!({"surface": "ash", "user": "anna", "wanted": 2, "trials": 2, "kept": 0,
-        "refused": null});
+        "refused": null, "ordered_by": null});
     assert_eq!(events.next("enrolling"), ordered);
     for wanted in [1, 0] {
         let enrolled = StationEvent::Enrolled(Enrolled {
@@ -271,6 +268,9 @@ fn the_page_and_its_files_ask_for_nothing_from_elsewhere() {
         ("/answer.js", "text/javascript"),
         ("/history.js", "text/javascript"),
         ("/now.js", "text/javascript"),
+        ("/person.js", "text/javascript"),
+        ("/changes.js", "text/javascript"),
+        ("/select.js", "text/javascript"),
         ("/enrol.js", "text/javascript"),
         ("/route.js", "text/javascript"),
         ("/scan.js", "text/javascript"),

@@ -12,7 +12,7 @@ use surfaced::history::{History, Keeper};
 use surfaced::record::{TrialOptions, write_trial};
 use surfaced::scan::Scan;
 use surfaced::scene::Scene;
-use surfaced::serve::LibraryFolder;
+use surfaced::serve::{LibraryFolder, Settings};
 use surfaced::station::{Answer, AnswerState, AnsweredScan, Listener, StationEvent};
 use surfaced::trial::{Doubt, Series, Signal, Trial, TrialKey};
 
@@ -74,6 +74,11 @@ fn the_camera_is_shown_whole_with_its_region_and_its_light() {
 
 /// A station with a library of one trial of oak, and a scan of each number among the past ones.
 fn reviewed(dir: &Path, scans: u32) -> Served {
+    reviewed_with(dir, scans, |_| {})
+}
+
+/// The same with settings changed by `change`.
+pub fn reviewed_with(dir: &Path, scans: u32, change: impl FnOnce(&mut Settings)) -> Served {
     let (library, scene) = (dir.join("library"), Scene::lmt108());
     let signals = || {
         let samples = (0..2000).map(|i| (i % 7) as f32 / 8.0).collect();
@@ -93,11 +98,16 @@ fn reviewed(dir: &Path, scans: u32) -> Served {
     serve(|settings| {
         settings.history = history;
         settings.library = Some(LibraryFolder { folder: library, scene });
+        change(settings);
     })
 }
 
 fn trials(served: &Served) -> Vec<String> {
-    let shelf = served.get("/api/v1/library/trials").json();
+    trials_in(&served.get("/api/v1/library/trials").json())
+}
+
+/// The names of the trials in what a server says of its library.
+pub fn trials_in(shelf: &Value) -> Vec<String> {
     let name = |trial: &Value| trial["trial"].as_str().unwrap().to_string();
     shelf["trials"].as_array().unwrap().iter().map(name).collect()
 }

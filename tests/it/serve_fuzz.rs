@@ -18,12 +18,12 @@ fn the_seeds_of_the_fuzz_target_are_requests() {
     assert!(count > 0);
 }
 
-const PATHS: &str = "(/api/v1/(state|scans|scans/[0-9a-z%./-]{0,12}|library|events|start|stop|\
+const PATHS: &str = "(/api/v1/(state|me|audit|scans|scans/correct|scans/[0-9a-z%./-]{0,12}|library|events|start|stop|\
                      reload|enroll|enroll/end)|/metrics|/healthz|/|/page.js|/[!-~]{0,12})\
                      (\\?(limit|before|types|token)=[!-~]{0,20}(&[a-z=%0-9]{0,9})?)?";
 const HEADERS: &str = "((host: (localhost|127.0.0.1:80|[!-~]{0,9})\
                        |origin: (null|http://localhost|[!-~]{0,9})\
-                       |cookie: (a=b; )?surfaced_token=(0123456789abcdef|[!-~]{0,9})\
+                       |x-surfaced-person: [!-~]{0,9}|cookie: (a=b; )?surfaced_token=(0123456789abcdef|[!-~]{0,9})\
                        |authorization: (bearer|basic) (0123456789abcdef|[!-~]{0,9})\
                        |sec-fetch-site: (same-origin|cross-site)|content-type: [!-~]{0,9})\n){0,5}";
 const BODIES: &str = "\\{\"surface\": \"([a-zé .]{0,9}|[./\\\\<>\\PC]{0,9})\"\

@@ -96,6 +96,9 @@ export function button(text, act, className) {
 // Longer than the station takes for any answer; a network that swallows a request never ends it.
 const ANSWER_WITHIN_MS = 15_000;
 
+// The headers of each command; `person.js` adds the person.
+export const commandHeaders = { "Content-Type": "application/json" };
+
 // Sends a request and returns the station's answer; if it is refused, shows why and returns null.
 export async function ask(path, body) {
   let problem = "";
@@ -105,7 +108,7 @@ export async function ask(path, body) {
     const request = body === undefined ? { signal } : {
       signal,
       method: "POST",
-      headers: { "Content-Type": "application/json" },
+      headers: commandHeaders,
       body: JSON.stringify(body),
     };
     const answer = await fetch(`api/v1/${path}`, request);
@@ -114,7 +117,7 @@ export async function ask(path, body) {
   } catch {
     problem = "The station does not answer; is it still running?";
   }
-  for (const id of ["problem", "dialog-problem", "shelf-problem"]) {
+  for (const id of ["problem", "dialog-problem", "shelf-problem", "changes-problem"]) {
     hide(id, problem === "");
     say(id, problem);
   }

@@ -12,8 +12,8 @@ export function show({ enrolling, enrolls }) {
   hide("no-enroll", enrolls);
   hide("enrolling", !enrolling);
   if (enrolling) {
-    const { surface, trials, kept, refused } = enrolling;
-    say("enrolling-what", `${surface}: `);
+    const { surface, trials, kept, refused, ordered_by } = enrolling;
+    say("enrolling-what", `${surface}${ordered_by ? `, ordered by ${ordered_by}` : ""}: `);
     say("enrolling-kept", trials === null ? `${many(kept, "trial")} kept, until the end` : `${kept} of ${trials} kept`);
     hide("enrolling-refused", !refused);
     hide("enroll-keep", !refused);
@@ -46,7 +46,7 @@ function showNewest() {
         if (!(await ask("library/remove", { trials: [name] }))) return;
         e.undone = true;
         showNewest();
-      }, "small");
+      }, "small administrator");
       back.setAttribute("aria-label", printable(`take back ${name}`));
       item.append(back);
     }

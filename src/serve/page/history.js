@@ -3,9 +3,13 @@
 import { corrected, damageOf, isFault, isShort, nameOf, sureness } from "./answer.js";
 import { $, ask, button, dated, fill, hide, make, many, percent, printable, say } from "./dom.js";
 import { go } from "./route.js";
+import * as select from "./select.js";
 
 // How many scans are loaded at a time.
 const PAGE = 300;
+// How long corrections are waited for before the precision is asked for.
+const PRECISION_MS = 500;
+let waiting = 0;
 let most = PAGE;
 let scans = [];
 let latest = null;
@@ -17,6 +21,7 @@ let shown = "";
 // Sets a function that is called after each change of the list.
 export function onChange(act) {
   changed = act;
+  select.follow(() => scans, act);
 }
 
 // What the filter asks for, as parameters of a request; empty if it lets all through.
@@ -86,7 +91,8 @@ export function add(answer) {
 export function change(scan) {
   scans = scans.map((other) => (other.id === scan.id ? scan : other));
   if (latest?.id === scan.id) latest = scan;
-  loadPrecision();
+  // Many scans may be corrected at once.
+  waiting ||= setTimeout(loadPrecision, PRECISION_MS);
 }
 
 function badge(text, kind, title) {
@@ -109,7 +115,9 @@ function row(scan) {
   if (isShort(scan)) name.append(badge("too short", ""));
   if (scan.correction) name.append(badge(corrected(scan), corrected(scan).startsWith("right") ? "good" : ""));
   if (scan.became) name.append(badge("in the library", "good", scan.became));
-  line.append(make("td", scan.scan), make("td", dated(scan.unix_ms)), name, make("td", sureness(scan)),
+  const number = make("td", select.isOn() ? undefined : scan.scan);
+  if (select.isOn()) number.append(select.box(scan));
+  line.append(number, make("td", dated(scan.unix_ms)), name, make("td", sureness(scan)),
     make("td", `${scan.scan_s.toFixed(1)} s`, "wide"), make("td", `${scan.latency_ms.toFixed(0)} ms`, "wide"),
     make("td", scan.lost_samples));
   return line;
@@ -117,13 +125,15 @@ function row(scan) {
 
 // Shows the list if it has changed.
 export function render(counts) {
-  const text = scans.map((scan) => [scan.id, scan.became, JSON.stringify(scan.correction)].join()).join();
+  const text = [select.look(), ...scans.map((scan) => [scan.id, scan.became, JSON.stringify(scan.correction)].join())].join();
   if (text !== shown) {
     shown = text;
     const held = document.activeElement?.closest("#scans tr")?.dataset.id;
+    const kind = document.activeElement?.matches("input") ? "input" : "button";
     $("scans").replaceChildren(...scans.map(row));
-    if (held) document.querySelector(`#scans tr[data-id="${CSS.escape(held)}"] button`)?.focus();
+    if (held) document.querySelector(`#scans tr[data-id="${CSS.escape(held)}"] ${kind}`)?.focus();
   }
+  select.show();
   hide("no-scans", scans.length > 0);
   say("no-scans", filter() === "" ? "Scans appear here as they are named." : "No scan is like that.");
   hide("older", !more);
@@ -145,6 +155,8 @@ function precisionRow({ surface, corrected, right, precision, precision_low, pre
 
 // Loads how many answers were right. Without corrections, nothing is shown.
 async function loadPrecision() {
+  clearTimeout(waiting);
+  waiting = 0;
   const said = await ask("history");
   if (!said) return;
   const found = said.precision;

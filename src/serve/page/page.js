@@ -3,12 +3,14 @@
 
 import { certainty, nameOf } from "./answer.js";
 import * as camera from "./camera.js";
+import "./changes.js";
 import { $, ask, clock, fill, hide, make, many, printable, say, zone } from "./dom.js";
 import { devices, losses, show, spectrum, trace } from "./draw.js";
 import * as enrol from "./enrol.js";
 import * as history from "./history.js";
 import * as link from "./link.js";
 import { isEmpty, showNow, showOffline } from "./now.js";
+import { learnRole } from "./person.js";
 import { follow as followAddress } from "./route.js";
 import "./scan.js";
 import * as shelf from "./shelf.js";
@@ -129,6 +131,7 @@ const changes = {
     camera.view(state.camera);
     devices(state.devices);
     history.load();
+    learnRole();
   },
   camera: camera.view,
   outputs: (outputs) => (state.outputs = outputs),

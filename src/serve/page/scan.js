@@ -157,7 +157,8 @@ function signals(scan, { scan: own, nearest }) {
 // Shows the correction of a scan, and the forms to change it.
 function showCorrection(scan) {
   const spoiled = scan.spoiled.length > 0;
-  const parts = [scan.correction ? corrected(scan) : "Not reviewed yet."];
+  const by = scan.correction?.person ? ` (${scan.correction.person})` : "";
+  const parts = [scan.correction ? `${corrected(scan)}${by}` : "Not reviewed yet."];
   if (scan.became) parts.push(`trial ${scan.became}`);
   else if (scan.correction?.was === "surface" && spoiled) parts.push("it is spoiled, so it cannot become a trial");
   say("was-now", parts.join(" · "));

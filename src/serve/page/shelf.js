@@ -60,7 +60,7 @@ function quality(trial, of) {
 function row(trial, of) {
   const line = make("tr");
   line.dataset.trial = trial.trial;
-  const act = make("td", undefined, "acts");
+  const act = make("td", undefined, "acts administrator");
   const move = button("Move …", () => startMove(trial.trial));
   const remove = button("Remove", () => edit("remove", { trials: [trial.trial] }));
   move.setAttribute("aria-label", `move ${trial.trial} to another surface`);
@@ -78,7 +78,7 @@ function group(surface, trials, of) {
   const head = make("tr", undefined, "group");
   const name = make("th", surface);
   name.colSpan = 4;
-  const act = make("td", undefined, "acts");
+  const act = make("td", undefined, "acts administrator");
   const rename = button("Rename …", () => startRename(surface));
   rename.setAttribute("aria-label", `rename ${surface}`);
   act.append(rename);
@@ -141,7 +141,7 @@ function report(found) {
 
 function gone(trial) {
   const item = make("li", `${trial.surface}, ${trial.user}, ${trial.number} `);
-  const back = button("Restore", () => edit("restore", { trials: [trial.trial] }));
+  const back = button("Restore", () => edit("restore", { trials: [trial.trial] }), "administrator");
   back.setAttribute("aria-label", `restore ${trial.trial}`);
   item.append(back);
   return item;

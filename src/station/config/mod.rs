@@ -28,7 +28,7 @@ pub use output_address::{
     AlertCause, AlertConfig, CoilAddress, HttpAddress, MqttAddress, OutputsConfig, Password,
     TlsFiles,
 };
-pub(crate) use output_address::{STRAY_PASSWORD_FILE, is_segment, machine_name};
+pub(crate) use output_address::{STRAY_PASSWORD_FILE, is_segment, machine_name, percent_decoded};
 
 /// A mistake in a configuration. The text names the file, the line if known, and what was expected.
 #[derive(Debug, thiserror::Error)]

@@ -244,7 +244,8 @@ fn credentials(text: &str) -> Result<(String, Password), String> {
     }
 }
 
-fn percent_decoded(text: &str) -> Option<String> {
+/// Text with its escapes, `%` and two hexadecimal digits each, decoded; `None` if one is not valid.
+pub(crate) fn percent_decoded(text: &str) -> Option<String> {
     let mut parts = text.split('%');
     let mut bytes = parts.next()?.as_bytes().to_vec();
     for part in parts {

@@ -28,7 +28,8 @@ fn start(folder: &Path) -> RecordingThread {
 
 fn enrolment() -> Enrolment {
     let (surface, user) = ("oak".into(), "anna".into());
-    Enrolment { order: 0, keep: Keep { surface, user, trials: None, good_only: false } }
+    let keep = Keep { surface, user, trials: None, good_only: false, ordered_by: None };
+    Enrolment { order: 0, keep }
 }
 
 #[test]
