@@ -1,10 +1,12 @@
 //! The answers of a history, held in memory. Each change is also written to the log on disk.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
+use super::drift::{Drift, Reading, surface_of};
 use super::folder::Disk;
 use super::log::{Head, Log, LogLine, Span, Text};
 use super::{Correction, HistoryError};
@@ -53,6 +55,13 @@ pub(super) struct HistoryState {
     pub signals: u64,
     /// Why the last write failed; `None` once a write succeeds again.
     pub problem: Option<String>,
+    /// The reference surfaces, each with the moment from which its scans count.
+    pub references: BTreeMap<String, u64>,
+    /// The values of reference scans that were read already, by surface and id; `None` for a scan that
+    /// lacks data.
+    pub readings: BTreeMap<(String, String), Option<Reading>>,
+    /// The drift by all reference scans; `None` if one came or changed since it was computed.
+    pub drift: Option<Arc<Drift>>,
 }
 
 impl HistoryState {
@@ -85,7 +94,10 @@ impl HistoryState {
                 self.signals = self.signals + bytes.unwrap_or(0) - entry.signals.unwrap_or(0);
                 entry.signals = bytes;
             }
-            LogLine::Correction { correction, .. } => entry.correction = correction,
+            LogLine::Correction { correction, .. } => {
+                entry.correction = correction;
+                self.drift = None;
+            }
             LogLine::Trial { trial, .. } => entry.became = trial,
         }
     }
@@ -114,6 +126,34 @@ impl HistoryState {
             kept: entry.signals.is_some(),
             ..serde_json::from_str(&text).unwrap_or_else(|_| damaged())
         })
+    }
+
+    /// The reference surface that a scan was, if it counts.
+    fn reference_of(&self, entry: &HistoryEntry) -> Option<&str> {
+        let (surface, since) = self.references.get_key_value(surface_of(entry)?)?;
+        (entry.head.unix_ms >= *since).then_some(surface)
+    }
+
+    pub(super) fn drift(&mut self) -> Arc<Drift> {
+        if let Some(drift) = &self.drift {
+            return drift.clone();
+        }
+        let mut readings = std::mem::take(&mut self.readings);
+        let mut all: BTreeMap<&str, Vec<Reading>> = BTreeMap::new();
+        for entry in &self.entries {
+            let Some(surface) = self.reference_of(entry) else { continue };
+            let key = (surface.to_string(), entry.head.id.clone());
+            // A scan that cannot be read counts as one that lacks data.
+            let read = || self.row(entry).ok().and_then(|row| Reading::of(row, surface));
+            let reading = readings.entry(key).or_insert_with(read);
+            all.entry(surface).or_default().extend(reading.clone());
+        }
+        let of = |(surface, since): (&String, &u64)| {
+            (surface.clone(), *since, all.remove(surface.as_str()).unwrap_or_default())
+        };
+        let drift = Arc::new(Drift::of(&self.references.iter().map(of).collect::<Vec<_>>()));
+        (self.readings, self.drift) = (readings, Some(drift.clone()));
+        drift
     }
 
     /// Removes the oldest signals, then the oldest answers, until the history and the disk have room.

@@ -14,6 +14,7 @@
 //! [`History`]. Nothing here uses the network.
 
 mod csv;
+mod drift;
 mod entries;
 mod folder;
 mod keeper;
@@ -22,12 +23,13 @@ mod view;
 
 pub(crate) use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
 pub(crate) use self::entries::HistoryRow;
+pub(crate) use drift::{ChartView, Drift, Quantity};
 pub use keeper::Keeper;
 pub(crate) use view::{Bands, WINDOW, bands, four_digits};
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -166,6 +168,7 @@ impl History {
             None => (Text::Here(text), Ok(())),
         };
         inner.entries.push_back(HistoryEntry::new(head, text));
+        inner.drift = None;
         if inner.disk.is_none() && inner.entries.len() > MOST_IN_MEMORY {
             inner.entries.pop_front();
         }
@@ -181,6 +184,21 @@ impl History {
         };
         inner.change(LogLine::Signals { id: id.into(), bytes: Some(bytes) })?;
         inner.make_room()
+    }
+
+    /// Sets the reference surfaces, each with the moment from which its scans count, in milliseconds
+    /// since 1970.
+    pub(crate) fn refer(&self, surfaces: &BTreeMap<String, u64>) {
+        let inner = &mut *self.lock();
+        if inner.references != *surfaces {
+            inner.references.clone_from(surfaces);
+            (inner.readings, inner.drift) = (BTreeMap::new(), None);
+        }
+    }
+
+    /// The drift of the station, by its reference scans so far. Reads those that it has not read yet.
+    pub(crate) fn drift(&self) -> Arc<Drift> {
+        self.lock().drift()
     }
 
     /// Sets the correction of a scan (what it truly was), or removes it.
