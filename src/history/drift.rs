@@ -52,6 +52,15 @@ pub(crate) enum Quantity {
 }
 
 impl Quantity {
+    pub(crate) fn as_str(self) -> &'static str {
+        match self {
+            Self::Fit => "fit",
+            Self::Distance => "distance",
+            Self::Level => "level",
+            Self::Noise => "noise",
+        }
+    }
+
     /// The least spread, and the direction in which the quantity gets worse.
     fn how(self) -> (f64, Worse) {
         match self {

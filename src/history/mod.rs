@@ -23,7 +23,7 @@ mod view;
 
 pub(crate) use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
 pub(crate) use self::entries::HistoryRow;
-pub(crate) use drift::{ChartView, Drift, Quantity};
+pub(crate) use drift::{ChartView, Drift, Quantity, ReferenceView};
 pub use keeper::Keeper;
 pub(crate) use view::{Bands, WINDOW, bands, four_digits};
 

@@ -156,7 +156,7 @@ async fn ready(State(hub): Shared) -> Response {
 }
 
 /// The files of the page: path, content type and text of each.
-pub(crate) const FILES: [(&str, &str, &str); 17] = [
+pub(crate) const FILES: [(&str, &str, &str); 18] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
@@ -170,6 +170,7 @@ pub(crate) const FILES: [(&str, &str, &str); 17] = [
     ("/route.js", "text/javascript; charset=utf-8", include_str!("page/route.js")),
     ("/scan.js", "text/javascript; charset=utf-8", include_str!("page/scan.js")),
     ("/shelf.js", "text/javascript; charset=utf-8", include_str!("page/shelf.js")),
+    ("/drift.js", "text/javascript; charset=utf-8", include_str!("page/drift.js")),
     ("/chart.js", "text/javascript; charset=utf-8", include_str!("page/chart.js")),
     ("/camera.js", "text/javascript; charset=utf-8", include_str!("page/camera.js")),
     ("/draw.js", "text/javascript; charset=utf-8", include_str!("page/draw.js")),

@@ -18,7 +18,7 @@ use super::request::{CSV, JSON_LINES, Problem, Said, aside, body, exported, labe
 use super::settings::LibraryFolder;
 use super::subscribers::EventKind;
 use crate::history::{
-    COLUMNS, Correction, HistoryError, HistoryRow, NOTES, Wanted, nearest_picture, write_csv,
+    COLUMNS, Correction, Drift, HistoryError, HistoryRow, NOTES, Wanted, nearest_picture, write_csv,
 };
 use crate::jpeg;
 use crate::library::{About, LibraryError, recording};
@@ -44,6 +44,7 @@ pub(crate) fn router() -> Router<Arc<Hub>> {
         .route("/scans/{id}/keep", post(keep))
         .route("/scans/{id}/{file}", get(file))
         .route("/history", get(history))
+        .route("/drift", get(drift))
         .route("/pictures/{file}", get(live_picture))
 }
 
@@ -235,6 +236,10 @@ async fn history(State(hub): Shared) -> Json<Value> {
     let mut view = json!(history.extent());
     view["precision"] = json!(history.precision());
     Json(view)
+}
+
+async fn drift(State(hub): Shared) -> Result<Json<Arc<Drift>>, Problem> {
+    Ok(Json(aside(move || Ok(hub.settings.history.drift())).await?))
 }
 
 /// The truth about a scan, as a request states it. An empty request removes the correction.

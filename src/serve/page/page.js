@@ -5,6 +5,7 @@ import { certainty, nameOf } from "./answer.js";
 import * as camera from "./camera.js";
 import { $, ask, clock, fill, hide, make, many, printable, say, zone } from "./dom.js";
 import { devices, losses, show, spectrum, trace } from "./draw.js";
+import * as drift from "./drift.js";
 import * as enrol from "./enrol.js";
 import * as history from "./history.js";
 import * as link from "./link.js";
@@ -74,6 +75,7 @@ function showLibrary() {
     return option;
   }));
   hide("shelf-open", !state.enrolls);
+  drift.show(library?.reference ?? {}, state.drift);
 }
 
 function showWarnings() {
@@ -148,6 +150,10 @@ const changes = {
   unnamed: answered,
   correction: history.change,
   check: shelf.checked,
+  drift: (doubts) => {
+    state.drift = doubts;
+    drift.changed();
+  },
   enrolled: enrol.add, // #enrolled is a live region itself
   enrolling: (enrolling) => (state.enrolling = enrolling),
   reading: (reading) => (state.reading = reading),
