@@ -244,9 +244,21 @@ fn drift(args: &ReferenceArgs) -> Done {
     history.refer(&references(&args.library)?);
     let drift = history.drift();
     if drift.references.is_empty() {
-        say!("no surface is a reference; `surfaced library reference LIBRARY SURFACE` makes it one");
+        say!(
+            "no surface is a reference; `surfaced library reference LIBRARY SURFACE` makes it one"
+        );
     }
-    let head = ["reference", "quantity", "channel", ">scans", ">at first", ">now", ">limit", "drift"];
+    let head = [
+        "reference",
+        "quantity",
+        "channel",
+        ">scans",
+        ">at first",
+        ">now",
+        ">limit",
+        ">finds",
+        "drift",
+    ];
     show::result(args.json, &*drift, |drift| show::table(&head, chart_rows(drift)));
     drift.doubts.iter().for_each(|doubt| say!("drift: {doubt}"));
     Ok(())
@@ -269,6 +281,7 @@ fn chart_rows(drift: &Drift) -> impl Iterator<Item = Vec<String>> + '_ {
             number(chart.centre),
             number(chart.average),
             number(chart.limit),
+            number(chart.finds),
             drifted,
         ]
     };

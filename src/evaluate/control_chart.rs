@@ -63,7 +63,8 @@ impl Chart {
     /// `charts` is the number of charts of the station. `resolution` is the least spread, for values that
     /// were all alike.
     pub(crate) fn of(values: &[f64], charts: usize, resolution: f64, worse: Worse) -> Option<Self> {
-        let (first, later) = values.split_at_checked(BASELINE).filter(|(_, later)| !later.is_empty())?;
+        let (first, later) =
+            values.split_at_checked(BASELINE).filter(|(_, later)| !later.is_empty())?;
         let centre = first.iter().sum::<f64>() / BASELINE as f64;
         let squares: f64 = first.iter().map(|value| (value - centre).powi(2)).sum();
         let spread = (squares / (BASELINE - 1) as f64).sqrt().max(resolution);
@@ -143,7 +144,8 @@ mod tests {
         }
         let mut lengths = vec![0.0; STATES];
         for at in (0..STATES).rev() {
-            let known: f64 = (at + 1..STATES).map(|column| rows[at][column] * lengths[column]).sum();
+            let known: f64 =
+                (at + 1..STATES).map(|column| rows[at][column] * lengths[column]).sum();
             lengths[at] = (rows[at][STATES] - known) / rows[at][at];
         }
         lengths[STATES / 2]
@@ -186,11 +188,14 @@ mod tests {
         let mut rng = seed::rng(7, &[]);
         for (charts, stations) in [(1, 8000), (16, 500), (64, 125)] {
             let each = |_| {
-                (0..charts).map(|_| alarms(&normals(BASELINE + WITHIN, &mut rng), charts).0).sum::<usize>()
+                (0..charts)
+                    .map(|_| alarms(&normals(BASELINE + WITHIN, &mut rng), charts).0)
+                    .sum::<usize>()
             };
             let counts: Vec<usize> = (0..stations).map(each).collect();
             let mean = counts.iter().sum::<usize>() as f64 / stations as f64;
-            let without = counts.iter().filter(|count| **count == 0).count() as f64 / stations as f64;
+            let without =
+                counts.iter().filter(|count| **count == 0).count() as f64 / stations as f64;
             println!("{charts} charts: {mean:.2} false alarms; none at {without:.2} of stations");
             assert!((0.2..1.2).contains(&mean), "{charts} charts: {mean}");
         }

@@ -130,7 +130,8 @@ impl Reading {
         let finite = |value: &Value| value.as_f64().filter(|value| value.is_finite());
         let field = |name: &str| row.others.get(name);
         let ranked = field("ranked").and_then(Value::as_array).into_iter().flatten();
-        let score = ranked.filter(|one| one["surface"] == surface).find_map(|one| finite(&one["score"]));
+        let score =
+            ranked.filter(|one| one["surface"] == surface).find_map(|one| finite(&one["score"]));
         let score = score.filter(|score| *score > 0.0 && *score < f64::MAX);
         let levels = field("levels").cloned().map(serde_json::from_value).transpose();
         Some(Self {
@@ -174,12 +175,8 @@ impl Drift {
     pub(super) fn of(all: &[(String, u64, Vec<Reading>)]) -> Self {
         let of_each: Vec<_> = all.iter().map(|(_, _, readings)| series(readings)).collect();
         let charts = of_each.iter().map(BTreeMap::len).sum();
-        let mut drift = Self {
-            needed: BASELINE,
-            one_false_alarm_in: WITHIN,
-            within: SOON,
-            ..Self::default()
-        };
+        let mut drift =
+            Self { needed: BASELINE, one_false_alarm_in: WITHIN, within: SOON, ..Self::default() };
         for ((surface, since, readings), of) in all.iter().zip(of_each) {
             let mut views = Vec::new();
             for (key, points) in of {
@@ -238,5 +235,116 @@ fn view((quantity, of): Key, points: &Points<'_>, chart: Option<Chart>) -> Chart
         average: averages.last().copied(),
         drifted: chart.as_ref().is_some_and(|chart| chart.has_drifted),
         points: points.iter().enumerate().skip(older).map(point).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::history::History;
+    use crate::scan::Scan;
+    use crate::seed;
+    use crate::station::Answer;
+
+    fn id(name: &str) -> SourceId {
+        SourceId::new(name).unwrap()
+    }
+
+    /// The answer to a scan with these levels of `ac`, in the drag and at rest.
+    fn answer(scan: u32, surface: &str, level_db: f64, noise_db: Option<f64>) -> Answer {
+        let level = ChannelLevel { source: id("ac"), channel: 1, level_db, noise_db };
+        Answer {
+            id: format!("20260921-143000.{scan:03}-{scan:02}"),
+            unix_ms: 1000 + u64::from(scan),
+            surface: Some(surface.into()),
+            state: AnswerState::Named,
+            p_value: Some(0.5),
+            levels: vec![level],
+            ..Answer::of(&Scan::of_signals(scan, BTreeMap::new()), 1.0)
+        }
+    }
+
+    fn oak_since(unix_ms: u64) -> BTreeMap<String, u64> {
+        BTreeMap::from([("oak".into(), unix_ms)])
+    }
+
+    /// Levels of a gain that falls by 10 % after scan `falls`, and that spread by 0.2 dB.
+    fn levels(count: u32, falls: u32) -> Vec<(u32, f64)> {
+        let mut rng = seed::rng(5, &[]);
+        let fallen = |scan: u32| if scan > falls { 20.0 * 0.9_f64.log10() } else { 0.0 };
+        (1..=count).map(|scan| (scan, 0.2 * seed::normal(&mut rng) + fallen(scan) - 20.0)).collect()
+    }
+
+    #[test]
+    fn a_gain_that_falls_by_a_tenth_is_found_within_15_reference_scans_and_nothing_is_said_before_26()
+     {
+        let history = History::default();
+        history.refer(&oak_since(0));
+        let falls = BASELINE as u32 + 20;
+        for (scan, level_db) in levels(falls + SOON as u32, falls) {
+            history.answered(&answer(scan, "oak", level_db, Some(-60.0))).unwrap();
+            let drift = history.drift();
+            let [reference] = &drift.references[..] else { panic!("{drift:?}") };
+            assert_eq!(reference.scans, scan as usize);
+            let is_known = scan > BASELINE as u32;
+            assert!(
+                reference.series.iter().all(|chart| chart.limit.is_some() == is_known),
+                "{scan}"
+            );
+            assert!(drift.doubts.is_empty() || scan > falls, "{scan}: {:?}", drift.doubts);
+        }
+        let drift = history.drift();
+        let [Doubt::LevelDrift { source, channel: 1, surface, moved_db, .. }] = &drift.doubts[..]
+        else {
+            panic!("{:?}", drift.doubts)
+        };
+        assert_eq!((source, &**surface), (&id("ac"), "oak"));
+        assert!((-0.85..-0.4).contains(moved_db), "{moved_db}");
+        let quantities: Vec<_> = drift.references[0].series.iter().map(|of| of.quantity).collect();
+        assert_eq!(quantities, [Quantity::Fit, Quantity::Level, Quantity::Noise]);
+        let json = serde_json::to_value(&*drift).unwrap();
+        assert_eq!(json["doubts"][0]["kind"], "level_drift");
+        assert_eq!(json["references"][0]["series"][0]["source"], Value::Null);
+    }
+
+    #[test]
+    fn a_scan_counts_as_what_its_correction_says_and_not_before_its_moment_or_if_it_lacks_data() {
+        let history = History::default();
+        for (scan, surface) in [(1, "oak"), (2, "oak"), (3, "ash"), (4, "oak")] {
+            history.answered(&answer(scan, surface, -20.0, None)).unwrap();
+        }
+        let spoiled = Answer { doubts: vec![Doubt::Cut], ..answer(5, "oak", -20.0, None) };
+        history.answered(&spoiled).unwrap();
+        assert!(history.drift().references.is_empty(), "no reference yet");
+        history.refer(&oak_since(1002));
+        let scans = || {
+            let drift = history.drift();
+            let points = drift.references[0].series.first().map(|of| of.points.clone());
+            points.unwrap_or_default().iter().map(|point| point.unix_ms - 1000).collect::<Vec<_>>()
+        };
+        assert_eq!(scans(), [2, 4]);
+        let oak = Some(Correction::Surface { surface: "oak".into() });
+        history.correct(&answer(3, "", 0.0, None).id, oak).unwrap();
+        history.correct(&answer(4, "", 0.0, None).id, Some(Correction::Unknown)).unwrap();
+        assert_eq!(scans(), [2, 3]);
+    }
+
+    #[test]
+    fn the_first_reference_scans_outlast_the_space_of_the_answers_and_a_restart() {
+        let folder = tempfile::tempdir().unwrap();
+        let most_bytes = 8 * 60_000;
+        {
+            let history = History::open(folder.path(), most_bytes).unwrap();
+            history.refer(&oak_since(0));
+            for scan in 1..=400 {
+                let surface = if scan <= 30 { "oak" } else { "ash" };
+                history.answered(&answer(scan, surface, -20.0, None)).unwrap();
+            }
+            assert_eq!(history.drift().references[0].scans, 30);
+        }
+        let history = History::open(folder.path(), most_bytes).unwrap();
+        history.refer(&oak_since(0));
+        assert!(history.extent().scans < 400);
+        assert_eq!(history.drift().references[0].scans, 30);
     }
 }

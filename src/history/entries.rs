@@ -184,19 +184,31 @@ impl HistoryState {
 
     /// Rewrites the log with as many of the newest answers as fit into `most_bytes`.
     fn shorten(&mut self, most_bytes: u64) -> Result<(), HistoryError> {
-        let Some(disk) = &mut self.disk else { return Ok(()) };
         let mut bytes = 0;
         let fits = |entry: &&HistoryEntry| {
             bytes += entry.text.bytes();
             bytes <= most_bytes
         };
-        let kept = self.entries.iter().rev().take_while(fits).count();
-        for entry in self.entries.drain(..self.entries.len() - kept) {
-            if let Some(bytes) = entry.signals {
+        let old = self.entries.len() - self.entries.iter().rev().take_while(fits).count();
+        // The first reference scans stay, since later ones are compared with them.
+        let mut room = most_bytes / 2;
+        let mut is_first = |entry: &HistoryEntry| {
+            let fits = self.reference_of(entry).is_some() && entry.text.bytes() <= room;
+            room -= if fits { entry.text.bytes() } else { 0 };
+            fits
+        };
+        let firsts: Vec<bool> = self.entries.iter().take(old).map(&mut is_first).collect();
+        let Some(disk) = &mut self.disk else { return Ok(()) };
+        let gone: Vec<HistoryEntry> = self.entries.drain(..old).collect();
+        let mut stay = Vec::new();
+        for (mut entry, is_first) in gone.into_iter().zip(firsts) {
+            if let Some(bytes) = entry.signals.take() {
                 disk.remove_signals(&entry.head.id)?;
                 self.signals -= bytes;
             }
+            stay.extend(is_first.then_some(entry));
         }
+        stay.into_iter().rev().for_each(|entry| self.entries.push_front(entry));
         let mut fresh = disk.log.begin_anew()?;
         for entry in &mut self.entries {
             let (text, written) = fresh.append_answer(entry.text.read(Some(&disk.log))?);

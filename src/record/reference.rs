@@ -120,7 +120,10 @@ mod tests {
         assert!(both.ends_with("}\n\n# these\n[sources.mi2]\nchannels = 2"), "{both}");
         let found = references(library).unwrap();
         let (oak_ms, later_ms) = (1_769_860_800_000, 1_769_904_000_000);
-        assert_eq!(found, BTreeMap::from([("oak".into(), oak_ms), ("a \"b\" = c".into(), later_ms)]));
+        assert_eq!(
+            found,
+            BTreeMap::from([("oak".into(), oak_ms), ("a \"b\" = c".into(), later_ms)])
+        );
         set(library, "oak", Some(later)).unwrap();
         assert_eq!(references(library).unwrap()["oak"], later_ms);
         set(library, "oak", None).unwrap();
@@ -136,7 +139,8 @@ mod tests {
         let error = set(folder.path(), "oak", None).unwrap_err().to_string();
         assert!(error.contains("not written as one line"), "{error}");
         for wrong in ["reference = [\"oak\"]", "reference = { oak = 2026-01-31 }"] {
-            std::fs::write(folder.path().join(DESCRIPTION), format!("format = 1\n{wrong}")).unwrap();
+            std::fs::write(folder.path().join(DESCRIPTION), format!("format = 1\n{wrong}"))
+                .unwrap();
             let error = references(folder.path()).unwrap_err().to_string();
             assert!(error.contains("line 2"), "{error}");
         }
