@@ -11,7 +11,7 @@ use crate::recognise::RankedSurface;
 use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
 use crate::scene::SourceId;
-use crate::trial::{Doubt, Series, Signal, channel_levels_db, lines};
+use crate::trial::{Doubt, Signal, channel_levels_db, lines};
 
 /// The answer to a scan that has ended; as JSON, it takes one line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -90,22 +90,19 @@ pub struct ChannelLevel {
 
 /// The levels of all channels of a scan's series.
 pub(super) fn levels(scan: &Scan) -> Vec<ChannelLevel> {
-    let series = scan.trial.signals.iter().filter_map(|(id, signal)| match signal {
-        Signal::Series(series) => Some((id, series)),
-        Signal::Image(_) => None,
-    });
-    let of = |(id, series): (&SourceId, &Series)| {
+    let mut all = Vec::new();
+    for (id, signal) in &scan.trial.signals {
+        let Signal::Series(series) = signal else { continue };
         let noise = scan.rest.get(id);
-        let level = move |(at, level_db): (usize, f64)| ChannelLevel {
+        let levels = channel_levels_db(series.samples(), series.channels()).into_iter();
+        all.extend(levels.enumerate().map(|(at, level_db)| ChannelLevel {
             source: id.clone(),
             channel: at + 1,
             level_db,
             noise_db: noise.and_then(|noise| noise.get(at).copied()),
-        };
-        let of_channels = channel_levels_db(series.samples(), series.channels());
-        of_channels.into_iter().enumerate().map(level)
-    };
-    series.flat_map(of).collect()
+        }));
+    }
+    all
 }
 
 fn by_both_names<S: Serializer>(p_value: &Option<f64>, to: S) -> Result<S::Ok, S::Error> {
