@@ -299,7 +299,7 @@ mod tests {
             panic!("{:?}", drift.doubts)
         };
         assert_eq!((source, &**surface), (&id("ac"), "oak"));
-        assert!((-0.85..-0.4).contains(moved_db), "{moved_db}");
+        assert!((-1.0..-0.4).contains(moved_db), "{moved_db}");
         let quantities: Vec<_> = drift.references[0].series.iter().map(|of| of.quantity).collect();
         assert_eq!(quantities, [Quantity::Fit, Quantity::Level, Quantity::Noise]);
         let json = serde_json::to_value(&*drift).unwrap();

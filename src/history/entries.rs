@@ -156,7 +156,7 @@ impl HistoryState {
         drift
     }
 
-    /// Removes the oldest signals, then the oldest answers, until the history and the disk have room.
+    /// Removes the oldest signals until the history and the disk have room.
     pub(super) fn make_room(&mut self) -> Result<(), HistoryError> {
         let lacking = self.disk.as_ref().map_or(0, Disk::lacks);
         self.let_go(lacking)
@@ -176,10 +176,17 @@ impl HistoryState {
             disk.log.append(&json_text(&LogLine::Signals { id, bytes: None }))?;
             self.signals -= entry.signals.take().unwrap_or(0);
         }
-        if disk.log.bytes > for_answers {
-            self.shorten(for_answers / 2)?;
-        }
         Ok(())
+    }
+
+    /// Removes the oldest answers from a log that has grown too long. Not called before the reference
+    /// surfaces are known, since their first scans stay.
+    pub(super) fn bound_log(&mut self) -> Result<(), HistoryError> {
+        let Some(disk) = &self.disk else { return Ok(()) };
+        match disk.for_answers() {
+            most_bytes if disk.log.bytes > most_bytes => self.shorten(most_bytes / 2),
+            _ => Ok(()),
+        }
     }
 
     /// Rewrites the log with as many of the newest answers as fit into `most_bytes`.

@@ -115,7 +115,8 @@ impl History {
     pub fn open(folder: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
         let disk = Disk::open(folder, most_bytes)?;
         let mut inner = HistoryState::default();
-        inner.take_log(&disk.log, disk.for_answers())?;
+        // The log may be longer by some lines, since it is shortened before a line is added.
+        inner.take_log(&disk.log, disk.for_answers() / 8 * 9)?;
         let known: HashSet<&str> = inner.entries.iter().map(|e| e.head.id.as_str()).collect();
         disk.tidy(|id| known.contains(id))?;
         let there = disk.scans()?;
@@ -160,7 +161,7 @@ impl History {
     pub(crate) fn answered(&self, answer: &Answer) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         // Room is made first, since a full disk would refuse the answer.
-        let room = inner.make_room();
+        let room = inner.make_room().and_then(|()| inner.bound_log());
         let head = Head::of(answer);
         let text = json_text(answer);
         let (text, written) = match &mut inner.disk {
