@@ -57,7 +57,7 @@ function draw(chart, label) {
   svg.append(
     shape("text", { x: EDGE, y: HEIGHT - 5 }, dated(from)),
     shape("text", { x: WIDTH - EDGE, y: HEIGHT - 5, "text-anchor": "end" }, dated(to)),
-    shape("text", { x: EDGE, y: 14 }, number(high, chart)),
+    shape("text", { x: EDGE, y: 14 }, `${number(low, chart)} to ${number(high, chart)}`),
   );
   return svg;
 }
