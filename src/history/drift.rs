@@ -332,11 +332,11 @@ mod tests {
     #[test]
     fn the_first_reference_scans_outlast_the_space_of_the_answers_and_a_restart() {
         let folder = tempfile::tempdir().unwrap();
-        let most_bytes = 8 * 60_000;
+        let most_bytes = 8 * 100_000;
         {
             let history = History::open(folder.path(), most_bytes).unwrap();
             history.refer(&oak_since(0));
-            for scan in 1..=400 {
+            for scan in 1..=600 {
                 let surface = if scan <= 30 { "oak" } else { "ash" };
                 history.answered(&answer(scan, surface, -20.0, None)).unwrap();
             }
@@ -344,7 +344,7 @@ mod tests {
         }
         let history = History::open(folder.path(), most_bytes).unwrap();
         history.refer(&oak_since(0));
-        assert!(history.extent().scans < 400);
+        assert!(history.extent().scans < 600);
         assert_eq!(history.drift().references[0].scans, 30);
     }
 }
