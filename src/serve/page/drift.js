@@ -43,7 +43,9 @@ function draw(chart, label) {
     : chart.quantity === "distance" ? [centre + limit] : [centre - limit, centre + limit];
   const values = points.map(({ value }) => value).concat(limits);
   const [low, high] = [Math.min(...values), Math.max(...values)];
-  const [from, to] = [points[0].unix_ms, points.at(-1).unix_ms];
+  // A clock that was set back leaves points that are not in order.
+  const moments = points.map(({ unix_ms }) => unix_ms);
+  const [from, to] = [Math.min(...moments), Math.max(...moments)];
   const x = (ms) => EDGE + ((WIDTH - 2 * EDGE) * (ms - from)) / Math.max(1, to - from);
   const y = (value) => HEIGHT - ROOM - ((HEIGHT - 2 * ROOM) * (value - low)) / Math.max(1e-9, high - low);
   const level = (value, kind) => svg.append(shape("line", { x1: 0, x2: WIDTH, y1: y(value), y2: y(value), class: kind }));
@@ -57,7 +59,7 @@ function draw(chart, label) {
   svg.append(
     shape("text", { x: EDGE, y: HEIGHT - 5 }, dated(from)),
     shape("text", { x: WIDTH - EDGE, y: HEIGHT - 5, "text-anchor": "end" }, dated(to)),
-    shape("text", { x: EDGE, y: 14 }, `${number(low, chart)} to ${number(high, chart)}`),
+    shape("text", { x: EDGE, y: 4, class: "top" }, `${number(low, chart)} to ${number(high, chart)}`),
   );
   return svg;
 }
