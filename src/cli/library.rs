@@ -1,9 +1,11 @@
-//! `surfaced library`: lists the trials of a library, and edits them; every edit can be undone.
+//! `surfaced library`: lists the trials of a library, and edits them, which can be undone. Sets its
+//! reference surfaces, and shows their drift.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
+use jiff::Timestamp;
 use serde::Serialize;
 
 use super::condition::WhereArgs;
@@ -11,22 +13,26 @@ use super::live::session;
 use super::method::ComparingArgs;
 use super::{Done, Failure, bad_files, check, say, show};
 use crate::dataset;
+use crate::evaluate::control_chart::BASELINE;
 use crate::evaluate::{TrialCheck, TrialVerdict};
+use crate::history::{self, ChartView, Drift, History, ReferenceView};
 use crate::record::edit::{self, Editor, LibraryLock, ListedTrial, Step};
+use crate::record::reference::{references, set_reference};
 use crate::scene::Scene;
 use crate::trial::{TrialKey, normal};
 
-/// List the trials of a library, rename, move, remove and restore them, and set their session
+/// List the trials of a library, rename, move, remove and restore them, set their session, and find drift
 ///
 /// A trial is given by its folder, SURFACE/TRIAL, or its file, SURFACE/FILE.wav, as `list` shows
 /// it; a SURFACE alone means all its trials. Removed trials are kept in LIBRARY/.removed, and every
-/// edit can be undone.
+/// edit of trials can be undone.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced library list my-library\n  \
                         surfaced library rename my-library oak oak-sanded\n  \
                         surfaced library remove my-library oak/anna-03\n  \
                         surfaced library session my-library oak --to monday\n  \
-                        surfaced library undo my-library\n\nTime: edits take a moment; list \
+                        surfaced library undo my-library\n  \
+                        surfaced library reference my-library oak\n\nTime: edits take a moment; list \
                         without --quick takes as long as surfaced check")]
 pub(super) struct Args {
     #[command(subcommand)]
@@ -73,6 +79,12 @@ enum Edit {
     Remove(TrialsArgs),
     /// Bring removed trials back; `list --removed` shows them
     Restore(TrialsArgs),
+    /// Make a surface a reference, whose scans show drift; without a surface, show references and drift
+    ///
+    /// A reference is a part that stays the same and is scanned again and again. The first scans after
+    /// this moment tell how the station is; later ones are compared with them. Give the command again
+    /// after a repair. A station that runs must read its library again (Reload on its page).
+    Reference(ReferenceArgs),
     /// Undo the last edit
     Undo {
         /// The library's folder
@@ -87,6 +99,20 @@ struct TrialsArgs {
     /// Trials, SURFACE/TRIAL or SURFACE/FILE.wav each, or surfaces
     #[arg(required = true)]
     trials: Vec<String>,
+}
+
+#[derive(clap::Args)]
+struct ReferenceArgs {
+    /// The library's folder
+    library: PathBuf,
+    /// The surface
+    surface: Option<String>,
+    /// Make it no reference any more
+    #[arg(long, requires = "surface")]
+    none: bool,
+    /// Print the drift as one JSON document on stdout
+    #[arg(long, conflicts_with = "surface")]
+    json: bool,
 }
 
 #[derive(clap::Args)]
@@ -109,6 +135,7 @@ struct ListArgs {
 pub(super) fn run(args: &Args) -> Done {
     let (library, step) = match &args.edit {
         Edit::List(args) => return list(args),
+        Edit::Reference(args) => return reference(args),
         Edit::Rename { library, surface, label, merge } => {
             let label = named(label)?;
             if !merge {
@@ -178,6 +205,91 @@ fn moved(step: &Step) {
     for one in step.moves.iter().filter(|one| one.from != one.to) {
         say!("{} → {}", one.from, one.to);
     }
+}
+
+fn reference(args: &ReferenceArgs) -> Done {
+    let library = &args.library;
+    let Some(surface) = args.surface.as_deref().map(normal) else { return drift(args) };
+    if dataset::is_foreign(library) {
+        let problem = "this is a copy of LMT108, in which a station keeps no scans";
+        return Err(Failure::usage_at(library, problem.to_string()));
+    }
+    if args.none {
+        if !references(library)?.contains_key(&surface) {
+            return Err(Failure::usage_at(library, format!("{surface} is no reference")));
+        }
+        set_reference(library, &surface, None)?;
+        say!("{surface} is no reference any more");
+        return Ok(());
+    }
+    let listed = edit::list(library, &Scene::lmt108())?;
+    if !listed.iter().any(|trial| trial.key.surface == surface) {
+        let problem = format!("there is no surface {surface}; enrol it first");
+        return Err(Failure::usage_at(library, problem));
+    }
+    set_reference(library, &surface, Some(Timestamp::now()))?;
+    say!(
+        "{surface} is a reference from now on: scan it now and then, always in the same way; drift is \
+         stated after {BASELINE} scans"
+    );
+    Ok(())
+}
+
+fn drift(args: &ReferenceArgs) -> Done {
+    let folder = args.library.join(history::FOLDER);
+    let history = match folder.exists() {
+        true => History::read(&folder)?,
+        false => History::default(),
+    };
+    history.refer(&references(&args.library)?);
+    let drift = history.drift();
+    if drift.references.is_empty() {
+        say!(
+            "no surface is a reference; `surfaced library reference LIBRARY SURFACE` makes it one"
+        );
+    }
+    let head = [
+        "reference",
+        "quantity",
+        "channel",
+        ">scans",
+        ">at first",
+        ">now",
+        ">limit",
+        ">finds",
+        "drift",
+    ];
+    show::result(args.json, &*drift, |drift| show::table(&head, chart_rows(drift)));
+    drift.doubts.iter().for_each(|doubt| say!("drift: {doubt}"));
+    Ok(())
+}
+
+fn chart_rows(drift: &Drift) -> impl Iterator<Item = Vec<String>> + '_ {
+    let row = |surface: &str, chart: &ChartView| {
+        let number = |x: Option<f64>| x.map_or("-".into(), |x| format!("{x:.2}"));
+        let channel = chart.source.as_ref().zip(chart.channel);
+        let drifted = match (chart.average, chart.drifted) {
+            (None, _) => format!("not yet known, from {} scans on", drift.needed + 1),
+            (_, true) => "yes".into(),
+            (_, false) => "no".into(),
+        };
+        vec![
+            surface.to_string(),
+            chart.quantity.as_str().into(),
+            channel.map_or("-".into(), |(source, channel)| format!("{source} {channel}")),
+            chart.scans.to_string(),
+            number(chart.centre),
+            number(chart.average),
+            number(chart.limit),
+            number(chart.finds),
+            drifted,
+        ]
+    };
+    let of = move |of: &ReferenceView| match of.series.is_empty() {
+        true => vec![[&*of.surface, "-", "-", "0"].map(String::from).to_vec()],
+        false => of.series.iter().map(|chart| row(&of.surface, chart)).collect(),
+    };
+    drift.references.iter().flat_map(of)
 }
 
 #[derive(Serialize)]

@@ -26,6 +26,7 @@ use crate::history::{self, History, Keeper};
 use crate::outputs::Output;
 use crate::recognise::{LOOK_S, ReadyModel, ready_model};
 use crate::record::edit::LibraryLock;
+use crate::record::reference::references;
 use crate::record::write_library_toml;
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
@@ -173,7 +174,7 @@ pub(super) fn load(
         let ready = bad_files::work(&path, library, |library| {
             let scene = how.narrow(library.scene.clone())?;
             let entries = within(library, &scene)?;
-            let state = LibraryState::of(&library.name, &entries, library.synthetic);
+            let mut state = LibraryState::of(&library.name, &entries, library.synthetic);
             if let Some(given) = &given
                 && !state.sources.iter().any(|source| given.contains(source))
             {
@@ -182,6 +183,7 @@ pub(super) fn load(
             let all = (0..entries.len()).collect();
             let (method, cache) = (how.method.build(&scene), how.cache_in(&path));
             let ready = ready_model(&*method, &entries, &all, cache.as_deref(), &|_, _| {})?;
+            state.reference = references(&path)?;
             Ok((scene, entries, state, ready))
         });
         let (scene, entries, state, ReadyModel { model, remarks, .. }) =

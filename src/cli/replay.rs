@@ -21,6 +21,7 @@ use crate::recognise::{
     LOOK_S, Method, MethodName, Model, ReadyModel, RecogniseError, ready_model,
 };
 use crate::record::edit::LibraryLock;
+use crate::record::reference::references;
 use crate::scan::Options;
 use crate::scene::Scene;
 use crate::serve::{LibraryFolder, Settings};
@@ -302,7 +303,10 @@ fn recogniser(
     };
     let fold_of = stage.queries().map(|(fold, entry)| (entry.key.clone(), fold)).collect();
     let compared = stage.compared();
-    let library = LibraryState::of(&stage.name, &compared, stage.synthetic);
+    let mut library = LibraryState::of(&stage.name, &compared, stage.synthetic);
+    if let Some(path) = &args.library {
+        library.reference = references(path)?;
+    }
     let mut recogniser = Recogniser::with_folds(models, fold_of, stage.scene.clone(), library)
         .with_trials(&compared);
     recogniser.needed_s = needed_s;

@@ -202,6 +202,11 @@ pub enum Mark {
     },
     /// The scan goes on, but its result should not be trusted.
     Spoil(Doubt),
+    /// The level of each channel of a source at rest, just before the scan, in dB.
+    Rest {
+        source: SourceId,
+        levels_db: Vec<f64>,
+    },
     /// From this scan time on, in seconds, the scan has another true label.
     Truth {
         from_s: f64,

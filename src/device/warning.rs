@@ -13,6 +13,8 @@ pub enum WarningKind {
     Crystal,
     /// What a device sent was damaged, late or not understood.
     Damaged,
+    /// Reference scans say that the station drifts.
+    Drift,
     /// An order cannot be followed here.
     Ignored,
     /// A part of the recordings, or a device, is left out.

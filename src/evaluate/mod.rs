@@ -8,6 +8,7 @@
 mod answers;
 pub(crate) mod chart;
 mod check;
+pub(crate) mod control_chart;
 mod enrolled;
 mod evaluation;
 mod fold;

@@ -1,10 +1,12 @@
 //! The answers of a history, held in memory. Each change is also written to the log on disk.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
+use super::drift::{Drift, Reading, surface_of};
 use super::folder::Disk;
 use super::log::{Head, Log, LogLine, Span, Text};
 use super::{Correction, HistoryError};
@@ -53,6 +55,13 @@ pub(super) struct HistoryState {
     pub signals: u64,
     /// Why the last write failed; `None` once a write succeeds again.
     pub problem: Option<String>,
+    /// The reference surfaces, each with the moment from which its scans count.
+    pub references: BTreeMap<String, u64>,
+    /// The values of reference scans that were read already, by surface and id; `None` for a scan that
+    /// lacks data.
+    pub readings: BTreeMap<(String, String), Option<Reading>>,
+    /// The drift by all reference scans; `None` if one came or changed since it was computed.
+    pub drift: Option<Arc<Drift>>,
 }
 
 impl HistoryState {
@@ -85,7 +94,10 @@ impl HistoryState {
                 self.signals = self.signals + bytes.unwrap_or(0) - entry.signals.unwrap_or(0);
                 entry.signals = bytes;
             }
-            LogLine::Correction { correction, .. } => entry.correction = correction,
+            LogLine::Correction { correction, .. } => {
+                entry.correction = correction;
+                self.drift = None;
+            }
             LogLine::Trial { trial, .. } => entry.became = trial,
         }
     }
@@ -116,7 +128,35 @@ impl HistoryState {
         })
     }
 
-    /// Removes the oldest signals, then the oldest answers, until the history and the disk have room.
+    /// The reference surface that a scan was, if it counts.
+    fn reference_of(&self, entry: &HistoryEntry) -> Option<&str> {
+        let (surface, since) = self.references.get_key_value(surface_of(entry)?)?;
+        (entry.head.unix_ms >= *since).then_some(surface)
+    }
+
+    pub(super) fn drift(&mut self) -> Arc<Drift> {
+        if let Some(drift) = &self.drift {
+            return drift.clone();
+        }
+        let mut readings = std::mem::take(&mut self.readings);
+        let mut all: BTreeMap<&str, Vec<Reading>> = BTreeMap::new();
+        for entry in &self.entries {
+            let Some(surface) = self.reference_of(entry) else { continue };
+            let key = (surface.to_string(), entry.head.id.clone());
+            // A scan that cannot be read counts as one that lacks data.
+            let read = || self.row(entry).ok().and_then(|row| Reading::of(row, surface));
+            let reading = readings.entry(key).or_insert_with(read);
+            all.entry(surface).or_default().extend(reading.clone());
+        }
+        let of = |(surface, since): (&String, &u64)| {
+            (surface.clone(), *since, all.remove(surface.as_str()).unwrap_or_default())
+        };
+        let drift = Arc::new(Drift::of(&self.references.iter().map(of).collect::<Vec<_>>()));
+        (self.readings, self.drift) = (readings, Some(drift.clone()));
+        drift
+    }
+
+    /// Removes the oldest signals until the history and the disk have room.
     pub(super) fn make_room(&mut self) -> Result<(), HistoryError> {
         let lacking = self.disk.as_ref().map_or(0, Disk::lacks);
         self.let_go(lacking)
@@ -136,27 +176,46 @@ impl HistoryState {
             disk.log.append(&json_text(&LogLine::Signals { id, bytes: None }))?;
             self.signals -= entry.signals.take().unwrap_or(0);
         }
-        if disk.log.bytes > for_answers {
-            self.shorten(for_answers / 2)?;
-        }
         Ok(())
+    }
+
+    /// Removes the oldest answers from a log that has grown too long. Not called before the reference
+    /// surfaces are known, since their first scans stay.
+    pub(super) fn bound_log(&mut self) -> Result<(), HistoryError> {
+        let Some(disk) = &self.disk else { return Ok(()) };
+        match disk.for_answers() {
+            most_bytes if disk.log.bytes > most_bytes => self.shorten(most_bytes / 2),
+            _ => Ok(()),
+        }
     }
 
     /// Rewrites the log with as many of the newest answers as fit into `most_bytes`.
     fn shorten(&mut self, most_bytes: u64) -> Result<(), HistoryError> {
-        let Some(disk) = &mut self.disk else { return Ok(()) };
         let mut bytes = 0;
         let fits = |entry: &&HistoryEntry| {
             bytes += entry.text.bytes();
             bytes <= most_bytes
         };
-        let kept = self.entries.iter().rev().take_while(fits).count();
-        for entry in self.entries.drain(..self.entries.len() - kept) {
-            if let Some(bytes) = entry.signals {
+        let old = self.entries.len() - self.entries.iter().rev().take_while(fits).count();
+        // The first reference scans stay, since later ones are compared with them.
+        let mut room = most_bytes / 2;
+        let mut is_first = |entry: &HistoryEntry| {
+            let fits = self.reference_of(entry).is_some() && entry.text.bytes() <= room;
+            room -= if fits { entry.text.bytes() } else { 0 };
+            fits
+        };
+        let firsts: Vec<bool> = self.entries.iter().take(old).map(&mut is_first).collect();
+        let Some(disk) = &mut self.disk else { return Ok(()) };
+        let gone: Vec<HistoryEntry> = self.entries.drain(..old).collect();
+        let mut stay = Vec::new();
+        for (mut entry, is_first) in gone.into_iter().zip(firsts) {
+            if let Some(bytes) = entry.signals.take() {
                 disk.remove_signals(&entry.head.id)?;
                 self.signals -= bytes;
             }
+            stay.extend(is_first.then_some(entry));
         }
+        stay.into_iter().rev().for_each(|entry| self.entries.push_front(entry));
         let mut fresh = disk.log.begin_anew()?;
         for entry in &mut self.entries {
             let (text, written) = fresh.append_answer(entry.text.read(Some(&disk.log))?);

@@ -94,6 +94,9 @@ impl Listener for Keeper {
         if self.end.is_here(event) {
             self.scans = None;
         }
+        if let StationEvent::Library(library) = event {
+            self.work.history.refer(&library.reference);
+        }
         if let (StationEvent::Scan(scan), Some(scans)) = (event, &self.scans)
             && scans.try_send(scan.clone()).is_err()
         {

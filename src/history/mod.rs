@@ -16,6 +16,7 @@
 
 mod audit;
 mod csv;
+mod drift;
 mod entries;
 mod folder;
 mod keeper;
@@ -25,12 +26,13 @@ mod view;
 pub(crate) use self::audit::{Actor, AuditRecord, Role};
 pub(crate) use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
 pub(crate) use self::entries::HistoryRow;
+pub(crate) use drift::{ChartView, Drift, Quantity, ReferenceView};
 pub use keeper::Keeper;
 pub(crate) use view::{Bands, WINDOW, bands, four_digits};
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -118,7 +120,8 @@ impl History {
     pub fn open(folder: &Path, most_bytes: u64) -> Result<Self, HistoryError> {
         let disk = Disk::open(folder, most_bytes)?;
         let mut inner = HistoryState::default();
-        inner.take_log(&disk.log, disk.for_answers())?;
+        // The log may be longer by some lines, since it is shortened before a line is added.
+        inner.take_log(&disk.log, disk.for_answers() / 8 * 9)?;
         let known: HashSet<&str> = inner.entries.iter().map(|e| e.head.id.as_str()).collect();
         disk.tidy(|id| known.contains(id))?;
         let there = disk.scans()?;
@@ -164,7 +167,7 @@ impl History {
     pub(crate) fn answered(&self, answer: &Answer) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         // Room is made first, since a full disk would refuse the answer.
-        let room = inner.make_room();
+        let room = inner.make_room().and_then(|()| inner.bound_log());
         let head = Head::of(answer);
         let text = json_text(answer);
         let (text, written) = match &mut inner.disk {
@@ -172,6 +175,7 @@ impl History {
             None => (Text::Here(text), Ok(())),
         };
         inner.entries.push_back(HistoryEntry::new(head, text));
+        inner.drift = None;
         if inner.disk.is_none() && inner.entries.len() > MOST_IN_MEMORY {
             inner.entries.pop_front();
         }
@@ -187,6 +191,21 @@ impl History {
         };
         inner.change(LogLine::Signals { id: id.into(), bytes: Some(bytes) })?;
         inner.make_room()
+    }
+
+    /// Sets the reference surfaces, each with the moment from which its scans count, in milliseconds
+    /// since 1970.
+    pub(crate) fn refer(&self, surfaces: &BTreeMap<String, u64>) {
+        let inner = &mut *self.lock();
+        if inner.references != *surfaces {
+            inner.references.clone_from(surfaces);
+            (inner.readings, inner.drift) = (BTreeMap::new(), None);
+        }
+    }
+
+    /// The drift of the station, by its reference scans so far. Reads those that it has not read yet.
+    pub(crate) fn drift(&self) -> Arc<Drift> {
+        self.lock().drift()
     }
 
     /// Sets the correction of a scan (what it truly was), or removes it. Returns the correction before.

@@ -208,6 +208,8 @@ impl Publisher {
         state["page"] = self.page.get().cloned().into();
         // The number of unknown or unsure answers that nobody has reviewed.
         state["review"] = self.history.to_review().into();
+        // What is known against the station by scans of its reference surfaces.
+        state["drift"] = json!(self.history.drift().doubts);
         // `sequence` is the newest answer's number; `dropped` answers were lost for lack of room.
         state["sequence"] = outbox.newest().into();
         state["dropped"] = outbox.dropped.into();

@@ -8,6 +8,7 @@ pub(crate) mod folder_name;
 pub(crate) mod importing;
 #[cfg(feature = "mcap")]
 pub mod mcap;
+pub(crate) mod reference;
 
 use std::fs::{self, File};
 use std::io::{Cursor, Write};

@@ -2,6 +2,7 @@
 //! A tap that two devices sensed gives the constant offset between the times of their groups.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 
 use super::detect::{
     Detector, DetectorConfig, DetectorEvent, SensorKind, StreamLevel, hop_frames, hop_s, onset_in,
@@ -74,8 +75,16 @@ impl DeviceGroup {
         (frame.saturating_sub(self.base) as f64 / hop_frames(self.rate_hz)).round() as u64
     }
 
-    fn hop_s(&self) -> f64 {
+    pub(super) fn hop_s(&self) -> f64 {
         hop_s(self.rate_hz)
+    }
+
+    /// Whether all streams were at rest in each of these hops.
+    pub(super) fn was_quiet_in(&self, mut hops: Range<u64>) -> bool {
+        hops.all(|hop| {
+            let at = hop.checked_sub(self.first).and_then(|at| self.levels.get(at as usize));
+            at.copied().flatten().is_some_and(|level| level < self.detector.config.quiet)
+        })
     }
 
     /// Measures the group's offset by a tap that another device sensed at index `frame`, by the clock

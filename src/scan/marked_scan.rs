@@ -30,6 +30,7 @@ pub(super) struct Marked {
     pub steps: u64,
     /// Why the scan should not be trusted, apart from what is found in its data.
     pub spoiled: Vec<Doubt>,
+    pub rest: BTreeMap<SourceId, Vec<f64>>,
     pub phase: Option<Phase>,
 }
 
@@ -71,6 +72,9 @@ impl Marked {
             // The collector applies these marks itself.
             Mark::Begin(_) | Mark::GiveUp { .. } => {}
             Mark::Spoil(doubt) => self.spoiled.push(doubt),
+            Mark::Rest { source, levels_db } => {
+                self.rest.insert(source, levels_db);
+            }
             Mark::Truth { from_s, truth } => self.truths.push((from_s, truth)),
             Mark::Open(open) => self.open(open, streams)?,
             Mark::Close { source, end } => match self.cuts.get_mut(&source) {
@@ -157,6 +161,7 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
         scan_s,
         lost_samples,
         spoiled,
+        rest: marked.rest,
         ended_at,
     })
 }

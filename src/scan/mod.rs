@@ -46,6 +46,9 @@ pub struct Scan {
     /// Why the scan should not be trusted; empty if nothing spoils it. A gap of at most 1 ms does
     /// not, since the frame before the gap is repeated to fill it.
     pub spoiled: Vec<Doubt>,
+    /// For each series, the level of each channel just before the scan, in dB, as for a drag;
+    /// nothing if it was not at rest, or if a recording sets the begin of its scans.
+    pub rest: BTreeMap<SourceId, Vec<f64>>,
     pub ended_at: Instant,
 }
 
@@ -60,6 +63,7 @@ impl Scan {
             scan_s: 0.0,
             lost_samples: 0,
             spoiled: Vec::new(),
+            rest: BTreeMap::new(),
             ended_at: Instant::now(),
         }
     }

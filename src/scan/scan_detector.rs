@@ -4,19 +4,23 @@
 //! own. The first group with data leads, so only its detections make marks. The clock of each stream
 //! converts the times of detections to indexes of the stream.
 
+use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use super::detect::DetectorEvent;
 use super::device_group::DeviceGroup;
-use super::recent_frames::{Stream, StreamBuffer};
+use super::recent_frames::{Stream, StreamBuffer, narrow};
 use super::{CutFrom, Detection, ScanCommand};
 use crate::device::{Begin, Mark, Open, Warning, WarningKind};
 use crate::scene::Phase;
-use crate::trial::Doubt;
+use crate::trial::{Doubt, channel_levels_db};
 
 /// In seconds, as in LMT108, a tap's source begins this long before the onset and lasts `TAP_S`.
 const BEFORE_TAP_S: f64 = 0.02;
 const TAP_S: f64 = 10_501.0 / 44_100.0;
+/// In seconds, the noise of a channel is measured over `REST_S`, until `BEFORE_CONTACT_S` before contact.
+const REST_S: f64 = 0.5;
+const BEFORE_CONTACT_S: f64 = 0.05;
 
 /// A detected drag of group number `lead`; its times are hops of this group.
 struct Contact {
@@ -186,6 +190,7 @@ impl ScanDetector {
         self.marks.push(Mark::Begin(Begin::default()));
         self.mark_images(streams);
         let (mut opened, mut marks) = (Vec::new(), Vec::new());
+        let rest = contact.as_ref().and_then(|contact| self.rest(contact));
         for (number, placed) in self.cuts.iter().enumerate() {
             let at = placed.stream;
             let stream = &streams[at];
@@ -211,6 +216,10 @@ impl ScanDetector {
                         marks.push(placed.open(begin, rate_hz));
                         opened.push(number);
                     }
+                    let span = rest.as_ref().and_then(|rest| {
+                        Some(index(contact, rest.start)?..index(contact, rest.end)?)
+                    });
+                    marks.extend(span.and_then(|span| placed.rest(span, stream)));
                 }
                 (Phase::Drag, None) => {
                     marks.push(placed.open(stream.index_now(now_s), rate_hz));
@@ -222,6 +231,16 @@ impl ScanDetector {
         self.marks.extend(marks);
         let lead = contact.map(|contact| contact.lead);
         self.scan = Some(Running { lead, begun_s: now_s, opened });
+    }
+
+    /// The hops just before a contact in which its group was at rest; `None` if it was not.
+    fn rest(&self, contact: &Contact) -> Option<Range<u64>> {
+        let group = &self.groups[contact.lead];
+        let hops = |seconds: f64| (seconds / group.hop_s()).round() as u64;
+        let begin = contact.tap.map_or(contact.start, |(onset, _)| onset);
+        let end = begin.checked_sub(hops(BEFORE_CONTACT_S))?;
+        let rest = end.checked_sub(hops(REST_S))?..end;
+        group.was_quiet_in(rest.clone()).then_some(rest)
     }
 
     fn end_now(&mut self, streams: &[Stream], now_s: f64) {
@@ -293,6 +312,22 @@ impl ScanDetector {
 impl PlacedCut {
     fn open(&self, start: u64, rate_hz: f64) -> Mark {
         Mark::Open(Open { cut: self.cut.clone(), start, rate_hz })
+    }
+
+    /// The level of the source in these frames at rest; `None` if one of them is missing.
+    fn rest(&self, span: Range<u64>, stream: &Stream) -> Option<Mark> {
+        let StreamBuffer::Series { history, .. } = &stream.buffer else { return None };
+        let (start, samples) = history.frames(span.clone());
+        let frames = (samples.len() / history.channels) as u64;
+        if start != span.start
+            || frames != span.end.saturating_sub(span.start)
+            || history.missing_in(span).next().is_some()
+        {
+            return None;
+        }
+        let own = narrow(samples, history.channels, self.cut.channels);
+        let levels_db = channel_levels_db(&own, self.cut.channels);
+        Some(Mark::Rest { source: self.cut.source.clone(), levels_db })
     }
 }
 

@@ -1,7 +1,9 @@
 //! Parses and checks the TOML form of a scene, and turns it into a [`Scene`].
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
+use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{Colour, Domain, Phase, Scene, SceneError, SourceId, SourceSpec};
@@ -15,6 +17,9 @@ struct SceneFile {
     notes: Option<String>,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     synthetic: bool,
+    /// The reference surfaces, each with the moment from which its scans count.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reference: Option<toml::Spanned<BTreeMap<String, toml::value::Datetime>>>,
     #[serde(default)]
     sources: BTreeMap<String, toml::Spanned<SourceBlock>>,
 }
@@ -69,6 +74,7 @@ impl Scene {
             name: (!self.name.is_empty()).then(|| self.name.clone()),
             notes: None,
             synthetic,
+            reference: None,
             sources: self.sources().map(block).collect(),
         };
         // This cannot fail, since TOML can express all that a scene holds (strings, numbers, tables).
@@ -88,6 +94,10 @@ pub struct LibraryToml {
     /// The file's own description of each source, which takes precedence over the defaults.
     pub(crate) declared: BTreeMap<SourceId, SourceBlock>,
     pub synthetic: bool,
+    /// The reference surfaces, each with the moment from which its scans count.
+    pub(crate) reference: BTreeMap<String, Timestamp>,
+    /// Where the text says `format` and the value of `reference`, in bytes.
+    pub(crate) places: (Range<usize>, Option<Range<usize>>),
 }
 
 impl LibraryToml {
@@ -102,9 +112,28 @@ impl LibraryToml {
             Some((SourceId::new(name).ok()?, block.get_ref().clone()))
         };
         let declared = file.sources.iter().filter_map(declared).collect();
+        let places = (file.format.span(), file.reference.as_ref().map(toml::Spanned::span));
+        let reference = file.reference.map(|all| references(all, text)).transpose()?;
         let sources = scene(file.name.unwrap_or_default(), file.sources, text, defaults)?;
-        Ok(Self { sources, declared, synthetic: file.synthetic })
+        let (reference, synthetic) = (reference.unwrap_or_default(), file.synthetic);
+        Ok(Self { sources, declared, synthetic, reference, places })
     }
+}
+
+/// The moments of the reference surfaces; `text` is the file's text, in which errors find their line.
+fn references(
+    all: toml::Spanned<BTreeMap<String, toml::value::Datetime>>,
+    text: &str,
+) -> Result<BTreeMap<String, Timestamp>, SceneError> {
+    let line = line_of(text, all.span().start);
+    let moment = |(surface, since): (String, toml::value::Datetime)| {
+        let since = since.to_string().parse().map_err(|_| {
+            let expected = "expected a date, a time and its zone, such as 2026-01-31T12:00:00Z";
+            SceneError(format!("line {line}: reference `{surface}` = {since}; {expected}"))
+        })?;
+        Ok((surface, since))
+    };
+    all.into_inner().into_iter().map(moment).collect()
 }
 
 impl SceneFile {

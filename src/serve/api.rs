@@ -186,7 +186,7 @@ async fn ready(State(hub): Shared) -> Response {
 }
 
 /// The files of the page: path, content type and text of each.
-pub(crate) const FILES: [(&str, &str, &str); 20] = [
+pub(crate) const FILES: [(&str, &str, &str); 21] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
@@ -203,6 +203,7 @@ pub(crate) const FILES: [(&str, &str, &str); 20] = [
     ("/route.js", "text/javascript; charset=utf-8", include_str!("page/route.js")),
     ("/scan.js", "text/javascript; charset=utf-8", include_str!("page/scan.js")),
     ("/shelf.js", "text/javascript; charset=utf-8", include_str!("page/shelf.js")),
+    ("/drift.js", "text/javascript; charset=utf-8", include_str!("page/drift.js")),
     ("/chart.js", "text/javascript; charset=utf-8", include_str!("page/chart.js")),
     ("/camera.js", "text/javascript; charset=utf-8", include_str!("page/camera.js")),
     ("/draw.js", "text/javascript; charset=utf-8", include_str!("page/draw.js")),

@@ -4,6 +4,7 @@
 //! exists because handlers of requests must be `Send`.
 
 use std::collections::BTreeMap;
+use std::mem::{Discriminant, discriminant};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -22,13 +23,14 @@ use super::state::{State, unix_ms};
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
 use super::trace::{self, Tracer};
 use crate::device::camera::{CameraView, Viewfinder};
+use crate::device::{Warning, WarningKind};
 use crate::evaluate::CheckReport;
 use crate::outputs::{OutputHealth, OutputView};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::SourceId;
 use crate::station::{Command, StationEvent};
-use crate::trial::Image;
+use crate::trial::{Doubt, Image};
 
 const STREAMS_EVERY: Duration = Duration::from_millis(500);
 const SPECTRA_EVERY: Duration = Duration::from_millis(200);
@@ -62,6 +64,8 @@ pub(crate) struct HubState {
     published_camera: Option<CameraView>,
     outputs: Vec<OutputHealth>,
     published_outputs: Vec<OutputView>,
+    /// What is known against the station by scans of its reference surfaces.
+    drift: Vec<Doubt>,
     pub check: CheckView,
 }
 
@@ -75,6 +79,7 @@ impl HubState {
             camera: self.viewfinder.as_ref().map(Viewfinder::view),
             streams: self.streams(),
             outputs: self.outputs(),
+            drift: &self.drift,
         }
     }
 
@@ -123,6 +128,23 @@ impl HubState {
             self.publish(EventKind::Outputs, &views);
             self.published_outputs = views;
         }
+    }
+
+    /// Publishes the doubts that follow from reference scans, with a warning of each new one.
+    fn publish_drift(&mut self, doubts: &[Doubt]) {
+        if kinds(doubts).eq(kinds(&self.drift)) {
+            self.drift = doubts.to_vec();
+            return;
+        }
+        for doubt in doubts {
+            if !kinds(&self.drift).any(|known| known == kind(doubt)) {
+                let warning = Warning::new(WarningKind::Drift, format!("drift: {doubt}"));
+                self.state.take(&StationEvent::Warning(warning));
+                self.publish_warning();
+            }
+        }
+        self.drift = doubts.to_vec();
+        self.publish(EventKind::Drift, &doubts);
     }
 
     fn take(&mut self, notice: &StationEvent) {
@@ -186,6 +208,22 @@ impl HubState {
     }
 }
 
+/// What a doubt about drift is about, without its numbers, which change with each scan.
+fn kind(doubt: &Doubt) -> (Discriminant<Doubt>, String) {
+    match doubt {
+        Doubt::LevelDrift { source, channel, surface, .. }
+        | Doubt::NoiseDrift { source, channel, surface, .. } => {
+            (discriminant(doubt), format!("{surface}\n{source}\n{channel}"))
+        }
+        Doubt::FitDrift { surface, .. } => (discriminant(doubt), surface.clone()),
+        other => (discriminant(other), String::new()),
+    }
+}
+
+fn kinds(doubts: &[Doubt]) -> impl Iterator<Item = (Discriminant<Doubt>, String)> + '_ {
+    doubts.iter().map(kind)
+}
+
 impl Hub {
     /// Creates a hub. `missed` counts the events for which the reporter's queue had no room.
     pub(crate) fn new(
@@ -220,11 +258,13 @@ impl Hub {
 
     pub(crate) fn metrics(&self) -> String {
         let precision = self.settings.history.precision();
+        let drift = self.settings.history.drift();
         let inner = &*self.lock();
         let metrics = Metrics {
             scan_s: &inner.scan_s,
             latency_s: &inner.latency_s,
             precision: &precision,
+            drift: &drift,
             traffic: &self.traffic,
             outputs: &inner.outputs(),
             state: &inner.state,
@@ -246,6 +286,9 @@ impl Hub {
         if let Some(answer) = answer.filter(|_| history.root().is_none()) {
             // Without a disk, adding an answer cannot fail.
             let _ = history.answered(answer);
+        }
+        if let StationEvent::Library(library) = notice {
+            history.refer(&library.reference);
         }
         let inner = &mut *self.lock();
         inner.take(notice);
@@ -302,9 +345,11 @@ pub(super) async fn run(
                 None => listening = false,
             },
             _ = streams.tick() => {
+                let drift = hub.settings.history.drift();
                 let inner = &mut *hub.lock();
                 inner.publish_streams();
                 inner.publish_outputs();
+                inner.publish_drift(&drift.doubts);
             }
             _ = spectra.tick() => {
                 let inner = &mut *hub.lock();
@@ -341,6 +386,7 @@ pub(crate) struct StateDocument<'a> {
     camera: Option<CameraView>,
     streams: Vec<StreamView>,
     outputs: Vec<OutputView>,
+    drift: &'a [Doubt],
 }
 
 #[derive(Debug, Serialize)]

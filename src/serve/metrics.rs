@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use super::guard::Traffic;
 use super::state::State;
 use crate::device::DeviceState;
-use crate::history::Precision;
+use crate::history::{Drift, Precision, Quantity};
 use crate::outputs::OutputView;
 use crate::printable::Printable;
 use crate::ring::Counts;
@@ -55,6 +55,7 @@ pub(super) struct Metrics<'a> {
     pub outputs: &'a [OutputView],
     /// The share of right answers among those that a person reviewed.
     pub precision: &'a [Precision],
+    pub drift: &'a Drift,
 }
 
 impl Metrics<'_> {
@@ -133,6 +134,18 @@ impl Metrics<'_> {
                 .map(|(right, count)| (vec![("answer", answer), ("right", right)], [count as u64]))
         });
         page.family([("surfaced_reviewed_scans", "gauge", help)], reviewed);
+        let scans = self.drift.references.iter();
+        let scans = scans.map(|of| (vec![("surface", of.surface.as_str())], [of.scans as u64]));
+        let help = "Scans of a reference surface since it was made one.";
+        page.family([("surfaced_reference_scans", "gauge", help)], scans);
+        let help = "Things that have drifted, by scans of the reference surfaces.";
+        let kinds = [Quantity::Fit, Quantity::Distance, Quantity::Level, Quantity::Noise];
+        let drifted = kinds.map(|kind| {
+            let charts = self.drift.references.iter().flat_map(|of| &of.series);
+            let count = charts.filter(|chart| chart.quantity == kind && chart.drifted).count();
+            (vec![("quantity", kind.as_str())], [count as u64])
+        });
+        page.family([("surfaced_drifted", "gauge", help)], drifted);
         let head = ("surfaced_readers", "gauge", "Subscribers to the stream of events.");
         page.family([head], [(vec![], [subscribers as u64])]);
         page.histogram("surfaced_scan_seconds", "Duration of a scan.", self.scan_s);
@@ -222,6 +235,7 @@ mod tests {
             dropped: 4,
             missed: 5,
             precision: &[],
+            drift: &Drift::default(),
             outputs: &[OutputView {
                 output: "http://example/".into(),
                 waiting: 7,

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use super::hub::{Hub, Shared};
 use super::request::{CSV, JSON_LINES, Problem, aside, exported};
 use crate::history::{
-    COLUMNS, HistoryError, HistoryRow, NOTES, Wanted, nearest_picture, write_csv,
+    COLUMNS, Drift, HistoryError, HistoryRow, NOTES, Wanted, nearest_picture, write_csv,
 };
 use crate::jpeg;
 use crate::library::LibraryError;
@@ -37,6 +37,7 @@ pub(crate) fn router() -> Router<Arc<Hub>> {
         .route("/scans/{id}/why", get(why))
         .route("/scans/{id}/{file}", get(file))
         .route("/history", get(history))
+        .route("/drift", get(drift))
         .route("/pictures/{file}", get(live_picture))
 }
 
@@ -228,4 +229,8 @@ async fn history(State(hub): Shared) -> Json<Value> {
     let mut view = json!(history.extent());
     view["precision"] = json!(history.precision());
     Json(view)
+}
+
+async fn drift(State(hub): Shared) -> Result<Json<Arc<Drift>>, Problem> {
+    Ok(Json(aside(move || Ok(hub.settings.history.drift())).await?))
 }

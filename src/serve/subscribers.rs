@@ -36,6 +36,7 @@ pub(crate) enum EventKind {
     Outputs,
     Correction,
     Check,
+    Drift,
     Enrolled,
     Enrolling,
     Reading,

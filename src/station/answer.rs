@@ -11,7 +11,7 @@ use crate::recognise::RankedSurface;
 use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
 use crate::scene::SourceId;
-use crate::trial::{Doubt, lines};
+use crate::trial::{Doubt, Signal, channel_levels_db, lines};
 
 /// The answer to a scan that has ended; as JSON, it takes one line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -64,12 +64,45 @@ pub struct Answer {
     /// Number of frames and pictures lost during the scan.
     pub lost_samples: u64,
     pub sources: Vec<SourceId>,
+    /// The level of each channel, if the library has a reference surface; empty otherwise, and JSON then
+    /// lacks it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub levels: Vec<ChannelLevel>,
     /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
     /// What is known against the scan and its answer. In JSON, lists of lines stand beside `doubts`:
     /// `reasons` for a state other than [`AnswerState::Named`], `spoiled`, `damage` and `remarks`.
     #[serde(flatten, serialize_with = "account::of_answer")]
     pub doubts: Vec<Doubt>,
+}
+
+/// How strong a channel of a scan is. Levels are root mean squares without the mean, in dB relative to
+/// 1, rounded to 0.01 dB.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ChannelLevel {
+    pub source: SourceId,
+    /// Counted from 1.
+    pub channel: usize,
+    pub level_db: f64,
+    /// The level at rest, just before the scan; `None` if the station did not see it at rest.
+    pub noise_db: Option<f64>,
+}
+
+/// The levels of all channels of a scan's series.
+pub(super) fn levels(scan: &Scan) -> Vec<ChannelLevel> {
+    let mut all = Vec::new();
+    for (id, signal) in &scan.trial.signals {
+        let Signal::Series(series) = signal else { continue };
+        let noise = scan.rest.get(id);
+        let levels = channel_levels_db(series.samples(), series.channels()).into_iter();
+        all.extend(levels.enumerate().map(|(at, level_db)| ChannelLevel {
+            source: id.clone(),
+            channel: at + 1,
+            level_db,
+            noise_db: noise.and_then(|noise| noise.get(at).copied()),
+        }));
+    }
+    all
 }
 
 fn by_both_names<S: Serializer>(p_value: &Option<f64>, to: S) -> Result<S::Ok, S::Error> {

@@ -20,7 +20,7 @@ mod trial_need;
 mod worker;
 
 pub(crate) use account::{damage, told};
-pub use answer::{Answer, AnswerState};
+pub use answer::{Answer, AnswerState, ChannelLevel};
 pub use assemble::{Assembled, assemble};
 pub use continuous::{Change, Continuous, FoundSurface};
 #[doc(hidden)] // For the project's own tools.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use serde::{Serialize, Serializer};
 
 use super::account;
-use super::answer::{Answer, AnswerState};
+use super::answer::{Answer, AnswerState, levels};
 use super::certainty::{judge, lost_in, so_far, unknown_share};
 use crate::library::Entry;
 use crate::recognise::{
@@ -203,6 +203,7 @@ impl Recogniser {
             unknown: unknown_share(ranking.p_value, rejection),
             settled_s,
             sources: ranking.sources,
+            levels: if self.library.reference.is_empty() { Vec::new() } else { levels(scan) },
             needed_s: self.needed_s,
             doubts,
             ranked: ranking.ranked,
@@ -232,6 +233,10 @@ pub struct LibraryState {
     #[serde(serialize_with = "as_rows")]
     pub surfaces: Vec<(String, usize)>,
     pub sources: Vec<SourceId>,
+    /// The reference surfaces, each with the moment from which its scans count, in milliseconds since 1970.
+    /// JSON lacks it if there are none.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub reference: BTreeMap<String, u64>,
     pub synthetic: bool,
     /// The reason why scans cannot be named, if there is one.
     pub problem: Option<String>,

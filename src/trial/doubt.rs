@@ -120,6 +120,30 @@ pub enum Doubt {
         surface: String,
     },
 
+    /// A channel has another level in scans of the reference surface than at first.
+    LevelDrift {
+        source: SourceId,
+        channel: usize,
+        surface: String,
+        moved_db: f64,
+        limit_db: f64,
+    },
+    /// A channel has another level at rest than at first.
+    NoiseDrift {
+        source: SourceId,
+        channel: usize,
+        surface: String,
+        moved_db: f64,
+        limit_db: f64,
+    },
+    /// Scans of the reference surface fit its trials less well than at first. `moved` is in p-values or, for
+    /// methods without them, in natural logarithms of the score.
+    FitDrift {
+        surface: String,
+        moved: f64,
+        limit: f64,
+    },
+
     /// The scan is silent, or shorter than a frame.
     TooLittle,
     NotNamed {
@@ -145,6 +169,8 @@ impl Doubt {
             | Self::Unusable { source, .. }
             | Self::FewIndependent { source, .. }
             | Self::SourceMissing { source }
+            | Self::LevelDrift { source, .. }
+            | Self::NoiseDrift { source, .. }
             | Self::NotCompared { source } => Some(source),
             _ => None,
         }
@@ -251,6 +277,20 @@ impl Doubt {
             Self::NearSurface { surface } => {
                 format!("this looks like {surface}, which the library has")
             }
+            Self::LevelDrift { channel, surface, moved_db, limit_db, .. } => format!(
+                "channel {channel} is {} on {surface} than at first ({moved_db:+.1} dB; up to \
+                 {limit_db:.1} dB is no drift); check gain, cable, tip and mounting",
+                if *moved_db < 0.0 { "quieter" } else { "louder" }
+            ),
+            Self::NoiseDrift { channel, moved_db, limit_db, .. } => format!(
+                "channel {channel} is {} at rest than at first ({moved_db:+.1} dB; up to \
+                 {limit_db:.1} dB is no drift); check gain, cable and earthing",
+                if *moved_db < 0.0 { "quieter" } else { "louder" }
+            ),
+            Self::FitDrift { surface, moved, limit } => format!(
+                "scans of {surface} fit its trials less well than at first ({moved:+.2}; up to \
+                 {limit:.2} is no drift); see whether the part is worn, then check the sensors"
+            ),
             Self::TooLittle => {
                 "too little to name: every source is silent, or shorter than a frame; \
                                 drag for longer, and check the cables"

@@ -3,12 +3,14 @@
 mod channel_flaws;
 mod doubt;
 mod label;
+mod level;
 
 pub use channel_flaws::SeriesFlaws;
 pub(crate) use channel_flaws::{flaws_of, is_plain, usual_rests};
 pub use doubt::Doubt;
 pub(crate) use doubt::lines;
 pub(crate) use label::{checked_label, checked_session, normal};
+pub(crate) use level::channel_levels_db;
 
 use std::collections::{BTreeMap, BTreeSet};
 

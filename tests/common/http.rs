@@ -1,5 +1,6 @@
 //! A server with a station that only seems to be there, and clients that may misbehave.
 
+use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::sync::Arc;
@@ -175,6 +176,7 @@ pub fn session() -> Vec<StationEvent> {
         surfaces: vec![("beech".into(), 4), ("oak".into(), 5)],
         sources: vec![id("ac"), id("mi2")],
         synthetic: false,
+        reference: BTreeMap::new(),
         problem: None,
         remarks: vec!["answers come when scans end".into()],
     };
@@ -237,6 +239,7 @@ pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
         settled_s: known.then_some(1.9),
         lost_samples: 0,
         sources: vec![id("ac"), id("mi2")],
+        levels: vec![],
         needed_s: Some(2.7),
         doubts: match known {
             true => vec![],

@@ -15,6 +15,7 @@ mod continuous;
 mod cross_user;
 mod curate;
 mod desk;
+mod drift;
 mod duration;
 mod edit;
 mod ending;

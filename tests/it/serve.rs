@@ -276,6 +276,7 @@ fn the_page_and_its_files_ask_for_nothing_from_elsewhere() {
         ("/scan.js", "text/javascript"),
         ("/chart.js", "text/javascript"),
         ("/shelf.js", "text/javascript"),
+        ("/drift.js", "text/javascript"),
         ("/review.css", "text/css"),
         ("/favicon.svg", "image/svg+xml"),
     ] {

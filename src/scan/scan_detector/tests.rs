@@ -422,3 +422,17 @@ fn a_contact_that_lasts_too_long_is_noise_unless_there_is_no_longest_drag() {
     let spans: Vec<_> = found(script(f64::INFINITY)).iter().map(span_s).collect();
     assert!(spans.len() == 1 && (spans[0].end - 140.0).abs() < 0.06, "{spans:?}");
 }
+
+#[test]
+fn the_level_at_rest_is_that_just_before_the_tap_unless_samples_are_missing_there() {
+    let rest = |gaps: &[Gap]| {
+        let scans = scans(&two_scans(), (Line::Stylus, 1000.0), gaps, 0.02, 1);
+        assert_eq!(scans.len(), 2);
+        scans[1].rest.get("ac").cloned()
+    };
+    // Noise that is uniform up to 0.004 has a root mean square of 0.004/√3.
+    let level_db = rest(&[]).unwrap()[0];
+    assert!((level_db - 20.0 * (0.004 / 3_f64.sqrt()).log10()).abs() < 0.4, "{level_db}");
+    let gap = Gap { at_s: 6.2, seconds: 0.01, reopened: false, reset: false };
+    assert_eq!(rest(&[gap]), None);
+}

@@ -117,7 +117,7 @@ export async function ask(path, body) {
   } catch {
     problem = "The station does not answer; is it still running?";
   }
-  for (const id of ["problem", "dialog-problem", "shelf-problem", "changes-problem"]) {
+  for (const id of ["problem", "dialog-problem", "shelf-problem", "changes-problem", "drift-problem"]) {
     hide(id, problem === "");
     say(id, problem);
   }

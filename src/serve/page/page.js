@@ -6,6 +6,7 @@ import * as camera from "./camera.js";
 import "./changes.js";
 import { $, ask, clock, fill, hide, make, many, printable, say, zone } from "./dom.js";
 import { devices, losses, show, spectrum, trace } from "./draw.js";
+import * as drift from "./drift.js";
 import * as enrol from "./enrol.js";
 import * as history from "./history.js";
 import * as link from "./link.js";
@@ -76,6 +77,7 @@ function showLibrary() {
     return option;
   }));
   hide("shelf-open", !state.enrolls);
+  drift.show(library?.reference ?? {}, state.drift);
 }
 
 function showWarnings() {
@@ -151,6 +153,10 @@ const changes = {
   unnamed: answered,
   correction: history.change,
   check: shelf.checked,
+  drift: (doubts) => {
+    state.drift = doubts;
+    drift.changed();
+  },
   enrolled: enrol.add, // #enrolled is a live region itself
   enrolling: (enrolling) => (state.enrolling = enrolling),
   reading: (reading) => (state.reading = reading),
