@@ -288,7 +288,7 @@ impl<'a> StationRun<'a> {
             Command::Start => self.session.command(ScanCommand::Begin),
             Command::Stop => self.session.command(ScanCommand::End),
             Command::Enroll { .. } if self.recording.is_none() => {
-                self.warn("this scan cannot be kept: no library is set");
+                self.warn("this scan cannot be kept: this station has no library; start it with --library LIB");
             }
             Command::Enroll { surface, user, trials } => {
                 let keep = Keep { surface, user, trials: Some(trials), good_only: true };
@@ -351,7 +351,7 @@ impl<'a> StationRun<'a> {
     /// Starts to read the library. Until it is read, the old one stays in use, or scans wait.
     fn reload(&mut self) {
         let Some(load) = self.load.clone() else {
-            return self.warn("nothing was reloaded: no library is set");
+            return self.warn("nothing was reloaded: this station has no library; start it with --library LIB");
         };
         // Only one thread reads at a time, since each would need the memory of a whole library.
         if self.loading.is_some() {
