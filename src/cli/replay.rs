@@ -99,11 +99,11 @@ pub(super) fn run(args: &Args) -> Done {
     // Trials are read while they are played, so the locks keep other programs from editing them.
     let _data = args.data.as_deref().map(LibraryLock::for_reading);
     let library = args.library.as_deref().map(LibraryLock::for_reading);
-    let stage = match (&args.data, &args.library) {
-        (None, _) => demonstration(&how)?,
-        (Some(data), None) if args.model.is_some() => by_model(args, &mut how, data)?,
-        (Some(data), None) => by_protocol(&how, played(args, data)?, data, args.protocol)?,
-        (Some(data), Some(library)) => against(args, &how, data, library)?,
+    let stage = match (&args.data, &args.library, &args.model) {
+        (None, ..) => demonstration(&how)?,
+        (Some(data), _, Some(model)) => by_model(args, &mut how, data, model)?,
+        (Some(data), Some(library), _) => against(args, &how, data, library)?,
+        (Some(data), None, None) => by_protocol(&how, played(args, data)?, data, args.protocol)?,
     };
     play(args, &how, stage, library)?;
     if !args.json {
@@ -169,9 +169,13 @@ fn by_protocol(
 }
 
 /// Uses the model file that is named. Its scene says which sources of the data are compared.
-fn by_model(args: &Args, how: &mut Comparing, data: &Path) -> Result<ReplayStage, Failure> {
-    let path = args.model.as_deref().unwrap_or(data);
-    let opened = OpenedModel::open(path, (&args.answers, &args.accuracy), None)?;
+fn by_model(
+    args: &Args,
+    how: &mut Comparing,
+    data: &Path,
+    model: &Path,
+) -> Result<ReplayStage, Failure> {
+    let opened = OpenedModel::open(model, (&args.answers, &args.accuracy), None)?;
     let OpenedModel { mut by, follows, name, scene, is_synthetic, query_s } = opened;
     how.query_seconds = how.query_seconds.or(query_s);
     let data = played(args, data)?;

@@ -157,7 +157,7 @@ impl ModelFile {
         let about = postcard::to_allocvec(&about).map_err(content)?;
         let model = embedding.store().ok_or_else(|| content("it cannot be stored"))?;
         let length = (about.len() + model.len()) as u64;
-        let mut bytes = [MAGIC, &VERSION.to_le_bytes()[..], &length.to_le_bytes()].concat();
+        let mut bytes = [&MAGIC[..], &VERSION.to_le_bytes(), &length.to_le_bytes()].concat();
         bytes.extend(about);
         bytes.extend(model);
         bytes.extend(crc32fast::hash(&bytes).to_le_bytes());

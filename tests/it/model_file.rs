@@ -1,0 +1,230 @@
+//! Model files: answers without the library, what is refused, and a file of this version, which later
+//! versions must open or refuse by name.
+
+use std::fs;
+use std::path::Path;
+
+use crate::bench::{Bench, SCANNED, synthetic, trial};
+use crate::common::id;
+use crate::plan::{said, surfaced, text};
+use crate::run_serve::served;
+use serde_json::Value;
+use surfaced::library::Entry;
+use surfaced::recognise::{ModelFile, ModelFileError};
+use surfaced::record::{TrialOptions, write_trial};
+use surfaced::scene::Scene;
+use surfaced::trial::{Series, Signal, Trial, TrialKey};
+
+/// A file of the first version: the drags of [`drag`], by two people. `cargo test --test it model_file --
+/// --ignored` writes it.
+const FIRST: &[u8] = include_bytes!("../fixtures/models/1.surfaced");
+
+/// Half a second of a vibration that differs between the surfaces 0, 1, …, and a little between trials.
+fn drag(surface: usize, user: &str, number: u32) -> Trial {
+    let salt = number + 10 * user.len() as u32;
+    let hz = [40.0, 90.0, 210.0][surface] + f64::from(salt % 7);
+    let sample = |i: u32| {
+        let noise = f64::from((i ^ salt << 9).wrapping_mul(2_654_435_761) >> 16) / 65_536.0 - 0.5;
+        let wave = (std::f64::consts::TAU * hz * f64::from(i) / 1000.0).sin();
+        (0.2 * wave + 0.1 * noise) as f32
+    };
+    let series = Series::new(1000.0, 1, (0..500).map(sample).collect()).unwrap();
+    let key = TrialKey::new(["cork", "felt", "steel"][surface], user, number);
+    Trial { key, signals: [(id("ir"), Signal::Series(series))].into() }
+}
+
+#[test]
+#[ignore = "writes the fixture"]
+fn the_fixture_is_written_anew() {
+    let dir = tempfile::tempdir().unwrap();
+    let lib = dir.path().join("two");
+    let scene = Scene::of_series(id("ir"), 1, 1000.0, Some((20.0, 400.0))).unwrap();
+    let options = TrialOptions { durable: false, ..TrialOptions::default() };
+    for (surface, user) in [(0, "anna"), (0, "expert"), (1, "anna"), (1, "expert")] {
+        for number in 1..=3 {
+            write_trial(&lib, &drag(surface, user, number), &scene, &options).unwrap();
+        }
+    }
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/models/1.surfaced");
+    let output = surfaced(&["train", text(&lib), "--out", text(&file)]);
+    assert!(output.status.success(), "{}", said(&output));
+}
+
+#[test]
+fn a_file_of_the_first_version_opens_and_gives_its_recorded_answers() {
+    let file = ModelFile::decode(FIRST).unwrap();
+    assert_eq!((file.library.as_str(), file.program.as_str()), ("two", "0.3.0"));
+    assert_eq!(file.surfaces, [("cork".to_string(), 6), ("felt".to_string(), 6)]);
+    assert_eq!((file.digest.as_str(), file.scan_s), ("DIGEST", Some(0.0)));
+    for (surface, name, confidence, p_value) in
+        [(0, "cork", 0.0, 0.0), (1, "felt", 0.0, 0.0), (2, "felt", 0.0, 0.0)]
+    {
+        let scan = drag(surface, "bob", 9);
+        let query = file.model.prepare(&Entry::in_memory(scan.clone()), &scan).unwrap();
+        let ranking = file.model.rank(&query).unwrap();
+        let found = (ranking.confidence.unwrap(), ranking.p_value.unwrap());
+        assert_eq!(ranking.surface(), name, "{found:?}");
+        // Processors round differently.
+        assert!((found.0 - confidence).abs() < 1e-3 && (found.1 - p_value).abs() < 1e-9, "{found:?}");
+    }
+}
+
+#[test]
+fn a_file_cut_anywhere_or_with_any_byte_altered_is_refused() {
+    let opened = |bytes: &[u8]| ModelFile::decode(bytes).map(drop);
+    opened(FIRST).unwrap();
+    for length in 0..FIRST.len() {
+        let error = opened(&FIRST[..length]).expect_err("cut");
+        let is_right = match length {
+            0 => matches!(error, ModelFileError::NotAModel),
+            _ => matches!(error, ModelFileError::Length { found, .. } if found == length as u64),
+        };
+        assert!(is_right, "cut to {length}: {error}");
+    }
+    let mut bytes = FIRST.to_vec();
+    for at in 0..bytes.len() {
+        bytes[at] ^= 1 << (at % 8);
+        assert!(opened(&bytes).is_err(), "byte {at}");
+        bytes[at] = FIRST[at];
+    }
+    bytes.push(0);
+    assert!(matches!(opened(&bytes), Err(ModelFileError::Length { .. })));
+}
+
+#[test]
+fn a_file_that_cannot_be_opened_ends_a_command_with_code_1_and_what_to_do() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("scans");
+    let (path, options) = (dir.path().join("model.surfaced"), TrialOptions::default());
+    write_trial(&data, &drag(0, "bob", 9), &Scene::lmt108(), &options).unwrap();
+    let newer = [&FIRST[..14], &[2, 0], &FIRST[16..]].concat();
+    let claims = [&FIRST[..16], &(4u64 << 30).to_le_bytes()[..], &FIRST[24..]].concat();
+    let altered = [&FIRST[..999], &[!FIRST[999]], &FIRST[1000..]].concat();
+    for (bytes, parts) in [
+        (&newer[..], ["of version 2, but this program reads version 1", "make it anew"]),
+        (&claims, ["it should have 4294967324 bytes, but has", "copy it again"]),
+        (&altered, ["its checksum is wrong", "make it anew"]),
+        (&FIRST[..500], ["but has 500", "copy it again"]),
+        (b"a text", ["not a model of surfaced", "surfaced train LIB --out FILE"]),
+    ] {
+        fs::write(&path, bytes).unwrap();
+        for args in [
+            &["replay", text(&data), "--model", text(&path)][..],
+            &["run", "--model", text(&path)],
+        ] {
+            let output = surfaced(args);
+            assert_eq!(output.status.code(), Some(1), "{args:?}: {}", said(&output));
+            let error = said(&output);
+            assert!(error.contains(text(&path)), "{error}");
+            parts.iter().for_each(|part| assert!(error.contains(part), "{part} in {error}"));
+        }
+    }
+}
+
+/// Lines of JSON as they were printed, without what differs from run to run.
+fn timeless(stdout: &[u8]) -> Vec<String> {
+    let line = |line: &str| {
+        let mut line = line.to_string();
+        for key in ["\"id\":", "\"link\":", "\"unix_ms\":", "\"latency_ms\":"] {
+            if let Some(at) = line.find(key) {
+                let end = line[at..].find(',').map_or(line.len(), |length| at + length);
+                line.replace_range(at..end, "");
+            }
+        }
+        line
+    };
+    String::from_utf8(stdout.to_vec()).unwrap().lines().map(line).collect()
+}
+
+#[test]
+fn a_replay_by_a_model_gives_the_answers_of_its_library_bit_for_bit() {
+    let dir = tempfile::tempdir().unwrap();
+    let [lib, scans, file, plan] =
+        ["lib", "scans", "m.surfaced", "plan.toml"].map(|name| dir.path().join(name));
+    let sizes = [
+        (&lib, ["--surfaces", "3", "--trials", "4", "--users", "1", "--seconds", "1"]),
+        (&scans, ["--surfaces", "4", "--trials", "1", "--users", "2", "--seconds", "1.3"]),
+    ];
+    for (path, size) in sizes {
+        assert!(surfaced(&[&["synth", text(path)], &size[..]].concat()).status.success());
+    }
+    // Whether the plan is good enough does not matter here.
+    surfaced(&["plan", text(&lib), "--sources", "mi2,fr", "--out", text(&plan)]);
+    for how in [&[][..], &["--sources", "mi2,fr"], &["--plan", text(&plan)]] {
+        let output = surfaced(&[&["train", text(&lib), "--out", text(&file)], how].concat());
+        assert!(output.status.success(), "{}", said(&output));
+        let by_library = [&["replay", text(&scans), "--library", text(&lib), "--json"], how];
+        let by_library = surfaced(&by_library.concat());
+        let elsewhere = dir.path().join("elsewhere");
+        fs::rename(&lib, &elsewhere).unwrap();
+        let by_model = surfaced(&["replay", text(&scans), "--model", text(&file), "--json"]);
+        fs::rename(&elsewhere, &lib).unwrap();
+        assert!(by_model.status.success(), "{}", said(&by_model));
+        let [by_library, by_model] = [by_library, by_model].map(|output| timeless(&output.stdout));
+        assert_eq!(by_library.len(), 12);
+        assert_eq!(by_model, by_library, "{how:?}");
+        assert!(by_model[0].contains("\"p_value\":0."), "{}", by_model[0]);
+    }
+}
+
+#[test]
+fn only_the_method_embedding_has_model_files_and_what_chooses_a_method_does_not_go_with_one() {
+    let output = surfaced(&["train", "lib", "--out", "m.surfaced", "--method", "svm"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(said(&output).contains("there is no model file of it"), "{}", said(&output));
+    for option in [
+        &["--library", "lib"][..],
+        &["--method", "svm"],
+        &["--sources", "mi2"],
+        &["--plan", "plan.toml"],
+        &["--seed", "2"],
+    ] {
+        let output = surfaced(&[&["replay", "data", "--model", "m.surfaced"], option].concat());
+        assert_eq!(output.status.code(), Some(2));
+        assert!(said(&output).contains("cannot be used with"), "{}", said(&output));
+    }
+}
+
+#[test]
+fn a_station_with_a_model_names_scans_and_refuses_what_takes_trials() {
+    let data = synthetic(1.5);
+    let mut bench = Bench::new();
+    let (library, model) = (bench.library(&data), bench.path("model.surfaced"));
+    let output = surfaced(&["train", text(&library), "--out", text(&model)]);
+    assert!(output.status.success(), "{}", said(&output));
+    let output = surfaced(&["run", "--model", text(&model), "--create"]);
+    assert_eq!(output.status.code(), Some(2), "{}", said(&output));
+    fs::remove_dir_all(&library).unwrap();
+
+    let mut run = bench.surfaced(&["run", "--model", text(&model), "--serve=127.0.0.1:0"]);
+    let station = served(&run);
+    let mut fake = bench.stylus();
+    fake.wait_for_start();
+    let seconds = bench.play(&fake, &trial(&data, 1, SCANNED), 1.5);
+    fake.serve(seconds);
+    let line = run.line(&mut fake);
+    assert_eq!(line["surface"], data.surfaces()[1], "{line} {}", run.said());
+
+    let state = station.get("/api/v1/state").json();
+    assert_eq!((&state["enrolls"], &state["library"]["problem"]), (&Value::Bool(false), &Value::Null));
+    for (path, body) in [
+        ("reload", ""),
+        ("enroll", "{\"surface\": \"oak\"}"),
+        ("library/rename", "{\"surface\": \"oak\", \"to\": \"ash\"}"),
+        ("check", ""),
+    ] {
+        let reply = station.post(&format!("/api/v1/{path}"), body);
+        assert_eq!((reply.status, &reply.json()["error"]), (409, &"no_library".into()), "{path}");
+        assert!(reply.body.contains("no trials to change or read again"), "{}", reply.body);
+    }
+    let id = line["id"].as_str().unwrap();
+    let why = station.until(&format!("/api/v1/scans/{id}/why"), |why| why["why"].is_object());
+    assert!(why["nearest"].is_null(), "{why}");
+    assert!(why["no_nearest"].as_str().unwrap().contains("holds no trials"), "{why}");
+    // A reload by a signal.
+    run.signal("HUP");
+    run.until_said("nothing was reloaded", Some(&mut fake));
+    run.signal("TERM");
+    assert_eq!(run.end(&mut fake).code(), Some(0), "{}", run.said());
+    assert!(bench.path("model.surfaced.kept").is_dir());
+}
