@@ -1,6 +1,8 @@
 //! `surfaced enroll` and `surfaced record`: add live scans to a library as trials.
 
-use super::live::{Kept, NamedBy, StationArgs, StationWork, library_of, make_library, verdict, work};
+use super::live::{
+    Kept, NamedBy, StationArgs, StationWork, library_of, make_library, verdict, work,
+};
 use super::method::at_least_one;
 use super::show::quoted;
 use super::{Done, Failure, show};

@@ -8,32 +8,29 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 
-use super::choose::within;
-use super::condition::WhereArgs;
 use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_service};
 use super::method::{AccuracyArgs, AnswerArgs, ComparingArgs, NOT_WITH_MODEL};
 use super::naming::{self, OpenedModel};
 use super::serve::{Page, ServeArgs};
-use super::show::{counted, listed, quoted};
+use super::show::{counted, quoted};
 use super::terminal::Terminal;
-use super::{Done, Failure, bad_files};
+use super::{Done, Failure};
 use crate::dataset;
 use crate::device::lines::{LinesAddress, SURVEY_S, survey_of};
 use crate::device::serial::Selector;
 use crate::history::{self, History, Keeper};
 use crate::outputs::Output;
-use crate::recognise::{LOOK_S, ReadyModel, ready_model};
-use crate::record::edit::LibraryLock;
+use crate::recognise::LOOK_S;
 use crate::record::write_library_toml;
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
 use crate::serve::{Audit, LibraryFolder, Settings};
 use crate::station::config::{StationConfig, StylusConfig, fitting};
 use crate::station::{
-    Assembled, Command, Enrolled, EnrolledOutcome, Keep, LibraryState, Listener, Load, Recogniser,
-    ScanStore, Station, StationEvent, assemble,
+    Assembled, Command, Enrolled, EnrolledOutcome, Keep, Listener, Load, Recogniser, ScanStore,
+    Station, StationEvent, assemble,
 };
 use crate::system;
 use crate::trial::checked_session;

@@ -141,7 +141,15 @@ fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
     queries.sort_by_key(|&i| (&entries[i].key.user, &entries[i].key.surface));
     let fold = Fold { name: "expert".into(), library: of_expert, queries };
     let folds = vec![fold];
-    Ok(ReplayStage { name: library.name, scene, entries, folds, synthetic: true, cache: None, ready: None })
+    Ok(ReplayStage {
+        name: library.name,
+        scene,
+        entries,
+        folds,
+        synthetic: true,
+        cache: None,
+        ready: None,
+    })
 }
 
 /// The recordings to play. Those that cannot be read are left out here, since all are played.
@@ -215,7 +223,15 @@ fn against(
     };
     entries.extend(queries);
     let scene = of_data.with(scene);
-    Ok(ReplayStage { name: library.name, scene, entries, folds: vec![fold], synthetic, cache, ready: None })
+    Ok(ReplayStage {
+        name: library.name,
+        scene,
+        entries,
+        folds: vec![fold],
+        synthetic,
+        cache,
+        ready: None,
+    })
 }
 
 /// Seconds between two scans on a page at real speed, so that people can read an answer.

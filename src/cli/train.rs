@@ -14,11 +14,9 @@ use crate::station::LibraryState;
 /// The file holds the trained model, but no samples. `replay --model` and `run --model` give the same
 /// answers by it as by the library.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Examples:\n  surfaced train my-library --out model.surfaced\n  \
+#[command(after_help = "Examples:\n  surfaced train my-library --out model.surfaced\n  \
                   surfaced train my-library --plan plan.toml --out model.surfaced\n  \
-                  surfaced train my-library --sources mi2 --out sound.surfaced\n\nTime: TIME_OF_TRAIN"
-)]
+                  surfaced train my-library --sources mi2 --out sound.surfaced\n\nTime: TIME_OF_TRAIN")]
 pub(super) struct Args {
     /// Recordings: a library, or the LMT108 database
     lib: PathBuf,

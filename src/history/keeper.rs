@@ -42,8 +42,7 @@ struct Work {
     without_notes: Mutex<BTreeSet<String>>,
 }
 
-const NO_TRIALS: &str =
-    "the model holds no trials, so the nearest one is not shown; name scans by its library to see it";
+const NO_TRIALS: &str = "the model holds no trials, so the nearest one is not shown; name scans by its library to see it";
 
 /// The content of `.why.json`, beside the signals of a scan.
 #[derive(Serialize)]

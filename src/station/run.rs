@@ -351,7 +351,9 @@ impl<'a> StationRun<'a> {
     /// Starts to read the library. Until it is read, the old one stays in use, or scans wait.
     fn reload(&mut self) {
         let Some(load) = self.load.clone() else {
-            return self.warn("nothing was reloaded: this station has no library; start it with --library LIB");
+            return self.warn(
+                "nothing was reloaded: this station has no library; start it with --library LIB",
+            );
         };
         // Only one thread reads at a time, since each would need the memory of a whole library.
         if self.loading.is_some() {

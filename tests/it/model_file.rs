@@ -65,7 +65,10 @@ fn a_file_of_the_first_version_opens_and_gives_its_recorded_answers() {
         let found = (ranking.confidence.unwrap(), ranking.p_value.unwrap());
         assert_eq!(ranking.surface(), name, "{found:?}");
         // Processors round differently.
-        assert!((found.0 - confidence).abs() < 1e-3 && (found.1 - p_value).abs() < 1e-9, "{found:?}");
+        assert!(
+            (found.0 - confidence).abs() < 1e-3 && (found.1 - p_value).abs() < 1e-9,
+            "{found:?}"
+        );
     }
 }
 
@@ -108,10 +111,9 @@ fn a_file_that_cannot_be_opened_ends_a_command_with_code_1_and_what_to_do() {
         (b"a text", ["not a model of surfaced", "surfaced train LIB --out FILE"]),
     ] {
         fs::write(&path, bytes).unwrap();
-        for args in [
-            &["replay", text(&data), "--model", text(&path)][..],
-            &["run", "--model", text(&path)],
-        ] {
+        for args in
+            [&["replay", text(&data), "--model", text(&path)][..], &["run", "--model", text(&path)]]
+        {
             let output = surfaced(args);
             assert_eq!(output.status.code(), Some(1), "{args:?}: {}", said(&output));
             let error = said(&output);
@@ -206,7 +208,10 @@ fn a_station_with_a_model_names_scans_and_refuses_what_takes_trials() {
     assert_eq!(line["surface"], data.surfaces()[1], "{line} {}", run.said());
 
     let state = station.get("/api/v1/state").json();
-    assert_eq!((&state["enrolls"], &state["library"]["problem"]), (&Value::Bool(false), &Value::Null));
+    assert_eq!(
+        (&state["enrolls"], &state["library"]["problem"]),
+        (&Value::Bool(false), &Value::Null)
+    );
     for (path, body) in [
         ("reload", ""),
         ("enroll", "{\"surface\": \"oak\"}"),
