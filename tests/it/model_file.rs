@@ -2,22 +2,31 @@
 //! versions must open or refuse by name.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::bench::{Bench, SCANNED, synthetic, trial};
 use crate::common::id;
 use crate::plan::{said, surfaced, text};
 use crate::run_serve::served;
-use serde_json::Value;
+use serde_json::{Value, json};
 use surfaced::library::Entry;
 use surfaced::recognise::{ModelFile, ModelFileError};
 use surfaced::record::{TrialOptions, write_trial};
 use surfaced::scene::Scene;
 use surfaced::trial::{Series, Signal, Trial, TrialKey};
 
-/// A file of the first version: the drags of [`drag`], by two people. `cargo test --test it model_file --
-/// --ignored` writes it.
-const FIRST: &[u8] = include_bytes!("../fixtures/models/1.surfaced");
+/// A file of the first version, of the drags of [`drag`] by two people, and its answers to three more. `cargo
+/// test --test it model_file -- --ignored` writes both.
+const FIRST: &str = "tests/fixtures/models/1.surfaced";
+const ANSWERS: &str = "tests/fixtures/model-1-answers.json";
+
+fn path(fixture: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(fixture)
+}
+
+fn first() -> Vec<u8> {
+    fs::read(path(FIRST)).unwrap()
+}
 
 /// Half a second of a vibration that differs between the surfaces 0, 1, …, and a little between trials.
 fn drag(surface: usize, user: &str, number: u32) -> Trial {
@@ -45,50 +54,68 @@ fn the_fixture_is_written_anew() {
             write_trial(&lib, &drag(surface, user, number), &scene, &options).unwrap();
         }
     }
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/models/1.surfaced");
-    let output = surfaced(&["train", text(&lib), "--out", text(&file)]);
+    let output = surfaced(&["train", text(&lib), "--out", text(&path(FIRST))]);
     assert!(output.status.success(), "{}", said(&output));
+    let file = ModelFile::decode(&first()).unwrap();
+    let recorded =
+        json!({ "digest": file.digest, "scan_s": file.scan_s, "answers": answers(&file) });
+    fs::write(path(ANSWERS), serde_json::to_string_pretty(&recorded).unwrap() + "\n").unwrap();
+}
+
+/// The answers to somebody else's drags over the two surfaces and an unknown one.
+fn answers(file: &ModelFile) -> Vec<Value> {
+    let answer = |surface: usize| {
+        let scan = drag(surface, "bob", 9);
+        let query = file.model.prepare(&Entry::in_memory(scan.clone()), &scan).unwrap();
+        let found = file.model.rank(&query).unwrap();
+        json!({ "surface": found.surface(), "confidence": found.confidence, "p_value": found.p_value })
+    };
+    (0..3).map(answer).collect()
 }
 
 #[test]
 fn a_file_of_the_first_version_opens_and_gives_its_recorded_answers() {
-    let file = ModelFile::decode(FIRST).unwrap();
+    let file = ModelFile::read(&path(FIRST)).unwrap();
     assert_eq!((file.library.as_str(), file.program.as_str()), ("two", "0.3.0"));
     assert_eq!(file.surfaces, [("cork".to_string(), 6), ("felt".to_string(), 6)]);
-    assert_eq!((file.digest.as_str(), file.scan_s), ("DIGEST", Some(0.0)));
-    for (surface, name, confidence, p_value) in
-        [(0, "cork", 0.0, 0.0), (1, "felt", 0.0, 0.0), (2, "felt", 0.0, 0.0)]
-    {
-        let scan = drag(surface, "bob", 9);
-        let query = file.model.prepare(&Entry::in_memory(scan.clone()), &scan).unwrap();
-        let ranking = file.model.rank(&query).unwrap();
-        let found = (ranking.confidence.unwrap(), ranking.p_value.unwrap());
-        assert_eq!(ranking.surface(), name, "{found:?}");
-        // Processors round differently.
-        assert!(
-            (found.0 - confidence).abs() < 1e-3 && (found.1 - p_value).abs() < 1e-9,
-            "{found:?}"
-        );
+    let recorded: Value =
+        serde_json::from_str(&fs::read_to_string(path(ANSWERS)).unwrap()).unwrap();
+    assert_eq!(
+        (&recorded["digest"], &recorded["scan_s"]),
+        (&json!(file.digest), &json!(file.scan_s))
+    );
+    let answers = answers(&file);
+    assert_eq!((&answers[0]["surface"], &answers[1]["surface"]), (&json!("cork"), &json!("felt")));
+    let p_value = |at: usize| answers[at]["p_value"].as_f64().unwrap();
+    assert!(p_value(2) < p_value(0).min(p_value(1)), "an unknown surface fits less: {answers:?}");
+    for (found, recorded) in answers.iter().zip(recorded["answers"].as_array().unwrap()) {
+        assert_eq!(found["surface"], recorded["surface"]);
+        for number in ["confidence", "p_value"] {
+            // Processors round differently.
+            let by = found[number].as_f64().unwrap() - recorded[number].as_f64().unwrap();
+            assert!(by.abs() < 1e-3, "{number}: {found}, but recorded {recorded}");
+        }
     }
 }
 
 #[test]
 fn a_file_cut_anywhere_or_with_any_byte_altered_is_refused() {
     let opened = |bytes: &[u8]| ModelFile::decode(bytes).map(drop);
-    opened(FIRST).unwrap();
-    for length in 0..FIRST.len() {
-        let error = opened(&FIRST[..length]).expect_err("cut");
+    let first = first();
+    opened(&first).unwrap();
+    for length in 0..first.len() {
+        let error = opened(&first[..length]).expect_err("cut");
         let is_right = match length {
             0 => matches!(error, ModelFileError::NotAModel),
             _ => matches!(error, ModelFileError::Length { found, .. } if found == length as u64),
         };
         assert!(is_right, "cut to {length}: {error}");
     }
-    let mut bytes = FIRST.to_vec();
+    let mut bytes = first.clone();
     for at in 0..bytes.len() {
         bytes[at] ^= 1 << (at % 8);
         assert!(opened(&bytes).is_err(), "byte {at}");
-        bytes[at] = FIRST[at];
+        bytes[at] = first[at];
     }
     bytes.push(0);
     assert!(matches!(opened(&bytes), Err(ModelFileError::Length { .. })));
@@ -100,14 +127,15 @@ fn a_file_that_cannot_be_opened_ends_a_command_with_code_1_and_what_to_do() {
     let data = dir.path().join("scans");
     let (path, options) = (dir.path().join("model.surfaced"), TrialOptions::default());
     write_trial(&data, &drag(0, "bob", 9), &Scene::lmt108(), &options).unwrap();
-    let newer = [&FIRST[..14], &[2, 0], &FIRST[16..]].concat();
-    let claims = [&FIRST[..16], &(4u64 << 30).to_le_bytes()[..], &FIRST[24..]].concat();
-    let altered = [&FIRST[..999], &[!FIRST[999]], &FIRST[1000..]].concat();
+    let first = first();
+    let newer = [&first[..14], &[2, 0], &first[16..]].concat();
+    let claims = [&first[..16], &(4u64 << 30).to_le_bytes()[..], &first[24..]].concat();
+    let altered = [&first[..999], &[!first[999]], &first[1000..]].concat();
     for (bytes, parts) in [
         (&newer[..], ["of version 2, but this program reads version 1", "make it anew"]),
         (&claims, ["it should have 4294967324 bytes, but has", "copy it again"]),
         (&altered, ["its checksum is wrong", "make it anew"]),
-        (&FIRST[..500], ["but has 500", "copy it again"]),
+        (&first[..500], ["but has 500", "copy it again"]),
         (b"a text", ["not a model of surfaced", "surfaced train LIB --out FILE"]),
     ] {
         fs::write(&path, bytes).unwrap();
