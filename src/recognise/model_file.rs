@@ -83,8 +83,8 @@ pub enum ModelFileError {
     )]
     Content(String),
     #[error(
-        "the method `{0}` compares scans with the trials themselves, so there is no model file of it; \
-         train with --method embedding, or name scans with --library"
+        "the method `{0}` is made of the trials at each start, so there is no model file of it; train \
+         with --method embedding, or name scans with --library"
     )]
     Method(&'static str),
 }
