@@ -8,7 +8,7 @@ use super::choose::within;
 use super::condition::WhereArgs;
 use super::method::{AccuracyArgs, AnswerArgs, Comparing};
 use super::show::{listed, summary};
-use super::{Failure, bad_files, say};
+use super::{Failure, bad_files};
 use crate::recognise::{ModelFile, ReadyModel, ScanTime, ready_model};
 use crate::record::edit::LibraryLock;
 use crate::scene::{Scene, SourceId};
@@ -23,6 +23,8 @@ pub(super) struct OpenedModel {
     pub name: String,
     pub scene: Scene,
     pub is_synthetic: bool,
+    /// The scan time in words.
+    pub lasting: Option<String>,
     /// Seconds of each drag that a replay uses, if the model follows a plan.
     pub query_s: Option<f64>,
 }
@@ -61,18 +63,15 @@ impl OpenedModel {
         };
         let mut by = Recogniser::new(file.model, file.scene.clone(), state);
         by.needed_s = needed_s;
-        let (follows, remarks) = answers.apply(&mut by)?;
+        let (follows, _) = answers.apply(&mut by)?;
         by.library.remarks.extend(lasting.clone());
-        if say::is_verbose() {
-            remarks.iter().for_each(|remark| say!("{remark}"));
-        }
-        lasting.iter().for_each(|line| say!("{line}"));
         Ok(Self {
             by,
             follows,
             name: file.library,
             scene: file.scene,
             is_synthetic: file.is_synthetic,
+            lasting,
             query_s: file.query_s,
         })
     }

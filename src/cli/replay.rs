@@ -184,7 +184,12 @@ fn by_model(
     model: &Path,
 ) -> Result<ReplayStage, Failure> {
     let opened = OpenedModel::open(model, (&args.answers, &args.accuracy), None)?;
-    let OpenedModel { mut by, follows, name, scene, is_synthetic, query_s } = opened;
+    let OpenedModel { mut by, follows, name, scene, is_synthetic, lasting, query_s } = opened;
+    if say::is_verbose() {
+        by.library.remarks.iter().for_each(|remark| say!("{remark}"));
+    } else {
+        lasting.iter().for_each(|line| say!("{line}"));
+    }
     how.query_seconds = how.query_seconds.or(query_s);
     let data = played(args, data)?;
     let synthetic = data.synthetic || is_synthetic;

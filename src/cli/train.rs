@@ -16,7 +16,7 @@ use crate::station::LibraryState;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced train my-library --out model.surfaced\n  \
                   surfaced train my-library --plan plan.toml --out model.surfaced\n  \
-                  surfaced train my-library --sources mi2 --out sound.surfaced\n\nTime: about 6 s for LMT108's 200 dragging sounds, on two cores; a second where the library's caches are up to date")]
+                  surfaced train my-library --sources mi2 --out sound.surfaced\n\nTime: about 6 s for LMT108's 200 dragging sounds, on two cores; less where the library's caches are up to date")]
 pub(super) struct Args {
     /// Recordings: a library, or the LMT108 database
     lib: PathBuf,
