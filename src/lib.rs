@@ -65,6 +65,7 @@
 //! | use arrays as recordings | [`library::Library::of_series`] |
 //! | write and edit recordings | [`record::write_trial`], [`record::edit`] |
 //! | name a trial | [`recognise`] |
+//! | keep a trained model as a file | [`recognise::ModelFile`] |
 //! | measure the accuracy | [`evaluate::Evaluation`] |
 //! | compute how long a scan must last | [`duration`] |
 //! | keep and read past scans | [`history`] |

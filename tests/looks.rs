@@ -1,41 +1,19 @@
 //! The cost of a look at a scan in progress, in memory touched: the same at any length of the scan.
 
 mod common;
+#[path = "common/counting.rs"]
+mod counting;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
 use common::id;
+use counting::{ALLOCATED, Counting, HELD};
 use surfaced::dataset::synth;
 use surfaced::recognise::{
     FollowOptions, Follower, FreshFrames, LOOK_S, MethodName, MethodSpec, ready_model,
 };
 use surfaced::scene::Phase;
 use surfaced::trial::{Signal, Trial};
-
-/// Counts what is allocated, by any thread. The only test of this file is alone with it.
-struct Counting;
-
-/// Bytes that were ever allocated.
-static ALLOCATED: AtomicU64 = AtomicU64::new(0);
-/// Bytes that are held now.
-static HELD: AtomicI64 = AtomicI64::new(0);
-
-// SAFETY: all is passed on to the system's allocator; the rest only counts.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATED.fetch_add(layout.size() as u64, Ordering::Relaxed);
-        HELD.fetch_add(layout.size() as i64, Ordering::Relaxed);
-        // SAFETY: as of the caller.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        HELD.fetch_sub(layout.size() as i64, Ordering::Relaxed);
-        // SAFETY: as of the caller.
-        unsafe { System.dealloc(at, layout) }
-    }
-}
 
 #[global_allocator]
 static COUNTING: Counting = Counting;

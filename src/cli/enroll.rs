@@ -1,6 +1,8 @@
 //! `surfaced enroll` and `surfaced record`: add live scans to a library as trials.
 
-use super::live::{Kept, StationArgs, StationWork, library_of, make_library, verdict, work};
+use super::live::{
+    Kept, NamedBy, StationArgs, StationWork, library_of, make_library, verdict, work,
+};
 use super::method::at_least_one;
 use super::show::quoted;
 use super::{Done, Failure, show};
@@ -97,7 +99,7 @@ fn store(
     check_writable(&library)?;
     let mut kept = Kept::default();
     let (store, keep) = (library.clone(), Some((order, &mut kept)));
-    let of = StationWork { load: None, store, keep, hint, check: None };
+    let of = StationWork { by: NamedBy::Nothing, store, keep, hint, check: None };
     let totals = work(config, args, assemble(config), of)?;
     let trials = show::counted(kept.kept as usize, "trial");
     say!("{trials} recorded in {}", library.display());

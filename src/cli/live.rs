@@ -8,33 +8,30 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 
-use super::choose::within;
-use super::condition::WhereArgs;
 use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_service};
-use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs};
+use super::method::{AccuracyArgs, AnswerArgs, ComparingArgs, NOT_WITH_MODEL};
+use super::naming::{self, OpenedModel};
 use super::serve::{Page, ServeArgs};
-use super::show::{counted, listed, quoted};
+use super::show::{counted, quoted};
 use super::terminal::Terminal;
-use super::{Done, Failure, bad_files};
+use super::{Done, Failure};
 use crate::dataset;
 use crate::device::lines::{LinesAddress, SURVEY_S, survey_of};
 use crate::device::serial::Selector;
 use crate::device::{Warning, WarningKind};
 use crate::history::{self, History, Keeper};
 use crate::outputs::Output;
-use crate::recognise::{LOOK_S, ReadyModel, ready_model};
-use crate::record::edit::LibraryLock;
-use crate::record::reference::references;
+use crate::recognise::LOOK_S;
 use crate::record::write_library_toml;
 use crate::scan::{Options, Totals};
 use crate::scene::{Scene, SourceId};
 use crate::serve::{Audit, LibraryFolder, Settings};
 use crate::station::config::{StationConfig, StylusConfig, fitting};
 use crate::station::{
-    Assembled, Command, Enrolled, EnrolledOutcome, Keep, LibraryState, Listener, Load, Recogniser,
-    ScanStore, Station, StationEvent, assemble,
+    Assembled, Command, Enrolled, EnrolledOutcome, Keep, Listener, Load, Recogniser, ScanStore,
+    Station, StationEvent, assemble,
 };
 use crate::system;
 use crate::trial::checked_session;
@@ -157,95 +154,19 @@ fn is_agreed(library: &Path) -> bool {
     is_read && matches!(answer.trim(), "y" | "Y" | "yes" | "Yes")
 }
 
-/// Returns a function that reads the library each time it is called, and prepares it for naming.
-/// `given` are the sources that scans can have, if they are known.
-pub(super) fn load(
-    path: &Path,
-    scene: &Scene,
-    how: &Comparing,
-    (answers, accuracy): (&AnswerArgs, &AccuracyArgs),
-    given: Option<BTreeSet<SourceId>>,
-) -> Load {
-    let (path, scene) = (path.to_path_buf(), scene.clone());
-    let (how, answers, accuracy) = (how.clone(), answers.clone(), accuracy.clone());
-    Arc::new(move || {
-        let _lock = LibraryLock::for_reading(&path);
-        let library = bad_files::open(&path, &scene).map_err(Failure::text)?;
-        let ready = bad_files::work(&path, library, |library| {
-            let scene = how.narrow(library.scene.clone())?;
-            let entries = within(library, &scene)?;
-            let mut state = LibraryState::of(&library.name, &entries, library.synthetic);
-            if let Some(given) = &given
-                && !state.sources.iter().any(|source| given.contains(source))
-            {
-                return Err(Failure::Failed(nothing_in_common(&path, &state.sources, given)));
-            }
-            let all = (0..entries.len()).collect();
-            let (method, cache) = (how.method.build(&scene), how.cache_in(&path));
-            let ready = ready_model(&*method, &entries, &all, cache.as_deref(), &|_, _| {})?;
-            state.reference = references(&path)?;
-            Ok((scene, entries, state, ready))
-        });
-        let (scene, entries, state, ReadyModel { model, remarks, .. }) =
-            ready.map_err(Failure::text)?;
-        remarks.iter().for_each(|remark| say!("{remark}"));
-        if let (Some(given), Some(embedding)) = (&given, model.clone().embedding()) {
-            // Devices of the library may be missing here; training must not wait for the first drag.
-            embedding.ready_for(given);
-        }
-        let lasting = how.lasting(&accuracy, &model).map_err(Failure::text)?;
-        let mut by = Recogniser::new(model, scene, state).with_trials(&entries);
-        by.needed_s = lasting.0;
-        answers.apply(&mut by).map_err(|error| error.to_string())?;
-        by.library.remarks.extend(lasting.1);
-        by.library.remarks.extend(bad_files::skipped());
-        Ok(Arc::new(by))
-    })
-}
-
-/// Refuses a library whose scan time is not known, for naming without begin and end.
-fn with_scan_time(load: Load) -> Load {
-    Arc::new(move || load().and_then(|by| has_scan_time(&by).map(|()| by)))
-}
-
-pub(super) fn has_scan_time(by: &Recogniser) -> Result<(), String> {
-    by.needed_s.map(drop).ok_or_else(|| {
-        "naming without begin and end needs the scan time that the library requires, which is not known: \
-         record more trials of each surface, and use the method `embedding`"
-            .into()
-    })
-}
-
-/// Returns a function that audits the library each time it is called.
-pub(super) fn check(path: &Path, how: &Comparing) -> Audit {
-    let (path, how) = (path.to_path_buf(), how.clone());
-    Arc::new(move || {
-        let all = WhereArgs::default();
-        super::check::audit(&path, &how, &all, &|_, _, _| {}).map_err(Failure::text)
-    })
-}
-
-/// The message when the station and its library have no source in common.
-fn nothing_in_common(path: &Path, library: &[SourceId], given: &BTreeSet<SourceId>) -> String {
-    let live = match cfg!(all(feature = "microphone", feature = "camera")) {
-        true => "",
-        false => " (for sound and pictures, build with `--features live`)",
-    };
-    format!(
-        "{}: it has {}, but the devices of this station give {}, so no scan can be named; record \
-         a library with these devices (`surfaced enroll LABEL`), or configure the devices that it \
-         was recorded with{live}",
-        path.display(),
-        listed(library),
-        listed(given),
-    )
+/// What names the scans of a station.
+pub(super) enum NamedBy {
+    Nothing,
+    /// The library that this function reads.
+    Library(Load),
+    /// A model without trials.
+    Model(Arc<Recogniser>),
 }
 
 /// The work that a command wants of a station.
 pub(super) struct StationWork<'a> {
-    /// The function that reads the library; `None` if scans are not to be named.
-    pub load: Option<Load>,
-    /// The library for enrolled scans.
+    pub by: NamedBy,
+    /// The library for enrolled scans; of a model, the folder for past scans and unsent answers.
     pub store: PathBuf,
     /// The station's own order to keep scans. It applies while the page has given no other order.
     pub keep: Option<(Keep, &'a mut Kept)>,
@@ -284,13 +205,16 @@ pub(super) fn work(
     let library = LibraryFolder { folder: store.folder.clone(), scene: store.scene.clone() };
     let (devices, session) = (store.devices.clone(), store.session.clone());
     let mut station = Station::new(assembled.devices, options);
-    station.store = Some(store);
-    station.continuous = config.continuous().filter(|_| work.load.is_some());
+    let is_named = !matches!(work.by, NamedBy::Nothing);
+    let has_trials = !matches!(work.by, NamedBy::Model(_));
+    station.store = has_trials.then_some(store);
+    station.continuous = config.continuous().filter(|_| is_named);
     let commands = station.commands();
     // A library of another layout would not find new trials, so no scans are enrolled there.
-    let enrolls = !dataset::is_foreign(&library.folder);
+    let enrolls = has_trials && !dataset::is_foreign(&library.folder);
     let mut settings = Settings {
         address: config.serve,
+        reloads: has_trials,
         enrolls,
         library: enrolls.then(|| library.clone()),
         check: work.check,
@@ -298,10 +222,14 @@ pub(super) fn work(
         ..Settings::default()
     };
     let page = Page::default();
-    if let Some(load) = work.load {
+    if is_named {
         let sources = (&library.scene, devices, session);
         station = keep_and_send(station, config, &library.folder, sources, (&mut settings, &page))?;
-        station.load = Some(load);
+    }
+    match work.by {
+        NamedBy::Nothing => {}
+        NamedBy::Library(load) => station.load = Some(load),
+        NamedBy::Model(recogniser) => station.recogniser = Some(recogniser),
     }
     if let Some((order, kept)) = work.keep {
         let counter = KeptCounter { commands: commands.clone(), order: order.clone(), kept };
@@ -412,6 +340,7 @@ impl Listener for Supervisor {
 #[command(after_help = "Examples:\n  surfaced run --library my-library\n  \
                         surfaced run --config station.toml --json --serve\n  \
                         surfaced run --library my-library --stylus /dev/ttyUSB0\n  \
+                        surfaced run --model model.surfaced --continuous\n  \
                         surfaced run --library my-library --lines /dev/ttyACM0\n\nTime: until you quit; an answer comes about 10 ms after its scan")]
 pub(super) struct Args {
     #[command(flatten)]
@@ -419,6 +348,12 @@ pub(super) struct Args {
     /// Make the library if there is none yet; surfaces are then enrolled on the page
     #[arg(long)]
     create: bool,
+    /// Name scans by this model, a file written by `surfaced train`, instead of a library
+    ///
+    /// A model holds no trials: surfaces are not enrolled, and nothing is reloaded. Past scans and unsent
+    /// answers are kept beside it, in the folder FILE.kept.
+    #[arg(long, value_name = "FILE", conflicts_with_all = NOT_WITH_MODEL, conflicts_with = "create")]
+    model: Option<PathBuf>,
     /// Name the surface while something moves, without tap and end, and say when it changes
     #[arg(long)]
     continuous: bool,
@@ -430,14 +365,16 @@ pub(super) struct Args {
     accuracy: AccuracyArgs,
 }
 
-pub(super) fn run(args: &Args) -> Done {
-    let how = args.comparing.resolve(None)?;
-    let mut config = args.station.config()?;
-    if let Some(plan) = &how.plan {
-        config = config.only(&plan.sources);
-    }
-    config.is_continuous |= args.continuous;
-    let library = library_of(&config)?;
+/// The folder of a model's past scans and unsent answers, beside its file.
+fn kept_beside(model: &Path) -> PathBuf {
+    let mut name = model.as_os_str().to_owned();
+    name.push(".kept");
+    name.into()
+}
+
+/// The library that is named; made, if the user wants that.
+fn existing_library(args: &Args, config: &StationConfig) -> Result<PathBuf, Failure> {
+    let library = library_of(config)?;
     if !library.is_dir() {
         if !args.create && !is_agreed(&library) {
             return Err(Failure::Failed(format!(
@@ -449,23 +386,45 @@ pub(super) fn run(args: &Args) -> Done {
         make_library(&library, &config.scene)?;
         say!("{} is made; enroll surfaces on the page (--serve)", library.display());
     }
-    let check = Some(check(&library, &how));
+    Ok(library)
+}
+
+pub(super) fn run(args: &Args) -> Done {
+    let how = args.comparing.resolve(None)?;
+    let mut config = args.station.config()?;
+    if let Some(plan) = &how.plan {
+        config = config.only(&plan.sources);
+    }
+    config.is_continuous |= args.continuous;
     let assembled = assemble(&config);
     let given = assembled.device_of.keys().filter_map(|id| SourceId::new(id).ok());
     let is_used = |id: &SourceId| !config.is_continuous || config.scene.is_dragged(id);
-    let given = given.filter(is_used).collect();
+    let given: BTreeSet<SourceId> = given.filter(is_used).collect();
     let answering = (&args.answers, &args.accuracy);
-    let load = load(&library, &config.scene, &how, answering, Some(given));
-    let load = if config.is_continuous { with_scan_time(load) } else { load };
-    let long = how.query_seconds.map(|s| format!(" for {s} s or more")).unwrap_or_default();
+    let (by, store, check, scan_s) = match &args.model {
+        Some(path) => {
+            let OpenedModel { by, query_s, .. } = OpenedModel::open(path, answering, Some(&given))?;
+            if config.is_continuous {
+                naming::has_scan_time(&by).map_err(Failure::Failed)?;
+            }
+            (NamedBy::Model(Arc::new(by)), kept_beside(path), None, query_s)
+        }
+        None => {
+            let library = existing_library(args, &config)?;
+            let check = naming::check(&library, &how);
+            let load = naming::load(&library, &config.scene, &how, answering, Some(given));
+            let load = if config.is_continuous { naming::with_scan_time(load) } else { load };
+            (NamedBy::Library(load), library, Some(check), how.query_seconds)
+        }
+    };
+    let long = scan_s.map(|s| format!(" for {s} s or more")).unwrap_or_default();
     let hint = match config.is_continuous {
         true => "names the surface while something moves; q quits".into(),
         false => {
             format!("tap a surface, then drag over it{long}; space begins and ends a scan, q quits")
         }
     };
-    let (load, store) = (Some(load), library);
-    let of = StationWork { load, store, keep: None, hint, check };
+    let of = StationWork { by, store, keep: None, hint, check };
     verdict(&work(&config, &args.station, assembled, of)?)
 }
 

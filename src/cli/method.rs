@@ -167,6 +167,22 @@ pub(super) fn options_of(method: &MethodSpec) -> String {
     options
 }
 
+/// The options that say how a library's trials are compared, and so do not go with a model.
+pub(super) const NOT_WITH_MODEL: [&str; 12] = [
+    "library",
+    "sources",
+    "method",
+    "n",
+    "repetitions",
+    "positions",
+    "neighbours",
+    "halving",
+    "exact",
+    "seed",
+    "no_cache",
+    "plan",
+];
+
 /// How trials are compared, in commands that name scans: by options or by a plan.
 #[derive(clap::Args)]
 pub(super) struct ComparingArgs {
@@ -264,6 +280,10 @@ pub(super) struct AccuracyArgs {
 }
 
 impl AccuracyArgs {
+    pub(super) fn is_given(&self) -> bool {
+        self.accuracy.is_some()
+    }
+
     /// How long scans must last with the model of a library; `None` if the method cannot tell.
     pub(super) fn scan_time(&self, model: &Arc<dyn Model>) -> Result<Option<ScanTime>, Failure> {
         let found = model.clone().scan_time(self.accuracy);

@@ -27,6 +27,7 @@ mod keys;
 mod library;
 mod live;
 mod method;
+mod naming;
 mod outputs;
 mod paper;
 mod plan;
@@ -37,6 +38,7 @@ mod stress;
 mod synth;
 mod tally;
 mod terminal;
+mod train;
 
 use std::fmt::Display;
 use std::path::Path;
@@ -99,6 +101,7 @@ commands! {
     Record(enroll::RecordArgs) => enroll::record,
     Eval(eval::Args) => eval::run,
     Check(check::Args) => check::run,
+    Train(train::Args) => train::run,
     Library(library::Args) => library::run,
     History(history::Args) => history::run,
     Chart(chart::Args) => chart::run,

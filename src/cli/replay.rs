@@ -8,7 +8,8 @@ use super::choose::{Choice, SplitArgs, choose, within};
 use super::condition::WhereArgs;
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
-use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs};
+use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs, NOT_WITH_MODEL};
+use super::naming::{self, OpenedModel};
 use super::serve::{Page, ServeArgs};
 use super::show::{self, quoted};
 use super::tally::Tally;
@@ -37,6 +38,7 @@ use crate::trial::EXPERT;
 #[command(after_help = "Examples:\n  surfaced replay\n  \
                         surfaced replay LMT_108_SurfaceMaterials_Database --sources mi2 --speed max\n  \
                         surfaced replay new-scans --library my-library --json\n  \
+                        surfaced replay new-scans --model model.surfaced --json\n  \
                         surfaced replay --speed 1.0 --serve\n  \
                         surfaced replay --continuous\n\nTime: about 10 s for the embedded scene, 6 s for LMT108's 200 dragging sounds, on two cores; with --speed 1.0 as long as the recordings")]
 pub(super) struct Args {
@@ -45,11 +47,14 @@ pub(super) struct Args {
     /// Labelled trials to compare with
     #[arg(long, value_name = "LIB", requires = "data")]
     library: Option<PathBuf>,
+    /// Name by this model, a file written by `surfaced train`, instead of a library
+    #[arg(long, value_name = "FILE", requires = "data", conflicts_with_all = NOT_WITH_MODEL)]
+    model: Option<PathBuf>,
     /// How fast to play: a multiple of real time, or `max`
     #[arg(long, default_value = "max", value_name = "SPEED")]
     speed: Speed,
     /// How queries and library are split, if no library is given
-    #[arg(long, value_enum, conflicts_with = "library")]
+    #[arg(long, value_enum, conflicts_with_all = ["library", "model"])]
     protocol: Option<Protocol>,
     #[command(flatten)]
     comparing: ComparingArgs,
@@ -85,18 +90,21 @@ pub(super) struct ReplayStage {
     pub synthetic: bool,
     /// The folder with the cache of prepared trials; `None` without a cache.
     pub cache: Option<PathBuf>,
+    /// The recogniser, if it comes from a model file, and whether it follows scans in progress.
+    pub ready: Option<(Recogniser, bool)>,
 }
 
 pub(super) fn run(args: &Args) -> Done {
     say::results_aside(args.json);
-    let how = args.comparing.resolve(args.query_seconds)?;
+    let mut how = args.comparing.resolve(args.query_seconds)?;
     // Trials are read while they are played, so the locks keep other programs from editing them.
     let _data = args.data.as_deref().map(LibraryLock::for_reading);
     let library = args.library.as_deref().map(LibraryLock::for_reading);
-    let stage = match (&args.data, &args.library) {
-        (None, _) => demonstration(&how)?,
-        (Some(data), None) => by_protocol(&how, played(args, data)?, data, args.protocol)?,
-        (Some(data), Some(library)) => against(args, &how, data, library)?,
+    let stage = match (&args.data, &args.library, &args.model) {
+        (None, ..) => demonstration(&how)?,
+        (Some(data), _, Some(model)) => by_model(args, &mut how, data, model)?,
+        (Some(data), Some(library), _) => against(args, &how, data, library)?,
+        (Some(data), None, None) => by_protocol(&how, played(args, data)?, data, args.protocol)?,
     };
     play(args, &how, stage, library)?;
     if !args.json {
@@ -106,6 +114,9 @@ pub(super) fn run(args: &Args) -> Done {
 }
 
 fn advise(args: &Args) {
+    if let Some(model) = &args.model {
+        return show::next(&format!("surfaced run --model {} names live scans", quoted(model)));
+    }
     let next = match (&args.data, &args.library) {
         (None, _) if args.serve.is_wanted() => "surfaced eval my-library measures your own \
                                                 recordings; see README.md for their form"
@@ -131,7 +142,15 @@ fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
     queries.sort_by_key(|&i| (&entries[i].key.user, &entries[i].key.surface));
     let fold = Fold { name: "expert".into(), library: of_expert, queries };
     let folds = vec![fold];
-    Ok(ReplayStage { name: library.name, scene, entries, folds, synthetic: true, cache: None })
+    Ok(ReplayStage {
+        name: library.name,
+        scene,
+        entries,
+        folds,
+        synthetic: true,
+        cache: None,
+        ready: None,
+    })
 }
 
 /// The recordings to play. Those that cannot be read are left out here, since all are played.
@@ -155,7 +174,32 @@ fn by_protocol(
         say!("protocol: {}", split.name);
     }
     let (name, synthetic, cache) = (data.name, data.synthetic, how.cache_in(folder));
-    Ok(ReplayStage { name, scene, entries, folds: split.folds, synthetic, cache })
+    Ok(ReplayStage { name, scene, entries, folds: split.folds, synthetic, cache, ready: None })
+}
+
+/// Uses the model file that is named. Its scene says which sources of the data are compared.
+fn by_model(
+    args: &Args,
+    how: &mut Comparing,
+    data: &Path,
+    model: &Path,
+) -> Result<ReplayStage, Failure> {
+    let opened = OpenedModel::open(model, (&args.answers, &args.accuracy), None)?;
+    let OpenedModel { mut by, follows, name, scene, is_synthetic, lasting, query_s } = opened;
+    if say::is_verbose() {
+        by.library.remarks.iter().for_each(|remark| say!("{remark}"));
+    } else {
+        lasting.iter().for_each(|line| say!("{line}"));
+    }
+    how.query_seconds = how.query_seconds.or(query_s);
+    let data = played(args, data)?;
+    let synthetic = data.synthetic || is_synthetic;
+    by.library.synthetic = synthetic;
+    let entries = within(&data, &scene)?;
+    let queries = (0..entries.len()).collect();
+    let folds = vec![Fold { name: "model".into(), library: Vec::new(), queries }];
+    let ready = Some((by, follows));
+    Ok(ReplayStage { name, scene, entries, folds, synthetic, cache: None, ready })
 }
 
 fn against(
@@ -185,7 +229,15 @@ fn against(
     };
     entries.extend(queries);
     let scene = of_data.with(scene);
-    Ok(ReplayStage { name: library.name, scene, entries, folds: vec![fold], synthetic, cache })
+    Ok(ReplayStage {
+        name: library.name,
+        scene,
+        entries,
+        folds: vec![fold],
+        synthetic,
+        cache,
+        ready: None,
+    })
 }
 
 /// Seconds between two scans on a page at real speed, so that people can read an answer.
@@ -223,13 +275,14 @@ fn play(
         station = station.listener(lines);
     }
     let library = args.library.as_ref().filter(|_| args.serve.is_wanted());
-    let mut settings = Settings { enrolls: library.is_some(), ..Settings::default() };
+    let (enrolls, reloads) = (library.is_some(), library.is_some());
+    let mut settings = Settings { enrolls, reloads, ..Settings::default() };
     if let Some(folder) = library {
         let (folder, scene) = (folder.clone(), stage.scene.clone());
-        let load = live::load(&folder, &scene, how, (&args.answers, &args.accuracy), None);
+        let load = naming::load(&folder, &scene, how, (&args.answers, &args.accuracy), None);
         station.load = Some(load);
         station.store = Some(ScanStore::new(folder.clone(), scene.clone()));
-        settings.check = Some(live::check(&folder, how));
+        settings.check = Some(naming::check(&folder, how));
         settings.library = Some(LibraryFolder { folder, scene });
     }
     // Without a library, past scans and unsent answers are kept here only until the program ends.
@@ -243,22 +296,13 @@ fn play(
     let (mut station, server) = args.serve.start(station, settings, &page)?;
     // The page can be seen while the models are made; a signal then ends the program at once.
     station.emit(&StationEvent::Reading);
-    let (recogniser, follows) = match (recogniser(args, how, &stage), &args.library) {
-        (Err(error), Some(folder)) => {
-            if bad_files::leave_out(folder, &mut stage.entries)? {
-                return Err(error);
-            }
-            let ReplayStage { entries, folds, .. } = &mut stage;
-            for fold in folds {
-                fold.library.retain(|&i| !entries[i].sources.is_empty());
-            }
-            recogniser(args, how, &stage)?
-        }
-        (made, _) => made?,
+    let (recogniser, follows) = match stage.ready.take() {
+        Some(ready) => ready,
+        None => made(args, how, &mut stage)?,
     };
     drop(reading);
     if station.continuous.is_some() {
-        live::has_scan_time(&recogniser).map_err(Failure::Failed)?;
+        naming::has_scan_time(&recogniser).map_err(Failure::Failed)?;
     }
     station.recogniser = Some(Arc::new(recogniser));
     if follows {
@@ -279,6 +323,27 @@ fn play(
         return Err(Failure::Failed(format!("{name}: {error}")));
     }
     tally.verdict(totals.lost())
+}
+
+/// Makes the recogniser, without recordings that cannot be read.
+fn made(
+    args: &Args,
+    how: &Comparing,
+    stage: &mut ReplayStage,
+) -> Result<(Recogniser, bool), Failure> {
+    match (recogniser(args, how, stage), &args.library) {
+        (Err(error), Some(folder)) => {
+            if bad_files::leave_out(folder, &mut stage.entries)? {
+                return Err(error);
+            }
+            let ReplayStage { entries, folds, .. } = &mut *stage;
+            for fold in folds {
+                fold.library.retain(|&i| !entries[i].sources.is_empty());
+            }
+            recogniser(args, how, stage)
+        }
+        (made, _) => made,
+    }
 }
 
 /// Makes the recogniser, which names each query by the library of its fold, and prints what its

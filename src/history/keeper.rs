@@ -42,12 +42,16 @@ struct Work {
     without_notes: Mutex<BTreeSet<String>>,
 }
 
+const NO_TRIALS: &str = "the model holds no trials, so the nearest one is not shown; name scans by its library to see it";
+
 /// The content of `.why.json`, beside the signals of a scan.
 #[derive(Serialize)]
 struct Notes<'a> {
     why: Option<&'a Why>,
     scan: TrialView,
     nearest: Option<NearestView>,
+    /// Why the nearest trial is not shown, if there is no library.
+    no_nearest: Option<&'static str>,
 }
 
 #[derive(Serialize)]
@@ -190,7 +194,9 @@ impl Work {
             trial: nearest.key,
         });
         let scan = TrialView::of(&scan.trial, &self.scene);
-        let notes = Notes { why: why.as_ref(), scan, nearest };
+        let is_model = by.as_ref().is_some_and(|by| by.trials.is_empty());
+        let no_nearest = is_model.then_some(NO_TRIALS);
+        let notes = Notes { why: why.as_ref(), scan, nearest, no_nearest };
         let path = folder.join(super::NOTES);
         std::fs::write(&path, json_text(&notes)).map_err(HistoryError::io(&path))
     }

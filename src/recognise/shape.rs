@@ -3,18 +3,19 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::library::{Entry, LibraryError, Outline, Outlines};
 use crate::scene::SourceId;
 use crate::seed;
 
 /// The shape of each source of a library, except pictures.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LibraryShape {
     sources: BTreeMap<SourceId, SourceShape>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SourceShape {
     /// Frames a second, in the first trial that has the source.
     pub rate_hz: f64,

@@ -318,7 +318,8 @@ impl Hub {
         if inner.state.finished {
             return Err(Problem::Ended);
         }
-        if enrolls && !inner.enrolls {
+        let reloads = matches!(order, Command::Reload);
+        if enrolls && !inner.enrolls || reloads && !self.settings.reloads {
             return Err(Problem::NoLibrary);
         }
         self.orders.try_send(order).map_err(|error| match error {

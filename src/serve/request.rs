@@ -49,7 +49,7 @@ pub(crate) enum Problem {
     Busy,
     #[error("the station has ended")]
     Ended,
-    #[error("this station keeps no scans; start it with --library LIB")]
+    #[error("this station has no trials to change or read again; start it with --library LIB")]
     NoLibrary,
 }
 

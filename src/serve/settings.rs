@@ -33,6 +33,8 @@ pub struct Settings {
     pub limits: Limits,
     /// Whether scans may be kept as trials of a library.
     pub enrolls: bool,
+    /// Whether there is a library that may be read again.
+    pub reloads: bool,
     /// The library that may be edited and extended by scans; `None` if no library may be edited.
     pub library: Option<LibraryFolder>,
     /// The function that audits the library, if the library may be edited.
@@ -65,6 +67,7 @@ impl Default for Settings {
             proxies: Vec::new(),
             limits: Limits::default(),
             enrolls: true,
+            reloads: true,
             library: None,
             check: None,
             history: Arc::default(),

@@ -288,7 +288,7 @@ impl<'a> StationRun<'a> {
             Command::Start => self.session.command(ScanCommand::Begin),
             Command::Stop => self.session.command(ScanCommand::End),
             Command::Enroll { .. } if self.recording.is_none() => {
-                let text = "this scan cannot be kept: no library is set";
+                let text = "this scan cannot be kept: this station has no library; start it with --library LIB";
                 self.warn(WarningKind::Ignored, text);
             }
             Command::Enroll { surface, user, trials, ordered_by } => {
@@ -356,7 +356,8 @@ impl<'a> StationRun<'a> {
     /// Starts to read the library. Until it is read, the old one stays in use, or scans wait.
     fn reload(&mut self) {
         let Some(load) = self.load.clone() else {
-            let text = "nothing was reloaded: no library is set";
+            let text =
+                "nothing was reloaded: this station has no library; start it with --library LIB";
             return self.warn(WarningKind::Ignored, text);
         };
         // Only one thread reads at a time, since each would need the memory of a whole library.

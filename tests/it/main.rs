@@ -36,6 +36,7 @@ mod lossy_sounds;
 mod mat_forms;
 mod methods;
 mod microphone;
+mod model_file;
 mod no_stderr;
 mod openapi;
 mod pages;

@@ -31,7 +31,7 @@ use crate::trial::{Trial, TrialKey};
 
 pub struct EmbeddingModel {
     pub(super) scene: Scene,
-    pub(super) shape: Arc<LibraryShape>,
+    pub(in crate::recognise) shape: Arc<LibraryShape>,
     /// The keys of the library's trials, in the order of their samples' digests.
     keys: Vec<TrialKey>,
     pub(super) labels: Labels,

@@ -105,7 +105,7 @@ impl SeriesEmbedder {
             + self.frames[1].dims()
             + of_channel * channels
             + stacked * (stacked + 1) / 2
-            + channels * (channels - 1) / 2
+            + channels * channels.saturating_sub(1) / 2
     }
 
     /// The vector of a series or a copy, as if multiplied by a gain of e^`ln_gain`. `moments_hz` is

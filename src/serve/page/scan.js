@@ -132,7 +132,7 @@ function picture(source, path, caption) {
   return figure;
 }
 
-function signals(scan, { scan: own, nearest }) {
+function signals(scan, { scan: own, nearest, no_nearest: noNearest }) {
   const box = make("section");
   box.append(heading("Signals"));
   if (nearest) {
@@ -141,6 +141,7 @@ function signals(scan, { scan: own, nearest }) {
     legend.append(make("span", "this scan", "own"), make("span", `nearest trial: ${surface}, ${user}, ${number}`, "nearest"));
     box.append(legend);
   }
+  if (noNearest) box.append(make("p", `Nearest trial: ${noNearest}.`, "empty"));
   const grid = make("div", undefined, "figures");
   const of = (source) => nearest?.series.find((other) => other.source === source) ?? null;
   grid.append(...own.series.map((series) => signal(scan, series, of(series.source))));

@@ -1,0 +1,168 @@
+//! What names scans: a library, or a model file.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::choose::within;
+use super::condition::WhereArgs;
+use super::method::{AccuracyArgs, AnswerArgs, Comparing};
+use super::show::{listed, summary};
+use super::{Failure, bad_files};
+use crate::recognise::{ModelFile, ReadyModel, ScanTime, ready_model};
+use crate::record::edit::LibraryLock;
+use crate::record::reference::references;
+use crate::scene::{Scene, SourceId};
+use crate::serve::Audit;
+use crate::station::{LibraryState, Load, Recogniser};
+
+/// A model file, ready to name scans.
+pub(super) struct OpenedModel {
+    pub by: Recogniser,
+    /// Whether it follows scans in progress.
+    pub follows: bool,
+    pub name: String,
+    pub scene: Scene,
+    pub is_synthetic: bool,
+    /// The scan time in words.
+    pub lasting: Option<String>,
+    /// Seconds of each drag that a replay uses, if the model follows a plan.
+    pub query_s: Option<f64>,
+}
+
+impl OpenedModel {
+    /// Opens a model file, and says what it holds. `given` are the sources that scans can have, if they
+    /// are known.
+    pub(super) fn open(
+        path: &Path,
+        (answers, accuracy): (&AnswerArgs, &AccuracyArgs),
+        given: Option<&BTreeSet<SourceId>>,
+    ) -> Result<Self, Failure> {
+        let file = ModelFile::read(path).map_err(|error| Failure::at(path, error))?;
+        let trials = file.surfaces.iter().map(|(_, trials)| trials).sum();
+        let what = summary(&file.library, file.is_synthetic, trials, file.surfaces.len());
+        say!("{what}, a model by surfaced {}, library {}", file.program, file.digest);
+        if let Some(given) = given {
+            check_given(path, &file.sources, given)?;
+            if let Some(embedding) = file.model.clone().embedding() {
+                embedding.ready_for(given);
+            }
+        }
+        let (needed_s, lasting) = match accuracy.is_given() {
+            true => {
+                let found = accuracy.scan_time(&file.model)?;
+                (found.as_ref().and_then(ScanTime::scan_s), found.map(|answer| answer.line()))
+            }
+            false => (file.scan_s, file.scan_s_why),
+        };
+        let state = LibraryState {
+            name: file.library.clone(),
+            surfaces: file.surfaces,
+            sources: file.sources,
+            synthetic: file.is_synthetic,
+            ..LibraryState::default()
+        };
+        let mut by = Recogniser::new(file.model, file.scene.clone(), state);
+        by.needed_s = needed_s;
+        let (follows, _) = answers.apply(&mut by)?;
+        by.library.remarks.extend(lasting.clone());
+        Ok(Self {
+            by,
+            follows,
+            name: file.library,
+            scene: file.scene,
+            is_synthetic: file.is_synthetic,
+            lasting,
+            query_s: file.query_s,
+        })
+    }
+}
+
+/// Returns a function that reads the library each time it is called, and prepares it for naming.
+/// `given` are the sources that scans can have, if they are known.
+pub(super) fn load(
+    path: &Path,
+    scene: &Scene,
+    how: &Comparing,
+    (answers, accuracy): (&AnswerArgs, &AccuracyArgs),
+    given: Option<BTreeSet<SourceId>>,
+) -> Load {
+    let (path, scene) = (path.to_path_buf(), scene.clone());
+    let (how, answers, accuracy) = (how.clone(), answers.clone(), accuracy.clone());
+    Arc::new(move || {
+        let _lock = LibraryLock::for_reading(&path);
+        let library = bad_files::open(&path, &scene).map_err(Failure::text)?;
+        let ready = bad_files::work(&path, library, |library| {
+            let scene = how.narrow(library.scene.clone())?;
+            let entries = within(library, &scene)?;
+            let mut state = LibraryState::of(&library.name, &entries, library.synthetic);
+            if let Some(given) = &given {
+                check_given(&path, &state.sources, given)?;
+            }
+            let all = (0..entries.len()).collect();
+            let (method, cache) = (how.method.build(&scene), how.cache_in(&path));
+            let ready = ready_model(&*method, &entries, &all, cache.as_deref(), &|_, _| {})?;
+            state.reference = references(&path)?;
+            Ok((scene, entries, state, ready))
+        });
+        let (scene, entries, state, ReadyModel { model, remarks, .. }) =
+            ready.map_err(Failure::text)?;
+        remarks.iter().for_each(|remark| say!("{remark}"));
+        if let (Some(given), Some(embedding)) = (&given, model.clone().embedding()) {
+            // Devices of the library may be missing here; training must not wait for the first drag.
+            embedding.ready_for(given);
+        }
+        let lasting = how.lasting(&accuracy, &model).map_err(Failure::text)?;
+        let mut by = Recogniser::new(model, scene, state).with_trials(&entries);
+        by.needed_s = lasting.0;
+        answers.apply(&mut by).map_err(|error| error.to_string())?;
+        by.library.remarks.extend(lasting.1);
+        by.library.remarks.extend(bad_files::skipped());
+        Ok(Arc::new(by))
+    })
+}
+
+/// Refuses a library whose scan time is not known, for naming without begin and end.
+pub(super) fn with_scan_time(load: Load) -> Load {
+    Arc::new(move || load().and_then(|by| has_scan_time(&by).map(|()| by)))
+}
+
+pub(super) fn has_scan_time(by: &Recogniser) -> Result<(), String> {
+    by.needed_s.map(drop).ok_or_else(|| {
+        "naming without begin and end needs the scan time that the library requires, which is not known: \
+         record more trials of each surface, and use the method `embedding`"
+            .into()
+    })
+}
+
+/// Returns a function that audits the library each time it is called.
+pub(super) fn check(path: &Path, how: &Comparing) -> Audit {
+    let (path, how) = (path.to_path_buf(), how.clone());
+    Arc::new(move || {
+        let all = WhereArgs::default();
+        super::check::audit(&path, &how, &all, &|_, _, _| {}).map_err(Failure::text)
+    })
+}
+
+/// Checks that the station's devices give at least one of the sources of the library or model at `path`.
+fn check_given(
+    path: &Path,
+    sources: &[SourceId],
+    given: &BTreeSet<SourceId>,
+) -> Result<(), Failure> {
+    if sources.iter().any(|source| given.contains(source)) {
+        return Ok(());
+    }
+    let live = match cfg!(all(feature = "microphone", feature = "camera")) {
+        true => "",
+        false => " (for sound and pictures, build with `--features live`)",
+    };
+    Err(Failure::Failed(format!(
+        "{}: it has {}, but the devices of this station give {}, so no scan can be named; record \
+         a library with these devices (`surfaced enroll LABEL`), or configure the devices that it \
+         was recorded with{live}",
+        path.display(),
+        listed(sources),
+        listed(given),
+    )))
+}
