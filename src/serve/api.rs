@@ -100,16 +100,24 @@ struct Enroll {
     surface: String,
     user: Option<String>,
     trials: Option<u32>,
+    /// Whether the order may take the place of another; it may unless this is false.
+    replace: Option<bool>,
 }
 
 async fn enroll(State(hub): Shared, Extension(by): By, said: Said) -> Result<Response, Problem> {
     let expected = "{\"surface\": \"oak\", \"user\": \"anna\", \"trials\": 3}";
-    let Enroll { surface, user, trials } = body(said, expected)?;
+    let Enroll { surface, user, trials, replace } = body(said, expected)?;
     let surface = label("surface", &surface)?;
     let user = label("user", user.as_deref().unwrap_or(EXPERT))?;
     let trials = trials.unwrap_or(1);
     if !(1..=MOST_TRIALS).contains(&trials) {
         return Err(Problem::Bad(format!("`trials` is {trials}; expected 1 to {MOST_TRIALS}")));
+    }
+    if replace == Some(false)
+        && let Some(standing) = &hub.lock().state.enrolling
+    {
+        let who = standing.ordered_by.as_ref().unwrap_or(&standing.user);
+        return Err(Problem::Standing(who.clone(), standing.surface.clone()));
     }
     let ordered_by = by.person.clone();
     send(hub, by, "enroll", Command::Enroll { surface, user, trials, ordered_by }).await

@@ -51,6 +51,8 @@ pub(crate) enum Problem {
     Ended,
     #[error("this station has no trials to change or read again; start it with --library LIB")]
     NoLibrary,
+    #[error("{0} enrols {1} now; end that first, or replace it")]
+    Standing(String, String),
 }
 
 impl Problem {
@@ -72,6 +74,7 @@ impl Problem {
             Self::Busy => (StatusCode::SERVICE_UNAVAILABLE, "busy"),
             Self::Ended => (StatusCode::CONFLICT, "ended"),
             Self::NoLibrary => (StatusCode::CONFLICT, "no_library"),
+            Self::Standing(..) => (StatusCode::CONFLICT, "enrolling"),
         }
     }
 }

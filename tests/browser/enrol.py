@@ -68,6 +68,18 @@ def check(browser, station, shots):
     # A trial that was kept rightly can be taken back just so.
     press(browser, "Undo")
     browser.wait("the undo", lambda: not any(name.startswith("basalt/") for name in names("trials")))
+    # Nobody's order is replaced unseen.
+    browser.run("document.getElementById('trials').value = 40")
+    browser.type("#surface", "quartz")
+    browser.click("#enroll")
+    browser.wait("the order", lambda: "quartz" in (browser.text("#enrolling-what") or ""))
+    browser.type("#surface", "marble")
+    browser.click("#enroll")
+    browser.wait("whose order stands", lambda: "enrols quartz now" in (browser.text("#enroll-who") or ""))
+    shots_of(browser, shots, "standing")
+    browser.click("#enroll-instead")
+    browser.wait("the new order", lambda: "marble" in (browser.text("#enrolling-what") or ""))
+    browser.click("#enroll-end")
     console = browser.log("browser")
     assert not console, f"the console stays empty: {console}"
 

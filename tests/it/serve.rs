@@ -185,7 +185,7 @@ fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
     assert_eq!((&answer["scan"], &answer["surface"]), (&json!(3), &json!("beech")));
     assert_eq!(events.next("device")["state"], "lost");
     assert_eq!(events.next("advice")["do"], "wait", "without the stylus there is nothing to do");
-    served.post("/api/v1/enroll", r#"{"surface": "ash", "trials": 2}"#);
+    served.post("/api/v1/enroll", r#"{"surface": "ash", "trials": 2, "replace": false}"#);
     let ash = |wanted| {
         let (surface, user) = ("ash".into(), "anna".into());
         let (trials, wanted) = (Some(2), Some(wanted));
@@ -197,6 +197,11 @@ fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
     let ordered = json!({"surface": "ash", "user": "anna", "wanted": 2, "trials": 2, "kept": 0,
         "refused": null, "ordered_by": null});
     assert_eq!(events.next("enrolling"), ordered);
+    // Nobody's order is replaced unseen.
+    let refused = served.post("/api/v1/enroll", r#"{"surface": "elm", "replace": false}"#);
+    assert_eq!((refused.status, &refused.json()["error"]), (409, &json!("enrolling")));
+    assert!(refused.body.contains("anna enrols ash now"), "{}", refused.body);
+    assert_eq!(served.post("/api/v1/enroll", r#"{"surface": "elm"}"#).status, 202);
     for wanted in [1, 0] {
         let enrolled = StationEvent::Enrolled(Enrolled {
             scan: 4,

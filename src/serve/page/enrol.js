@@ -3,11 +3,15 @@
 import { $, ask, button, hide, make, many, plainLine, printable, say } from "./dom.js";
 
 let newest = [];
+// The order that stands, whoever gave it.
+let standing = null;
 
 // Handles a scan that was kept or refused.
 export const add = (enrolled) => (newest = [enrolled, ...newest].slice(0, 3));
 
 export function show({ enrolling, enrolls }) {
+  standing = enrolling;
+  if (!enrolling) hide("enroll-standing", true);
   hide("enroll-form", !enrolls);
   hide("no-enroll", enrolls);
   hide("enrolling", !enrolling);
@@ -56,8 +60,20 @@ function showNewest() {
 
 $("enroll-end").addEventListener("click", () => ask("enroll/end", {}));
 $("enroll-keep").addEventListener("click", ({ currentTarget }) => ask("enroll/keep", { scan: Number(currentTarget.dataset.scan) }));
-$("enroll-form").addEventListener("submit", async (event) => {
+// Another order is replaced only by somebody who has seen whose it is.
+async function order(replace) {
+  const body = { surface: $("surface").value, user: $("user").value, trials: Number($("trials").value), replace };
+  if (!(await ask("enroll", body))) return;
+  $("surface").value = "";
+  hide("enroll-standing", true);
+}
+
+$("enroll-instead").addEventListener("click", () => $("enroll-form").reportValidity() && order(true));
+$("enroll-form").addEventListener("submit", (event) => {
   event.preventDefault();
-  const body = { surface: $("surface").value, user: $("user").value, trials: Number($("trials").value) };
-  if (await ask("enroll", body)) $("surface").value = "";
+  if (!standing) return order(false);
+  const { ordered_by, user, surface, kept, trials } = standing;
+  const sofar = trials === null ? `${many(kept, "trial")} kept` : `${kept} of ${trials} kept`;
+  say("enroll-who", `${ordered_by ?? user} enrols ${surface} now: ${sofar}. `);
+  hide("enroll-standing", false);
 });
