@@ -12,12 +12,13 @@ use surfaced::scene::{LibraryToml, Scene};
 use surfaced::station::config::StationConfig;
 
 /// Blocks that show something else than commands, by how they begin, and what they are.
-const SHOWN: [(&str, &str); 13] = [
+const SHOWN: [(&str, &str); 14] = [
     ("my-library/", "a listing of files"),
     ("device ─►", "a drawing of the source code"),
     ("format = 1", "a file, read below"),
     ("surface = ", "a file, read below"),
-    ("[outputs]", "a file, read by the configuration's own tests"),
+    ("[outputs]", "a file, read below"),
+    ("[[alert]]", "a file, read below"),
     ("[[lines]]", "a file; tests/it/lines.rs has some like it"),
     ("drag for at least", "what the command above it prints for LMT108"),
     ("$ curl ", "requests with their answers, made by tests/it/serve.rs"),
@@ -277,13 +278,13 @@ fn files_of_the_pages_are_read() {
             StationConfig::parse(&block, Path::new("station.toml")).unwrap();
             stations += 1;
         }
-        if block.starts_with("[outputs]") {
+        if block.starts_with("[outputs]") || block.starts_with("[[alert]]") {
             let file = format!("format = 1\n{block}");
             StationConfig::parse(&file, Path::new("station.toml")).unwrap();
             outputs += 1;
         }
     }
-    assert_eq!((libraries, trials, stations, outputs), (1, 1, 1, 1));
+    assert_eq!((libraries, trials, stations, outputs), (1, 1, 1, 2));
 }
 
 #[test]
