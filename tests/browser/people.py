@@ -90,9 +90,9 @@ def many_are_corrected_and_undone(browser, station, shots):
     browser.click("#select-undo")
     browser.wait("the undoing", lambda: browser.text("#select-done") == "Undone for 3 scans.")
     assert all(scan(station, one)["correction"] is None for one in chosen)
-    assert not seen(browser, "select-undo")
+    browser.wait("nothing more to undo", lambda: not seen(browser, "select-undo"))
     browser.click("#select-open")
-    assert not seen(browser, "select-bar")
+    browser.wait("no selection", lambda: not seen(browser, "select-bar"))
 
 
 def changes_are_listed(browser, station, shots):
