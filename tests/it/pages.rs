@@ -312,6 +312,8 @@ fn links_and_files_of_the_pages_and_workflows_are_there() {
     for file in [format!("surfaced_{version}-1_amd64.deb"), format!("surfaced-v{version}-x86_64")] {
         assert!(readme.contains(&file), "the README names {file}");
     }
+    let citation = include_str!("../../CITATION.cff");
+    assert!(citation.contains(&format!("\nversion: {version}\n")), "what is cited is this version");
 }
 
 /// Holds that a word which looks like a file of the repository is one.
