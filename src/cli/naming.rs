@@ -9,7 +9,8 @@ use super::condition::WhereArgs;
 use super::method::{AccuracyArgs, AnswerArgs, Comparing};
 use super::show::{listed, summary};
 use super::{Failure, bad_files};
-use crate::recognise::{ModelFile, ReadyModel, ScanTime, ready_model};
+use crate::library::{Entry, Library};
+use crate::recognise::{Model, ModelFile, ScanTime, ready_model};
 use crate::record::edit::LibraryLock;
 use crate::record::reference::references;
 use crate::scene::{Scene, SourceId};
@@ -78,6 +79,36 @@ impl OpenedModel {
     }
 }
 
+/// The trained model of a library, and what of the library it compares.
+pub(super) struct Trained {
+    pub scene: Scene,
+    pub entries: Vec<Entry>,
+    pub state: LibraryState,
+    pub model: Arc<dyn Model>,
+}
+
+/// Trains the model of an open library at `path`, or takes it from the cache. If `given`, the sources that
+/// scans can have, are known, the library must have one of them.
+pub(super) fn trained(
+    path: &Path,
+    library: &Library,
+    how: &Comparing,
+    given: Option<&BTreeSet<SourceId>>,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<Trained, Failure> {
+    let scene = how.narrow(library.scene.clone())?;
+    let entries = within(library, &scene)?;
+    let state = LibraryState::of(&library.name, &entries, library.synthetic);
+    if let Some(given) = given {
+        check_given(path, &state.sources, given)?;
+    }
+    let all = (0..entries.len()).collect();
+    let (method, cache) = (how.method.build(&scene), how.cache_in(path));
+    let ready = ready_model(&*method, &entries, &all, cache.as_deref(), progress)?;
+    ready.remarks.iter().for_each(|remark| say!("{remark}"));
+    Ok(Trained { scene, entries, state, model: ready.model })
+}
+
 /// Returns a function that reads the library each time it is called, and prepares it for naming.
 /// `given` are the sources that scans can have, if they are known.
 pub(super) fn load(
@@ -93,21 +124,10 @@ pub(super) fn load(
         let _lock = LibraryLock::for_reading(&path);
         let library = bad_files::open(&path, &scene).map_err(Failure::text)?;
         let ready = bad_files::work(&path, library, |library| {
-            let scene = how.narrow(library.scene.clone())?;
-            let entries = within(library, &scene)?;
-            let mut state = LibraryState::of(&library.name, &entries, library.synthetic);
-            if let Some(given) = &given {
-                check_given(&path, &state.sources, given)?;
-            }
-            let all = (0..entries.len()).collect();
-            let (method, cache) = (how.method.build(&scene), how.cache_in(&path));
-            let ready = ready_model(&*method, &entries, &all, cache.as_deref(), &|_, _| {})?;
-            state.reference = references(&path)?;
-            Ok((scene, entries, state, ready))
+            trained(&path, library, &how, given.as_ref(), &|_, _| {})
         });
-        let (scene, entries, state, ReadyModel { model, remarks, .. }) =
-            ready.map_err(Failure::text)?;
-        remarks.iter().for_each(|remark| say!("{remark}"));
+        let Trained { scene, entries, mut state, model } = ready.map_err(Failure::text)?;
+        state.reference = references(&path).map_err(|error| error.to_string())?;
         if let (Some(given), Some(embedding)) = (&given, model.clone().embedding()) {
             // Devices of the library may be missing here; training must not wait for the first drag.
             embedding.ready_for(given);

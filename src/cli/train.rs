@@ -2,12 +2,11 @@
 
 use std::path::PathBuf;
 
-use super::choose::within;
 use super::method::{AccuracyArgs, ComparingArgs};
+use super::naming::{Trained, trained};
 use super::show::quoted;
 use super::{Done, Failure, bad_files, say, show};
-use crate::recognise::{MethodName, ModelFile, ModelFileError, ready_model};
-use crate::station::LibraryState;
+use crate::recognise::{MethodName, ModelFile, ModelFileError};
 
 /// Write the model of a library as one file, which names scans without the library
 ///
@@ -36,15 +35,9 @@ pub(super) fn run(args: &Args) -> Done {
     }
     let library = super::open(&args.lib)?;
     let file = bad_files::work(&args.lib, library, |library| {
-        let scene = how.narrow(library.scene.clone())?;
-        let entries = within(library, &scene)?;
-        let state = LibraryState::of(&library.name, &entries, library.synthetic);
-        let all = (0..entries.len()).collect();
-        let (method, cache) = (how.method.build(&scene), how.cache_in(&args.lib));
         let step = |done, of| say::progress("preparing the library", done, of);
-        let ready = ready_model(&*method, &entries, &all, cache.as_deref(), &step)?;
-        ready.remarks.iter().for_each(|remark| say!("{remark}"));
-        let (scan_s, scan_s_why) = how.lasting(&args.accuracy, &ready.model)?;
+        let Trained { scene, state, model, .. } = trained(&args.lib, library, &how, None, &step)?;
+        let (scan_s, scan_s_why) = how.lasting(&args.accuracy, &model)?;
         Ok(ModelFile {
             program: env!("CARGO_PKG_VERSION").into(),
             library: state.name,
@@ -57,7 +50,7 @@ pub(super) fn run(args: &Args) -> Done {
             scan_s,
             scan_s_why,
             query_s: how.query_seconds,
-            model: ready.model,
+            model,
         })
     })?;
     let bytes = file.write(&args.out).map_err(|error| Failure::at(&args.out, error))?;

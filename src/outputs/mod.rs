@@ -32,7 +32,7 @@ use self::mqtt::Line;
 use self::outbox::Outbox;
 use crate::history::{History, HistoryError};
 use crate::scan::Scan;
-use crate::station::config::{AlertConfig, OutputsConfig};
+use crate::station::config::{AlertConfig, HttpAddress, OutputsConfig};
 use crate::station::{Answer, Change, End, Listener, StationEvent};
 use crate::trial::Doubt;
 
@@ -164,14 +164,17 @@ impl Pending {
         Ok(Self { station: station.into(), outbox, health })
     }
 
-    /// Puts an answer or an alert into the outbox.
+    /// Puts an answer or an alert into the outbox. A change is of no use later.
     fn add(&mut self, said: &Said) {
-        let text = |sequence| match said {
-            Said::Answer(answer) => message::answer(&self.station, sequence, answer),
-            Said::Alert(alert) => message::event(&self.station, Some(sequence), &**alert),
-            Said::Change(change) => message::event(&self.station, Some(sequence), &**change),
+        let (station, outbox) = (&self.station, &mut self.outbox);
+        let added = match said {
+            Said::Answer(answer) => outbox.push(|number| message::answer(station, number, answer)),
+            Said::Alert(alert) => {
+                outbox.push(|number| message::event(station, Some(number), &**alert))
+            }
+            Said::Change(_) => return,
         };
-        if let Err(error) = self.outbox.push(text) {
+        if let Err(error) = added {
             self.health
                 .failed(&format!("{error}; answers wait in memory, and end with the program"));
         }
@@ -209,11 +212,8 @@ impl Output {
         let folder = folder.join(station);
         let mut outputs = Vec::new();
         if let Some(address) = http {
-            let pending = Pending::open(&folder, ("http", address.to_string()), station)?;
-            let (health, receiver) = (pending.health.clone(), Receiver::of(address)?);
-            let post = |answers| http::post_all(pending, receiver, answers);
             let wants = Wants { card: None, answers: true, alerts: Vec::new() };
-            outputs.push(Self::new(health, wants, post)?);
+            outputs.push(Self::posting((&folder, station), ("http", address), wants)?);
         }
         if let Some(address) = mqtt {
             let output = ("mqtt", format!("{address}/{station}"));
@@ -227,10 +227,8 @@ impl Output {
         for rule in alerts {
             if let Some(address) = &rule.http {
                 let name = format!("alert-{}", rule.name);
-                let pending = Pending::open(&folder, (&name, address.to_string()), station)?;
-                let (health, receiver) = (pending.health.clone(), Receiver::of(address)?);
-                let post = |alerts| http::post_all(pending, receiver, alerts);
-                outputs.push(Self::new(health, Wants::alert(rule), post)?);
+                let output = (&*name, address);
+                outputs.push(Self::posting((&folder, station), output, Wants::alert(rule))?);
             }
             if let Some(coil) = rule.coil.clone() {
                 let (health, hold) = (OutputHealth::new(coil.to_string()), rule.hold);
@@ -240,6 +238,17 @@ impl Output {
             }
         }
         Ok(outputs)
+    }
+
+    /// Creates an output that posts what it is told, with an outbox of its own name in a station's folder.
+    fn posting(
+        (folder, station): (&Path, &str),
+        (name, address): (&str, &HttpAddress),
+        wants: Wants,
+    ) -> Result<Self, HistoryError> {
+        let pending = Pending::open(folder, (name, address.to_string()), station)?;
+        let (health, receiver) = (pending.health.clone(), Receiver::of(address)?);
+        Self::new(health, wants, |said| http::post_all(pending, receiver, said))
     }
 
     /// Creates an output that runs `work` on its own thread.

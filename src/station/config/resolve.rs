@@ -155,15 +155,7 @@ fn outputs(
             return mistake(alone, "`certificate` and `key` belong together; give both");
         }
     };
-    let http = http.as_ref().map(|http| parsed::<HttpAddress>("http", http));
-    let mut http = http.transpose()?;
-    match (&mut http, &header_file) {
-        (Some(http), path) => http.header_file = path.as_ref().map(file),
-        (None, Some(stray)) => {
-            return mistake(stray, "header_file: it goes with `http`; give both");
-        }
-        (None, None) => {}
-    }
+    let mut http = posted(http.as_ref(), header_file.as_ref(), file)?;
     let mut alerts: Vec<AlertConfig> = Vec::new();
     for rule in rules {
         if alerts.iter().any(|alert| alert.name == *rule.name.get_ref()) {
@@ -183,6 +175,22 @@ fn outputs(
     }
     with_tls.into_iter().for_each(|tls| *tls = files.clone());
     Ok(OutputsConfig { station: name, http, mqtt: address, alerts })
+}
+
+/// Resolves an address to post to, with the file of its header.
+fn posted(
+    http: Option<&Spanned<String>>,
+    header_file: Option<&Spanned<PathBuf>>,
+    file: impl Fn(&Spanned<PathBuf>) -> PathBuf,
+) -> Result<Option<HttpAddress>, Mistake> {
+    match (http, header_file) {
+        (Some(http), path) => {
+            let address = parsed::<HttpAddress>("http", http)?;
+            Ok(Some(HttpAddress { header_file: path.map(file), ..address }))
+        }
+        (None, Some(stray)) => mistake(stray, "header_file: it goes with `http`; give both"),
+        (None, None) => Ok(None),
+    }
 }
 
 /// Resolves a rule for alerts, which go to the broker if there is one (`to_broker`).
@@ -220,19 +228,12 @@ fn alert(
         }
         None => Ok(Duration::from_secs_f64(usual)),
     };
-    let mut posted = http.as_ref().map(|http| parsed::<HttpAddress>("http", http)).transpose()?;
-    match (&mut posted, header_file) {
-        (Some(http), path) => http.header_file = path.as_ref().map(file),
-        (None, Some(stray)) => {
-            return mistake(stray, "header_file: it goes with `http`; give both");
-        }
-        (None, None) => {}
-    }
+    let http = posted(http.as_ref(), header_file.as_ref(), file)?;
     let coil = modbus.as_ref().map(|coil| parsed::<CoilAddress>("modbus", coil)).transpose()?;
     if let (None, Some(stray)) = (&coil, &block.hold_s) {
         return mistake(stray, "hold_s: it goes with `modbus`; give both");
     }
-    if posted.is_none() && coil.is_none() && !to_broker {
+    if http.is_none() && coil.is_none() && !to_broker {
         let problem = "nobody would hear of it; add `http` or `modbus`, or `mqtt` to [outputs]";
         return mistake(name, problem);
     }
@@ -242,7 +243,7 @@ fn alert(
         scans,
         of,
         cooldown: seconds("cooldown_s", &block.cooldown_s, 60.0)?,
-        http: posted,
+        http,
         coil,
         hold: seconds("hold_s", &block.hold_s, 2.0)?,
     })
