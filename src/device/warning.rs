@@ -44,7 +44,7 @@ pub enum WarningKind {
 }
 
 /// Something was lost, damaged or not understood, and work continues.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Warning {
     pub kind: WarningKind,
     /// A sentence for people.

@@ -61,8 +61,8 @@ pub(crate) struct DeviceView {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct WarningView {
     pub unix_ms: u64,
-    pub kind: WarningKind,
-    pub text: String,
+    #[serde(flatten)]
+    pub warning: Warning,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -192,10 +192,9 @@ impl State {
         self.answer = Some(answer.clone());
     }
 
-    fn warned(&mut self, Warning { kind, text }: &Warning) {
+    fn warned(&mut self, warning: &Warning) {
         self.counts.warnings += 1;
-        let now = WarningView { unix_ms: unix_ms(), kind: *kind, text: text.clone() };
-        self.warnings.push_front(now);
+        self.warnings.push_front(WarningView { unix_ms: unix_ms(), warning: warning.clone() });
         self.warnings.truncate(MOST_WARNINGS);
     }
 

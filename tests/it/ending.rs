@@ -133,19 +133,19 @@ fn of_a_station_whose_library_is_still_being_read() {
     assert_eq!(kept.entries[0].load().unwrap().signals.len(), 1);
 }
 
+/// An order to keep every scan.
+fn every_scan() -> Keep {
+    let (surface, user) = ("oak".into(), "anna".into());
+    Keep { surface, user, trials: None, good_only: false, ordered_by: None }
+}
+
 #[test]
 fn of_a_station_whose_disk_takes_no_scan() {
     let dir = tempfile::tempdir().unwrap();
     // A file lies in the place of the library's folder.
     let folder = dir.path().join("library");
     std::fs::write(&folder, "").unwrap();
-    let keep = Keep {
-        surface: "oak".into(),
-        user: "anna".into(),
-        trials: None,
-        good_only: false,
-        ordered_by: None,
-    };
+    let keep = every_scan();
     let (lost, listener) = Became::new(EnrolledOutcome::Lost);
     let store = ScanStore::new(folder, Scene::lmt108());
     let station = |mut station: Station<'static>| {
@@ -236,13 +236,7 @@ fn named_by<'a>(mut station: Station<'a>, slow_part: &'static str) -> Station<'a
 #[test]
 fn of_a_station_that_keeps_scans_and_cannot_say_what_they_are_like() {
     let folder = tempfile::tempdir().unwrap();
-    let keep = Keep {
-        surface: "oak".into(),
-        user: "anna".into(),
-        trials: None,
-        good_only: false,
-        ordered_by: None,
-    };
+    let keep = every_scan();
     let (kept, listener) = Became::new(EnrolledOutcome::Kept);
     let store = ScanStore::new(folder.path().to_path_buf(), Scene::lmt108());
     let station = |mut station: Station<'static>| {
