@@ -11,9 +11,9 @@
 //! ends at every hop of 0.1 s. Prints, with the stay that the configuration expects by default and with
 //! that of the stretches as they were made:
 //!
-//! - the share of hops at which the surface is right, without the first window after each change, for what
-//!   listeners are told (the last change) and for windows that are named singly, by the same rule for unknown
-//!   surfaces; an unknown surface is never right here;
+//! - the share of hops at which the surface is right, without the first window after each change: as recorded
+//!   (each surface from its `since_s` to the next), at once (as listeners are told by then), and for windows
+//!   that are named singly, by the same rule for unknown surfaces; an unknown surface is never right here;
 //! - the median delay of a change, in windows; a change that is never found counts as longest;
 //! - changes to a surface that is not there, in ten stretches;
 //! - processor time, as a share of the time that the data span.
@@ -205,6 +205,7 @@ impl Journey {
         let (mut told, mut at, mut begin_s, mut heard_s): (Option<String>, _, _, _) =
             (None, 0, 0.0, 0.0);
         let mut found = false;
+        let (mut counted, mut changes) = (Vec::new(), Vec::new());
         for (until_s, alone) in self.hops(how.hop_s).zip(alone) {
             while until_s > self.stretches[at].1 + 1e-9 {
                 measured.end(found, f64::INFINITY);
@@ -226,6 +227,7 @@ impl Journey {
             measured.processor_s += processor_s() - before;
             heard_s = until_s;
             if let Some(change) = heard.change {
+                changes.push((change.since_s, change.to.surface.clone()));
                 told = change.to.surface;
                 measured.false_changes += usize::from(told.as_ref() != Some(truth));
             }
@@ -236,11 +238,17 @@ impl Journey {
             }
             if until_s - begin_s >= window_s - 1e-9 {
                 measured.hops += 1;
-                measured.right += usize::from(is_right);
+                measured.right_at_once += usize::from(is_right);
+                counted.push((until_s, truth));
                 measured.right_alone += usize::from(alone.as_ref() == Some(truth));
             }
         }
         measured.end(found, f64::INFINITY);
+        for (until_s, truth) in counted {
+            let recorded = changes.iter().rev().find(|(since_s, _)| *since_s < until_s - 1e-9);
+            let is_right = recorded.is_some_and(|(_, surface)| surface.as_ref() == Some(truth));
+            measured.right += usize::from(is_right);
+        }
         measured.stretches += self.stretches.len();
         measured.seconds += self.duration_s();
     }
@@ -250,6 +258,7 @@ impl Journey {
 struct Measured {
     hops: usize,
     right: usize,
+    right_at_once: usize,
     right_alone: usize,
     /// In windows, for each stretch.
     delays: Vec<f64>,
@@ -271,9 +280,10 @@ impl Measured {
         self.delays.sort_by(f64::total_cmp);
         let percent = |count: usize| 100.0 * count as f64 / self.hops as f64;
         format!(
-            "{:.1} % of hops right (windows singly {:.1} %), median delay {:.2} windows, {} of {} changes \
+            "{:.1} % of hops right as recorded, {:.1} % at once (windows singly {:.1} %), median delay {:.2} windows, {} of {} changes \
              never found, {:.2} false changes in ten stretches, {:.1} % of a core; {} stretches, {:.0} s",
             percent(self.right),
+            percent(self.right_at_once),
             percent(self.right_alone),
             self.delays[self.delays.len() / 2],
             self.delays.iter().filter(|delay| delay.is_infinite()).count(),

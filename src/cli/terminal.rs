@@ -95,7 +95,8 @@ impl Terminal {
         let name = |found: &FoundSurface| found.surface.clone().unwrap_or_else(|| "unknown".into());
         let from =
             change.from.as_ref().map(|found| format!("{} → ", name(found))).unwrap_or_default();
-        result!("scan {:<4} at {:.1} s: {from}{}", change.scan, change.at_s, name(&change.to));
+        let Change { scan, at_s, since_s, to, .. } = change;
+        result!("scan {scan:<4} at {at_s:.1} s: {from}{}, since {since_s:.1} s", name(to));
     }
 
     fn enrolled(&mut self, enrolled: &Enrolled) {

@@ -8,8 +8,13 @@
 //! Windows overlap, so their answers are not independent: taken as such, each second of data would count
 //! window/hop times, and certainty would be far too high. The likelihood of a window therefore has the share
 //! of the window that no earlier window held as its exponent: 1 for the first, and hop/window for one that
-//! follows another. So each second counts as often as in windows that do not overlap. A window with a gap
-//! is no evidence, since the gap is filled with repeated frames.
+//! follows another. So each second counts as often as in windows that do not overlap. A window that may hold
+//! a change is taken for a mixture. A window with a gap is no evidence, since the gap is filled with repeated
+//! frames.
+//!
+//! A change is found some time after it: about a window and a half, where surfaces are much alike. It has both
+//! times, the one when it was found and the one since when the surface is there, as the model has it then;
+//! stretches, and so answers, are from the latter to the next.
 //!
 //! A window that fits no surface by the rule for scans ([`Rejection`]) speaks for an unknown surface, any
 //! other for a known one. For known surfaces the rule errs at its rate, which left-out trials show; for
@@ -34,6 +39,8 @@ use crate::trial::{Series, Signal, TrialKey};
 
 /// How many surfaces a guess names, at most.
 const NAMED: usize = 5;
+/// Into how many steps the filter divides a window, at most: fewer than hops where these are short.
+const STEPS: f64 = 50.0;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Continuous {
@@ -51,6 +58,9 @@ pub struct Change {
     pub scan: u32,
     /// When it was found, in seconds since the begin of the scan.
     pub at_s: f64,
+    /// Since when the surface has been there, as far as known when it was found, in seconds since the begin of
+    /// the scan.
+    pub since_s: f64,
     /// The surface before; `None` at the begin of a scan.
     pub from: Option<FoundSurface>,
     pub to: FoundSurface,
@@ -117,6 +127,8 @@ struct Smoothed {
     /// The surfaces in alphabetical order. An unknown surface is the state after the last of them.
     surfaces: Vec<String>,
     filter: StickyFilter,
+    /// Seconds of a step of the filter.
+    step_s: f64,
 }
 
 /// A time in which the surface stays the same.
@@ -207,11 +219,11 @@ impl MovingScan {
             let recent = self.recent.entry(fresh.source.clone());
             recent.or_insert_with(|| RecentFrames::new(fresh)).add(fresh, self.window_s);
         }
-        let hops = ((scan_s - self.heard_s) / how.hop_s).round() as u32;
-        self.heard_s = *scan_s;
-        if let Some(Smoothed { filter, .. }) = &mut self.smoothed {
-            filter.pass(hops);
+        if let Some(Smoothed { filter, step_s, .. }) = &mut self.smoothed {
+            let step = |seconds: f64| (seconds / *step_s).round();
+            filter.pass((step(*scan_s) - step(self.heard_s)) as u32);
         }
+        self.heard_s = *scan_s;
         if *gap {
             self.whole_from_s = *scan_s;
         }
@@ -237,7 +249,9 @@ impl MovingScan {
         if shares.is_empty() {
             return None;
         }
-        let smoothed = self.smoothed.get_or_insert_with(|| Smoothed::new(&ranking, rejection, how));
+        let smoothed = self
+            .smoothed
+            .get_or_insert_with(|| Smoothed::new(&ranking, rejection, how, self.window_s));
         let weight = ((scan_s - self.counted_s) / self.window_s).min(1.0);
         smoothed.filter.observe(&smoothed.log_likelihood(&ranking, &shares, rejection), weight);
         self.counted_s = *scan_s;
@@ -249,8 +263,9 @@ impl MovingScan {
     fn look(&mut self, window: Window, from: Instant) -> (Option<Change>, Option<AnsweredScan>) {
         let Some(smoothed) = &self.smoothed else { return (None, None) };
         let truth = window.scan.truth.clone();
-        let (state, at_s) = (smoothed.filter.best(), self.heard_s);
-        let is_found = smoothed.filter.belief()[state] > EVEN;
+        let (belief, at_s) = (smoothed.filter.belief(), self.heard_s);
+        let state = most_probable(&belief);
+        let is_found = belief[state] > EVEN;
         let (mut change, mut ended) = (None, None);
         match &mut self.stretch {
             Some(stretch) if stretch.state == state || !is_found => {
@@ -262,16 +277,24 @@ impl MovingScan {
             _ => {
                 let found = |state| smoothed.found(state, self.by.rejection(truth.as_ref()));
                 let before = self.stretch.take();
-                let begin_s = if before.is_some() { at_s } else { self.begin_s };
+                let ago_s = smoothed.filter.age(state).map(|steps| steps as f64 * smoothed.step_s);
+                let begin_s = match (&before, ago_s) {
+                    (Some(before), Some(ago_s)) => (at_s - ago_s).max(before.begin_s),
+                    (Some(before), None) => before.begin_s,
+                    (None, _) => self.begin_s,
+                };
                 change = Some(Change {
                     unix_ms: unix_ms(SystemTime::now()),
                     scan: self.number,
                     at_s,
+                    since_s: begin_s,
                     from: before.as_ref().map(|stretch| found(stretch.state)),
                     to: found(state),
                     confidence: smoothed.shares().get(state).copied(),
                 });
-                ended = before.map(|stretch| stretch.ended(at_s, smoothed, &self.by, from));
+                ended = before
+                    .filter(|stretch| stretch.begin_s < begin_s)
+                    .map(|stretch| stretch.ended(begin_s, smoothed, &self.by, from));
                 self.stretch = Some(Stretch::new(state, begin_s, window, smoothed));
             }
         }
@@ -288,7 +311,7 @@ impl MovingScan {
         guess.since_s = self.stretch.as_ref().map(|stretch| stretch.begin_s);
         let Some(smoothed) = &self.smoothed else { return };
         let belief = smoothed.filter.belief();
-        let best = smoothed.filter.best();
+        let best = most_probable(&belief);
         let ranked = smoothed.ranked(&smoothed.shares());
         let named = ranked.into_iter().take(NAMED);
         guess.named = named
@@ -331,19 +354,31 @@ impl RecentFrames {
     }
 }
 
+/// The first of the most probable states.
+fn most_probable(belief: &[f64]) -> usize {
+    (0..belief.len()).rev().max_by(|&a, &b| belief[a].total_cmp(&belief[b])).unwrap_or(0)
+}
+
 /// Whether a ranking is of an unknown surface; `None` if that cannot be told.
 fn rejected(ranking: &Ranking, rejection: Option<&Rejection>) -> Option<bool> {
     ranking.p_value.zip(rejection).map(|(p_value, rejection)| rejection.rejects(p_value))
 }
 
 impl Smoothed {
-    fn new(ranking: &Ranking, rejection: Option<&Rejection>, how: Continuous) -> Self {
+    fn new(
+        ranking: &Ranking,
+        rejection: Option<&Rejection>,
+        how: Continuous,
+        window_s: f64,
+    ) -> Self {
         let mut surfaces: Vec<String> =
             ranking.ranked.iter().map(|ranked| ranked.surface.clone()).collect();
         surfaces.sort();
         let states = surfaces.len() + usize::from(rejection.is_some());
-        let stay = 1.0 - how.hop_s / how.expected_stay_s;
-        Self { filter: StickyFilter::new(states, stay), surfaces }
+        let step_s = how.hop_s.max(window_s / STEPS);
+        let stay = (-step_s / how.expected_stay_s).exp();
+        let window = (window_s / step_s).round().max(1.0) as usize;
+        Self { filter: StickyFilter::new(states, stay, window), step_s, surfaces }
     }
 
     /// ln of the likelihood of a window in each state, given the probabilities of its ranking.
@@ -389,7 +424,8 @@ impl Smoothed {
 
     /// The probability of each surface, if it is one of the library's.
     fn shares(&self) -> Vec<f64> {
-        let known = &self.filter.belief()[..self.surfaces.len()];
+        let belief = self.filter.belief();
+        let known = &belief[..self.surfaces.len()];
         let sum = known.iter().sum::<f64>().max(f64::MIN_POSITIVE);
         known.iter().map(|p| p / sum).collect()
     }
