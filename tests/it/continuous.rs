@@ -93,8 +93,9 @@ fn joined_surfaces_are_told_apart_soon_after_each_joint_and_an_unknown_one_is_un
     let found: Vec<_> = changes.iter().map(|change| change.to.surface.clone()).collect();
     assert_eq!(found, expected, "{changes:#?}");
     for (at, change) in changes.iter().enumerate() {
-        let since_s = change.at_s - 6.0 * at as f64;
-        assert!((0.05..2.0 * WINDOW_S).contains(&since_s), "{change:?}");
+        let (joint_s, at_s) = (6.0 * at as f64, change.at_s);
+        assert!((0.05..2.0 * WINDOW_S).contains(&(at_s - joint_s)), "{change:?}");
+        assert!((change.since_s - joint_s).abs() < 0.5 * WINDOW_S, "{change:?}");
         let before = at.checked_sub(1).map(|before| changes[before].to.clone());
         assert_eq!((change.scan, &change.from), (1, &before));
         assert_eq!(change.to.state == AnswerState::Unknown, change.to.surface.is_none());
@@ -106,6 +107,7 @@ fn joined_surfaces_are_told_apart_soon_after_each_joint_and_an_unknown_one_is_un
     let mut begin_s = 0.0;
     for (answer, surface) in answers.iter().zip(stretches) {
         assert!((answer.begin_s.unwrap() - begin_s).abs() < 1e-9, "{answer:?}");
+        assert!(changes.iter().any(|change| (change.since_s - begin_s).abs() < 1e-9));
         begin_s += answer.scan_s;
         assert_eq!(answer.truth.as_deref(), Some(SURFACES[surface].0));
         assert_eq!(answer.confidence.is_some(), surface < 3);
