@@ -26,7 +26,7 @@ mod view;
 pub(crate) use self::audit::{Actor, AuditRecord, Role};
 pub(crate) use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
 pub(crate) use self::entries::HistoryRow;
-pub(crate) use drift::{ChartView, Drift, Quantity, ReferenceView};
+pub(crate) use drift::{ChartView, Drift, Quantity, ReferenceView, news};
 pub use keeper::Keeper;
 pub(crate) use view::{Bands, WINDOW, bands, four_digits};
 
