@@ -13,11 +13,16 @@ use std::time::{Duration, Instant};
 use common::http::{SOON, answer};
 use serde_json::Value;
 use surfaced::device::DeviceState;
-use surfaced::history::History;
+use surfaced::history::{History, Keeper};
 use surfaced::outputs::{Output, OutputView};
 use surfaced::recognise::RankedSurface;
+use surfaced::scan::Scan;
+use surfaced::scene::{Scene, SourceId};
 use surfaced::station::config::{AlertCause, AlertConfig, OutputsConfig, TlsFiles};
-use surfaced::station::{Answer, AnswerState, Change, FoundSurface, Listener, StationEvent};
+use surfaced::station::{
+    Answer, AnswerState, AnsweredScan, Change, ChannelLevel, FoundSurface, LibraryState, Listener,
+    StationEvent,
+};
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::server::WebPkiClientVerifier;
@@ -207,6 +212,55 @@ fn an_alert_switches_a_coil_on_for_a_while_and_the_end_of_the_station_off() {
     assert_eq!(next(), (9, 300, true));
     drop(output);
     assert_eq!(next(), (9, 300, false));
+}
+
+#[test]
+fn a_drift_of_a_reference_surface_is_posted_once_with_its_doubts_and_switches_a_coil() {
+    let folder = tempfile::tempdir().unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let (port, switched) = controller();
+    let http = format!("http://{}/bell", listener.local_addr().unwrap()).parse().unwrap();
+    let coil = format!("modbus://127.0.0.1:{port}/9/300").parse().unwrap();
+    let (name, on) = ("worn".into(), AlertCause::Drift);
+    let (scans, of) = (1, 1);
+    let rule =
+        AlertConfig { name, on, scans, of, http: Some(http), coil: Some(coil), ..two_unknown() };
+    let config = OutputsConfig { alerts: vec![rule], ..config(None, None) };
+    let history = Arc::new(History::open(&folder.path().join("history"), 1_000_000).unwrap());
+    let mut keeper =
+        Keeper::start(history.clone(), Scene::lmt108(), Default::default(), None).unwrap();
+    let mut outputs =
+        Output::start(&config, &folder.path().join("outbox"), (&history, &Arc::default())).unwrap();
+    let reference = [("oak".to_string(), 0)].into();
+    let library = LibraryState { reference, ..LibraryState::default() };
+    keeper.on_event(&StationEvent::Library(library));
+    // From scan 31 on, a channel is louder by 3 dB.
+    for number in 1..=40 {
+        let moved_db = if number > 30 { 3.0 } else { 0.1 * f64::from(number % 3) };
+        let source = SourceId::new("ac").unwrap();
+        let (level_db, noise_db) = (moved_db - 20.0, None);
+        let levels = vec![ChannelLevel { source, channel: 1, level_db, noise_db }];
+        let answer = Arc::new(Answer { levels, ..answer(number, Some("oak")) });
+        for output in &mut outputs {
+            output.on_event(&StationEvent::Answer(answer.clone()));
+        }
+        let scan = Box::new(Scan::of_signals(number, Default::default()));
+        let answered = AnsweredScan { scan, answer, by: None };
+        keeper.on_event(&StationEvent::Scan(Arc::new(answered)));
+        // The keeper takes no more at once than its queue holds.
+        let begin = Instant::now();
+        while history.extent().scans < number as usize {
+            assert!(begin.elapsed() < SOON, "{:?}", history.extent());
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+    let alert = &bodies(&listener, &[200])[0];
+    assert_eq!((&alert["alert"], &alert["sequence"]), (&"worn".into(), &1.into()));
+    let doubts = alert["drift"].as_array().unwrap();
+    assert_eq!((doubts.len(), &doubts[0]["kind"]), (1, &"level_drift".into()));
+    assert!(alert["state"].is_null() && alert["scans"].is_null(), "{alert}");
+    let next = || switched.recv_timeout(SOON).unwrap();
+    assert_eq!([next(), next()], [(9, 300, true), (9, 300, false)]);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use serde_json::Value;
 /// The columns for one station: fields of an answer, its correction and its trial.
 pub(crate) const COLUMNS: &str = "id unix_ms scan state surface nearest reasons confidence fit margin scan_s \
                        settled_s latency_ms lost_samples truth sources spoiled correction became \
-                       p_value doubts begin_s";
+                       p_value doubts begin_s corrected_by became_by";
 
 /// The columns for many stations, with the station and without corrections.
 pub(crate) const STATION_COLUMNS: &str = "station sequence id unix_ms scan state surface nearest reasons \
@@ -36,6 +36,7 @@ fn cell(scan: &Value, column: &str) -> String {
             "surface" | "" => (&scan["correction"]["surface"], None),
             other => (&Value::Null, Some(format!("({other})"))),
         },
+        "corrected_by" => (&scan["correction"]["person"], None),
         "doubts" => (&Value::Null, Some(kinds(&scan["doubts"]))),
         column => (&scan[column], None),
     };
@@ -70,7 +71,8 @@ mod tests {
     fn a_scan_is_a_line_whatever_its_texts_hold() {
         let scan = serde_json::json!({
             "id": "x", "surface": "oak, \"sanded\"", "reasons": ["a", "b"], "scan_s": 1.5,
-            "ranked": [{"surface": "oak"}], "correction": {"was": "unknown"},
+            "ranked": [{"surface": "oak"}], "correction": {"was": "unknown", "person": "anna"},
+            "became_by": "ben",
             "doubts": [{"kind": "clipped", "text": "a"}, {"kind": "too_short"}],
         });
         let mut text = Vec::new();
@@ -85,7 +87,7 @@ mod tests {
         assert_eq!(others, ["-1.5", "'@x", "'+a", "'-b"]);
         assert_eq!(
             line,
-            "x,,,,\"oak, \"\"sanded\"\"\",oak,a; b,,,,1.5,,,,,,,(unknown),,,clipped; too_short,"
+            "x,,,,\"oak, \"\"sanded\"\"\",oak,a; b,,,,1.5,,,,,,,(unknown),,,clipped; too_short,,anna,ben"
         );
     }
 }

@@ -2,6 +2,7 @@
 //! scanned again and again. What changes in these scans is the station.
 
 use std::collections::BTreeMap;
+use std::mem::{Discriminant, discriminant};
 
 use serde::Serialize;
 use serde_json::Value;
@@ -210,6 +211,24 @@ fn doubt((quantity, channel): &Key, surface: &str, chart: &Chart) -> Doubt {
         }
         (_, None) => Doubt::FitDrift { surface, moved, limit },
     }
+}
+
+/// Which of these doubts about drift are about something that none of those before is about.
+pub(crate) fn news<'a>(before: &[Doubt], doubts: &'a [Doubt]) -> impl Iterator<Item = &'a Doubt> {
+    doubts.iter().filter(|doubt| !before.iter().any(|known| about(known) == about(doubt)))
+}
+
+/// What a doubt about drift is about, without its numbers, which change with each scan.
+fn about(doubt: &Doubt) -> (Discriminant<Doubt>, &str, Option<(&SourceId, usize)>) {
+    let (surface, channel) = match doubt {
+        Doubt::LevelDrift { source, channel, surface, .. }
+        | Doubt::NoiseDrift { source, channel, surface, .. } => {
+            (surface.as_str(), Some((source, *channel)))
+        }
+        Doubt::FitDrift { surface, .. } => (surface.as_str(), None),
+        _ => ("", None),
+    };
+    (discriminant(doubt), surface, channel)
 }
 
 fn view((quantity, of): Key, points: &Points<'_>, chart: Option<Chart>) -> ChartView {

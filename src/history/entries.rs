@@ -28,6 +28,8 @@ pub(crate) struct HistoryRow {
     pub correction: Option<Correction>,
     /// The trial of the library that the scan became, as `SURFACE/TRIAL`.
     pub became: Option<String>,
+    /// Who made that trial, or moved or removed it last; `None` if nobody gave a name.
+    pub became_by: Option<String>,
     pub kept: bool,
 }
 
@@ -37,13 +39,14 @@ pub(super) struct HistoryEntry {
     pub text: Text,
     pub correction: Option<Correction>,
     pub became: Option<String>,
+    pub became_by: Option<String>,
     /// Bytes of the scan's signals on disk; `None` if they are not kept.
     pub signals: Option<u64>,
 }
 
 impl HistoryEntry {
     pub(super) fn new(head: Head, text: Text) -> Self {
-        Self { head, text, correction: None, became: None, signals: None }
+        Self { head, text, correction: None, became: None, became_by: None, signals: None }
     }
 }
 
@@ -98,7 +101,9 @@ impl HistoryState {
                 entry.correction = correction;
                 self.drift = None;
             }
-            LogLine::Trial { trial, .. } => entry.became = trial,
+            LogLine::Trial { trial, person, .. } => {
+                (entry.became, entry.became_by) = (trial, person);
+            }
         }
     }
 
@@ -123,6 +128,7 @@ impl HistoryState {
         Ok(HistoryRow {
             correction: entry.correction.clone(),
             became: entry.became.clone(),
+            became_by: entry.became_by.clone(),
             kept: entry.signals.is_some(),
             ..serde_json::from_str(&text).unwrap_or_else(|_| damaged())
         })

@@ -5,7 +5,7 @@
 //! {"answer": {…}}                                        an answer, as clients get it
 //! {"signals": {"id": "…", "bytes": 1500000}}             bytes of the scan's signals; null if removed
 //! {"correction": {"id": "…", "correction": {"was": "surface", "surface": "oak", "person": "anna"}}}
-//! {"trial": {"id": "…", "trial": "oak/anna-03"}}         the scan became this trial of the library
+//! {"trial": {"id": "…", "trial": "oak/anna-03", "person": "anna"}}    the scan became this trial of the library
 //! ```
 
 use std::fs::{self, File, OpenOptions};
@@ -49,9 +49,21 @@ impl Head {
 #[serde(rename_all = "lowercase")]
 pub(super) enum LogLine {
     Answer(Head),
-    Signals { id: String, bytes: Option<u64> },
-    Correction { id: String, correction: Option<Correction> },
-    Trial { id: String, trial: Option<String> },
+    Signals {
+        id: String,
+        bytes: Option<u64>,
+    },
+    Correction {
+        id: String,
+        correction: Option<Correction>,
+    },
+    Trial {
+        id: String,
+        trial: Option<String>,
+        /// Who made, moved or removed the trial; `None` if nobody gave a name.
+        #[serde(default)]
+        person: Option<String>,
+    },
 }
 
 impl LogLine {

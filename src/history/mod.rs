@@ -26,7 +26,7 @@ mod view;
 pub(crate) use self::audit::{Actor, AuditRecord, Role};
 pub(crate) use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
 pub(crate) use self::entries::HistoryRow;
-pub(crate) use drift::{ChartView, Drift, Quantity, ReferenceView};
+pub(crate) use drift::{ChartView, Drift, Quantity, ReferenceView, news};
 pub use keeper::Keeper;
 pub(crate) use view::{Bands, WINDOW, bands, four_digits};
 
@@ -224,22 +224,32 @@ impl History {
         Ok(before)
     }
 
-    /// Notes which trial of the library a scan became; `None` if it is no longer one.
-    pub(crate) fn became(&self, id: &str, trial: Option<String>) -> Result<(), HistoryError> {
+    /// Notes which trial of the library a scan became, and who made it so; `None` if it is no longer one.
+    pub(crate) fn became(
+        &self,
+        id: &str,
+        trial: Option<String>,
+        person: Option<String>,
+    ) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         inner.find(id)?;
-        inner.change(LogLine::Trial { id: id.into(), trial })
+        inner.change(LogLine::Trial { id: id.into(), trial, person })
     }
 
-    /// Updates the scans that became trials, after trials of the library were moved or removed.
-    pub(crate) fn relocated(&self, moves: &[Move]) -> Result<(), HistoryError> {
+    /// Updates the scans that became trials, after a person moved or removed trials of the library.
+    pub(crate) fn relocated(
+        &self,
+        moves: &[Move],
+        person: Option<&str>,
+    ) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
         let went: BTreeMap<&str, &str> =
             moves.iter().map(|one| (one.from.as_str(), one.to.as_str())).collect();
         let of = |entry: &HistoryEntry| {
             let to = *went.get(entry.became.as_deref()?)?;
             let trial = (!to.starts_with('.')).then(|| to.to_string());
-            Some(LogLine::Trial { id: entry.head.id.clone(), trial })
+            let person = person.map(String::from);
+            Some(LogLine::Trial { id: entry.head.id.clone(), trial, person })
         };
         let lines: Vec<LogLine> = inner.entries.iter().filter_map(of).collect();
         lines.into_iter().try_for_each(|line| inner.change(line))

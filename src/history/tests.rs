@@ -61,7 +61,7 @@ fn what_was_answered_kept_and_corrected_is_there_after_a_restart() {
         let id = keep(&history, 1, 100);
         history.answered(&answer(2, None)).unwrap();
         history.correct(&id, Some(was.clone())).unwrap();
-        history.became(&id, Some("ash/anna-01".into())).unwrap();
+        history.became(&id, Some("ash/anna-01".into()), Some("ben".into())).unwrap();
         assert!(matches!(History::open(dir.path(), 1), Err(HistoryError::InUse(_))));
         id
     };
@@ -74,6 +74,7 @@ fn what_was_answered_kept_and_corrected_is_there_after_a_restart() {
     let first = history.answer("1").unwrap();
     assert_eq!((&first.head.id, &first.correction), (&id, &Some(was)));
     assert_eq!((first.became.as_deref(), first.kept), (Some("ash/anna-01"), true));
+    assert_eq!(first.became_by.as_deref(), Some("ben"));
     let json = serde_json::to_value(&first).unwrap();
     assert_eq!(
         (&json["correction"]["was"], &json["link"]),

@@ -1,55 +1,80 @@
-//! Alerts: answers that somebody must hear of at once, by rules; and the coil of a Modbus device that an
-//! alert switches.
+//! Alerts: answers, and drifts, that somebody must hear of at once, by rules; and the coil of a Modbus
+//! device that an alert switches.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use serde::Serialize;
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
-use tokio::time::{Instant, sleep, timeout, timeout_at};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout, timeout_at};
 use tokio_modbus::client::{Context, Reader, Writer, tcp};
 use tokio_modbus::slave::Slave;
 
 use super::{BackOff, OutputHealth, Said};
+use crate::history::{History, news};
+use crate::record::unix_ms;
 use crate::station::config::{AlertCause, AlertConfig, CoilAddress};
 use crate::station::{Answer, AnswerState};
+use crate::trial::Doubt;
 
 /// How long one attempt to switch a coil may take.
 const ATTEMPT: Duration = Duration::from_secs(3);
 /// How long after an alert its coil may still be switched on: later, the part is gone.
 const LATEST: Duration = Duration::from_secs(10);
+/// Interval at which the history is asked for drift.
+const DRIFT_EVERY: Duration = Duration::from_secs(1);
 
 /// What an alert says.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Alert {
     /// The name of its rule.
     pub alert: String,
-    /// When the answer was given that made it, in milliseconds since 1970.
+    /// When the answer was given that made it, or the drift was found, in milliseconds since 1970.
     pub unix_ms: u64,
-    /// How many of the last `of` answers fit the rule.
-    pub scans: usize,
-    pub of: usize,
-    /// The newest of these answers.
-    pub id: String,
-    pub link: String,
-    pub state: AnswerState,
-    pub surface: Option<String>,
+    #[serde(flatten)]
+    why: Reason,
 }
 
-/// A rule, and the answers that it has heard.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+enum Reason {
+    Answers {
+        /// How many of the last `of` answers fit the rule.
+        scans: usize,
+        of: usize,
+        /// The newest of these answers.
+        id: String,
+        link: String,
+        state: AnswerState,
+        surface: Option<String>,
+    },
+    Drift {
+        /// All that has drifted by now.
+        drift: Vec<Doubt>,
+    },
+}
+
+/// A rule, and what it has heard.
 #[derive(Debug)]
 pub(super) struct Watch {
     rule: AlertConfig,
     /// Whether each of the last answers fits the rule, the newest last.
     heard: VecDeque<bool>,
+    /// What the last alert said of drift, as far as it has not ended since.
+    drifted: Vec<Doubt>,
     quiet_until_ms: u64,
 }
 
 impl Watch {
     pub(super) fn new(rule: &AlertConfig) -> Self {
-        Self { rule: rule.clone(), heard: VecDeque::new(), quiet_until_ms: 0 }
+        let (heard, drifted) = (VecDeque::new(), Vec::new());
+        Self { rule: rule.clone(), heard, drifted, quiet_until_ms: 0 }
+    }
+
+    pub(super) fn is_for_drift(&self) -> bool {
+        self.rule.on == AlertCause::Drift
     }
 
     /// Hears an answer; gives an alert if the answer fits the rule, as enough of the last ones do, and no
@@ -58,6 +83,7 @@ impl Watch {
         let fits = match &self.rule.on {
             AlertCause::State(state) => answer.state == *state,
             AlertCause::Surface(surface) => answer.surface.as_ref() == Some(surface),
+            AlertCause::Drift => return None,
         };
         self.heard.push_back(fits);
         if self.heard.len() > self.rule.of {
@@ -67,18 +93,54 @@ impl Watch {
         if !fits || scans < self.rule.scans || answer.unix_ms < self.quiet_until_ms {
             return None;
         }
-        let cooldown = u64::try_from(self.rule.cooldown.as_millis()).unwrap_or(u64::MAX);
-        self.quiet_until_ms = answer.unix_ms.saturating_add(cooldown);
-        Some(Arc::new(Alert {
-            alert: self.rule.name.clone(),
-            unix_ms: answer.unix_ms,
+        let why = Reason::Answers {
             scans,
             of: self.rule.of,
             id: answer.id.clone(),
             link: answer.link.clone(),
             state: answer.state,
             surface: answer.surface.clone(),
-        }))
+        };
+        Some(self.alert(answer.unix_ms, why))
+    }
+
+    /// Sees what has drifted by now; gives an alert if something has that the last one did not say. What
+    /// begins within the cooldown is said at its end, since a drift lasts.
+    fn sees(&mut self, drift: &[Doubt], unix_ms: u64) -> Option<Arc<Alert>> {
+        let ended: Vec<Doubt> = news(drift, &self.drifted).cloned().collect();
+        self.drifted.retain(|doubt| !ended.contains(doubt));
+        if unix_ms < self.quiet_until_ms || news(&self.drifted, drift).next().is_none() {
+            return None;
+        }
+        self.drifted = drift.to_vec();
+        Some(self.alert(unix_ms, Reason::Drift { drift: drift.to_vec() }))
+    }
+
+    fn alert(&mut self, unix_ms: u64, why: Reason) -> Arc<Alert> {
+        let cooldown = u64::try_from(self.rule.cooldown.as_millis()).unwrap_or(u64::MAX);
+        self.quiet_until_ms = unix_ms.saturating_add(cooldown);
+        Arc::new(Alert { alert: self.rule.name.clone(), unix_ms, why })
+    }
+}
+
+/// Says the drift that the scans of a history show, until the station ends. Scans are added to the history
+/// on threads of its own, so no event of the station tells when the drift has changed.
+pub(super) async fn watch_drift(
+    history: Arc<History>,
+    mut watches: Vec<Watch>,
+    said: mpsc::WeakSender<Said>,
+) {
+    let mut due = interval(DRIFT_EVERY);
+    due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        due.tick().await;
+        let (drift, now) = (history.drift(), unix_ms(SystemTime::now()));
+        let Some(said) = said.upgrade() else { return };
+        for alert in watches.iter_mut().filter_map(|watch| watch.sees(&drift.doubts, now)) {
+            if said.send(Said::Alert(alert)).await.is_err() {
+                return;
+            }
+        }
     }
 }
 
@@ -197,5 +259,30 @@ mod tests {
         assert_eq!(alerts(&mut watch(unknown(), (2, 2), 3), "uuuuuuu"), [1, 4]);
         let oak = || AlertCause::Surface("oak".into());
         assert_eq!(alerts(&mut watch(oak(), (1, 1), 0), "u?u."), [1, 3]);
+    }
+
+    #[test]
+    fn a_drift_is_said_once_until_it_ends_and_a_second_one_at_the_end_of_the_cooldown() {
+        let of = |surface: char, moved: f64| Doubt::FitDrift {
+            surface: surface.into(),
+            moved,
+            limit: 0.1,
+        };
+        let mut watch = watch(AlertCause::Drift, (1, 1), 2);
+        // What has drifted, second by second; the numbers change with each scan.
+        let seen = ["", "o", "o", "o", "oa", "oa", "oa", "", "a", "oa"];
+        let said: Vec<(u64, usize)> = (0..)
+            .zip(seen)
+            .filter_map(|(second, surfaces)| {
+                let drift: Vec<_> =
+                    surfaces.chars().map(|letter| of(letter, -0.2 - second as f64)).collect();
+                let alert = watch.sees(&drift, 1000 * second)?;
+                let Reason::Drift { drift } = &alert.why else { panic!("{alert:?}") };
+                Some((second, drift.len()))
+            })
+            .collect();
+        assert_eq!(said, [(1, 1), (4, 2), (8, 1)]);
+        let answer = Answer::of(&crate::scan::Scan::of_signals(0, Default::default()), 0.0);
+        assert_eq!(watch.hears(&answer), None, "answers are not its business");
     }
 }

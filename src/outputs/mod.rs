@@ -209,11 +209,12 @@ impl Output {
         shown: (&Arc<History>, &Arc<OnceLock<String>>),
     ) -> Result<Vec<Self>, HistoryError> {
         let OutputsConfig { station, http, mqtt, alerts } = config;
+        let history = shown.0;
         let folder = folder.join(station);
         let mut outputs = Vec::new();
         if let Some(address) = http {
             let wants = Wants { card: None, answers: true, alerts: Vec::new() };
-            outputs.push(Self::posting((&folder, station), ("http", address), wants)?);
+            outputs.push(Self::posting((&folder, station), ("http", address), wants, history)?);
         }
         if let Some(address) = mqtt {
             let output = ("mqtt", format!("{address}/{station}"));
@@ -222,19 +223,19 @@ impl Output {
             let publisher = mqtt::Publisher::new(pending, address, card.clone(), shown)?;
             let alerts = alerts.iter().map(Watch::new).collect();
             let wants = Wants { card: Some(card), answers: true, alerts };
-            outputs.push(Self::new(health, wants, |answers| publisher.run(answers))?);
+            outputs.push(Self::new(health, wants, history, |answers| publisher.run(answers))?);
         }
         for rule in alerts {
             if let Some(address) = &rule.http {
                 let name = format!("alert-{}", rule.name);
-                let output = (&*name, address);
-                outputs.push(Self::posting((&folder, station), output, Wants::alert(rule))?);
+                let (place, output) = ((&*folder, &**station), (&*name, address));
+                outputs.push(Self::posting(place, output, Wants::alert(rule), history)?);
             }
             if let Some(coil) = rule.coil.clone() {
                 let (health, hold) = (OutputHealth::new(coil.to_string()), rule.hold);
                 let own = health.clone();
                 let switch = move |alerts| alert::switch_all(own, coil, hold, alerts);
-                outputs.push(Self::new(health, Wants::alert(rule), switch)?);
+                outputs.push(Self::new(health, Wants::alert(rule), history, switch)?);
             }
         }
         Ok(outputs)
@@ -245,16 +246,18 @@ impl Output {
         (folder, station): (&Path, &str),
         (name, address): (&str, &HttpAddress),
         wants: Wants,
+        history: &Arc<History>,
     ) -> Result<Self, HistoryError> {
         let pending = Pending::open(folder, (name, address.to_string()), station)?;
         let (health, receiver) = (pending.health.clone(), Receiver::of(address)?);
-        Self::new(health, wants, |said| http::post_all(pending, receiver, said))
+        Self::new(health, wants, history, |said| http::post_all(pending, receiver, said))
     }
 
-    /// Creates an output that runs `work` on its own thread.
+    /// Creates an output that runs `work` on its own thread, and watches the drift there if a rule is for it.
     fn new<F: Future<Output = ()>>(
         health: OutputHealth,
-        wants: Wants,
+        mut wants: Wants,
+        history: &Arc<History>,
         work: impl FnOnce(mpsc::Receiver<Said>) -> F + Send + 'static,
     ) -> Result<Self, HistoryError> {
         let (said, to_send) = mpsc::channel(QUEUE);
@@ -262,6 +265,11 @@ impl Output {
         let system = |error| HistoryError::Io { path: health.view().output.into(), error };
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(system)?;
+        let for_drift: Vec<_> = wants.alerts.extract_if(.., |watch| watch.is_for_drift()).collect();
+        if !for_drift.is_empty() {
+            let said = said.downgrade();
+            runtime.spawn(alert::watch_drift(history.clone(), for_drift, said));
+        }
         let run = move || {
             let _working = working;
             runtime.block_on(work(to_send));

@@ -4,7 +4,6 @@
 //! exists because handlers of requests must be `Send`.
 
 use std::collections::BTreeMap;
-use std::mem::{Discriminant, discriminant};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -25,6 +24,7 @@ use super::trace::{self, Tracer};
 use crate::device::camera::{CameraView, Viewfinder};
 use crate::device::{Warning, WarningKind};
 use crate::evaluate::CheckReport;
+use crate::history::news;
 use crate::outputs::{OutputHealth, OutputView};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
@@ -132,19 +132,15 @@ impl HubState {
 
     /// Publishes the doubts that follow from reference scans, with a warning of each new one.
     fn publish_drift(&mut self, doubts: &[Doubt]) {
-        if kinds(doubts).eq(kinds(&self.drift)) {
-            self.drift = doubts.to_vec();
-            return;
+        let before = std::mem::replace(&mut self.drift, doubts.to_vec());
+        for doubt in news(&before, doubts) {
+            let warning = Warning::new(WarningKind::Drift, format!("drift: {doubt}"));
+            self.state.take(&StationEvent::Warning(warning));
+            self.publish_warning();
         }
-        for doubt in doubts {
-            if !kinds(&self.drift).any(|known| known == kind(doubt)) {
-                let warning = Warning::new(WarningKind::Drift, format!("drift: {doubt}"));
-                self.state.take(&StationEvent::Warning(warning));
-                self.publish_warning();
-            }
+        if news(&before, doubts).chain(news(doubts, &before)).next().is_some() {
+            self.publish(EventKind::Drift, &doubts);
         }
-        self.drift = doubts.to_vec();
-        self.publish(EventKind::Drift, &doubts);
     }
 
     fn take(&mut self, notice: &StationEvent) {
@@ -206,22 +202,6 @@ impl HubState {
             self.publish(EventKind::Advice, &self.state.advice.clone());
         }
     }
-}
-
-/// What a doubt about drift is about, without its numbers, which change with each scan.
-fn kind(doubt: &Doubt) -> (Discriminant<Doubt>, String) {
-    match doubt {
-        Doubt::LevelDrift { source, channel, surface, .. }
-        | Doubt::NoiseDrift { source, channel, surface, .. } => {
-            (discriminant(doubt), format!("{surface}\n{source}\n{channel}"))
-        }
-        Doubt::FitDrift { surface, .. } => (discriminant(doubt), surface.clone()),
-        other => (discriminant(other), String::new()),
-    }
-}
-
-fn kinds(doubts: &[Doubt]) -> impl Iterator<Item = (Discriminant<Doubt>, String)> + '_ {
-    doubts.iter().map(kind)
 }
 
 impl Hub {

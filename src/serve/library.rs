@@ -114,7 +114,7 @@ async fn edited(
     let step = aside(move || {
         let step = edit(&mut Editor::open(&library.folder, &library.scene)?)?;
         // If the moves cannot be recorded now, moved trials are found later by their notes.
-        let _ = history.relocated(&step.moves);
+        let _ = history.relocated(&step.moves, by.person.as_deref());
         let moves = step.moves.iter();
         history.note_changes(moves.map(|one| moved(&by, action, Some(&one.from), Some(&one.to))));
         Ok(step)

@@ -159,12 +159,12 @@ fn correct_all(
             Ok(Some(moves)) => {
                 let (from, to) =
                     moves.get(id).map_or((None, None), |(from, to)| (Some(from), to.as_ref()));
-                history.became(id, to.cloned())?;
+                let from = from.filter(|from| Some(*from) != to);
+                let person = from.map_or(&scan.became_by, |_| &by.person);
+                history.became(id, to.cloned(), person.clone())?;
                 let action = if to.is_some() { "move" } else { "remove" };
-                records.extend(
-                    from.filter(|from| Some(*from) != to)
-                        .map(|from| moved(by, action, Some(from), to.map(String::as_str))),
-                );
+                records
+                    .extend(from.map(|from| moved(by, action, Some(from), to.map(String::as_str))));
             }
         }
         let before = history.correct(id, correction.clone())?;
@@ -243,12 +243,12 @@ async fn keep(
         let there = edit::trial_of_note(&library.folder, &notes(&scan), scan.became.as_deref());
         if let Some(trial) = there {
             // After a crash, the trial may exist although the history does not say so.
-            history.became(id, Some(trial.clone()))?;
+            history.became(id, Some(trial.clone()), scan.became_by.clone())?;
             let why = format!("this scan is a trial of the library already: {trial}");
             return Err(Problem::Bad(why));
         }
         let trial = to_library(&library, &scan, &history.folder(id)?, user)?;
-        history.became(id, Some(trial.clone()))?;
+        history.became(id, Some(trial.clone()), by.person.clone())?;
         history.note_changes([AuditRecord::now(&by, "keep", Some(id), (None, Some(&trial)))]);
         Ok(history.answer(id)?)
     });

@@ -73,6 +73,10 @@ pub struct Enrolled {
     pub doubts: Vec<Doubt>,
     /// The surface that the library named for this scan before the trial was added, if any.
     pub nearest: Option<String>,
+    /// The probability of that name, as stated then; `None` if none was stated.
+    pub probability: Option<f64>,
+    /// Number of trials of `surface` that the library had then; `None` if it gave no answer.
+    pub known: Option<usize>,
     /// Number of trials that the order still lacks; 0 if it has ended, `u32::MAX` if it has no limit.
     pub wanted: u32,
 }
@@ -87,6 +91,11 @@ pub struct Enrolling {
     /// The number of trials that were ordered; `None` if every scan is kept.
     pub trials: Option<u32>,
     pub kept: u32,
+    /// How many of the kept trials a library gave an answer to before they were added, among those of a
+    /// surface that it had.
+    pub asked: u32,
+    /// How many of these it named right.
+    pub right: u32,
     pub refused: Option<RefusedScan>,
     /// Who gave the order; `None` if nobody gave a name.
     pub ordered_by: Option<String>,

@@ -28,6 +28,9 @@ pub(super) struct Enrolment {
 struct Order {
     enrolment: Enrolment,
     kept: u32,
+    /// How many of these a library could name before they were added, and how many it named right.
+    asked: u32,
+    right: u32,
     /// The order's last scan, if it was refused.
     refused: Option<RefusedScan>,
     being_written: u32,
@@ -40,7 +43,8 @@ struct Order {
 impl Order {
     fn new(order: u64, keep: Keep, from: u32) -> Self {
         let enrolment = Enrolment { order, keep };
-        Self { enrolment, kept: 0, refused: None, being_written: 0, from, until: None }
+        let (kept, asked, right) = (0, 0, 0);
+        Self { enrolment, kept, asked, right, refused: None, being_written: 0, from, until: None }
     }
 
     /// Number of trials still to be kept; `None` if every scan is kept.
@@ -124,6 +128,10 @@ impl Orders {
             let ended = enrolled.outcome != EnrolledOutcome::Waiting;
             order.being_written = order.being_written.saturating_sub(u32::from(ended));
             order.kept += u32::from(enrolled.outcome == EnrolledOutcome::Kept);
+            let is_asked = enrolled.known > Some(0);
+            let is_right = enrolled.nearest.as_ref() == Some(&enrolled.surface);
+            order.asked += u32::from(is_asked);
+            order.right += u32::from(is_asked && is_right);
             let (scan, doubts) = (enrolled.scan, &enrolled.doubts);
             order.refused = (enrolled.outcome == EnrolledOutcome::Refused)
                 .then(|| RefusedScan { scan, doubts: doubts.clone() });
@@ -151,8 +159,9 @@ impl Orders {
         let open = |order: &&Order| order.to_come() != Some(0);
         let order = newest.filter(open).or(self.own.as_ref().filter(open))?;
         let Keep { surface, user, trials, ordered_by, .. } = order.enrolment.keep.clone();
-        let (wanted, kept, refused) = (order.to_come(), order.kept, order.refused.clone());
-        Some(Enrolling { surface, user, wanted, trials, kept, refused, ordered_by })
+        let (wanted, refused) = (order.to_come(), order.refused.clone());
+        let Order { kept, asked, right, .. } = *order;
+        Some(Enrolling { surface, user, wanted, trials, kept, asked, right, refused, ordered_by })
     }
 
     fn forget(&mut self) {
@@ -212,6 +221,25 @@ mod tests {
         orders.give(keep("ash", Some(2)), 3);
         orders.count(&ash, became(&ash, EnrolledOutcome::Kept));
         assert_eq!(in_force(&orders), Some(("ash".into(), Some(2))));
+    }
+
+    #[test]
+    fn an_order_counts_the_trials_that_a_library_with_their_surface_named_right_before() {
+        let mut orders = Orders::default();
+        orders.give(keep("oak", Some(9)), 1);
+        let oak = orders.claim(1).unwrap();
+        let mut count = |known, nearest: Option<&str>| {
+            let nearest = nearest.map(String::from);
+            let kept = became(&oak, EnrolledOutcome::Kept);
+            orders.count(&oak, Enrolled { known, nearest, ..kept });
+            let now = orders.in_force().unwrap();
+            (now.kept, now.asked, now.right)
+        };
+        assert_eq!(count(None, None), (1, 0, 0), "no library");
+        assert_eq!(count(Some(0), Some("ash")), (2, 0, 0), "it lacked the surface");
+        assert_eq!(count(Some(3), Some("oak")), (3, 1, 1));
+        assert_eq!(count(Some(3), Some("ash")), (4, 2, 1));
+        assert_eq!(count(Some(3), None), (5, 3, 1), "unknown");
     }
 
     #[test]

@@ -16,7 +16,7 @@ use crate::recognise::{
 };
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, Signal, TrialKey, flaws_of};
+use crate::trial::{Doubt, Signal, TrialKey, flaws_of, normal};
 
 /// The flaws of a scan's series.
 pub(super) type FlawsBySource = BTreeMap<SourceId, Vec<Doubt>>;
@@ -89,7 +89,13 @@ impl Recogniser {
         let settling = with_options.filter_map(|(model, options)| {
             Some(model.clone().embedding()?.follow(options).settling().clone())
         });
-        settling.collect()
+        let settling = settling.collect();
+        // With folds, each model has a library of its own.
+        if let [model] = &self.models[..] {
+            let each = model.clone().embedding().map(|model| model.left_out_of_each());
+            self.library.left_out = each.unwrap_or_default();
+        }
+        settling
     }
 
     /// A scan's model, made without the scan if `truth` names a trial, and the options to follow it.
@@ -220,6 +226,14 @@ impl Recogniser {
     }
 }
 
+fn as_left_out<S: Serializer>(
+    left_out: &BTreeMap<String, (usize, usize)>,
+    to: S,
+) -> Result<S::Ok, S::Error> {
+    let row = |(surface, (trials, right)): (_, &_)| serde_json::json!({ "surface": surface, "trials": trials, "right": right });
+    to.collect_seq(left_out.iter().map(row))
+}
+
 fn as_rows<S: Serializer>(surfaces: &[(String, usize)], to: S) -> Result<S::Ok, S::Error> {
     let row = |(surface, trials): &_| serde_json::json!({ "surface": surface, "trials": trials });
     to.collect_seq(surfaces.iter().map(row))
@@ -237,6 +251,10 @@ pub struct LibraryState {
     /// JSON lacks it if there are none.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub reference: BTreeMap<String, u64>,
+    /// Of each surface, how many of its trials were left out, one group after another, and how many of
+    /// these the rest of the library named right. JSON lacks it if none could be.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty", serialize_with = "as_left_out")]
+    pub left_out: BTreeMap<String, (usize, usize)>,
     pub synthetic: bool,
     /// The reason why scans cannot be named, if there is one.
     pub problem: Option<String>,
@@ -258,6 +276,12 @@ impl LibraryState {
             synthetic,
             ..Self::default()
         }
+    }
+
+    /// Number of trials of a surface.
+    pub(super) fn trials_of(&self, surface: &str) -> usize {
+        let surface = normal(surface);
+        self.surfaces.iter().find(|(name, _)| *name == surface).map_or(0, |(_, trials)| *trials)
     }
 }
 

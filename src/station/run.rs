@@ -250,10 +250,11 @@ impl<'a> StationRun<'a> {
         if let Some(recording) = &mut self.recording {
             recording.settle(&stored.enrolled);
         }
-        let StoredScan { enrolment, enrolled, kept } = stored;
+        let StoredScan { enrolment, mut enrolled, kept } = stored;
         // If too many scans wait, the trial is reported without its nearest surface.
         match kept.filter(|_| self.waits || self.kept.len() < BACKLOG) {
             Some((scan, by)) => {
+                enrolled.known = Some(by.library.trials_of(&enrolled.surface));
                 self.to_do.push_back(Job::Nearest(scan, by));
                 self.kept.push_back((enrolment, enrolled));
             }
@@ -453,11 +454,14 @@ impl<'a> StationRun<'a> {
                     .for_each(|change| self.emit(StationEvent::Change(change.into())));
                 self.emit(StationEvent::Guess(guess));
             }
-            WorkerEvent::Nearest(nearest) => {
+            WorkerEvent::Nearest(answer) => {
                 if let Some((enrolment, mut enrolled)) = self.kept.pop_front() {
+                    enrolled.known = enrolled.known.filter(|_| answer.is_some());
+                    let (nearest, probability) =
+                        answer.map_or((None, None), |answer| (answer.surface, answer.confidence));
                     let other = nearest.clone().filter(|nearest| *nearest != enrolled.surface);
                     enrolled.doubts.extend(other.map(|surface| Doubt::NearSurface { surface }));
-                    self.enrolled(&enrolment, Enrolled { nearest, ..enrolled });
+                    self.enrolled(&enrolment, Enrolled { nearest, probability, ..enrolled });
                 }
             }
         }

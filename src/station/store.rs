@@ -308,6 +308,8 @@ pub(super) fn enrolled(
         folder: None,
         doubts,
         nearest: None,
+        probability: None,
+        known: None,
         wanted: 0,
     }
 }

@@ -33,8 +33,8 @@ pub(super) struct Work {
 pub(super) enum WorkerEvent {
     Scan(AnsweredScan),
     Progress(Box<Heard>),
-    /// The nearest surface of a scan that was kept, if there is one.
-    Nearest(Option<String>),
+    /// What the library said of a scan that was kept; `None` if it could not be compared.
+    Nearest(Option<Box<Answer>>),
 }
 
 pub(super) fn unnamed(scan: Box<Scan>, why: Doubt, from: Instant) -> AnsweredScan {
@@ -133,8 +133,9 @@ fn name(
     }
 }
 
-fn nearest(scan: &Scan, by: &Recogniser) -> Option<String> {
-    caught(|| by.answer(scan, by.rank(scan).ok()?, FlawsBySource::new(), None).surface)?
+fn nearest(scan: &Scan, by: &Recogniser) -> Option<Box<Answer>> {
+    let answer = || Some(by.answer(scan, by.rank(scan).ok()?, FlawsBySource::new(), None));
+    caught(answer)?.map(Box::new)
 }
 
 /// Faults of sensors are reported only after a drag of this many seconds.

@@ -45,7 +45,21 @@ def check(browser, station, shots):
     # A new surface, which looks like none of the library's.
     enrol(browser, "slate", 3)
     assert "This looks like" not in browser.text("#enrolled"), browser.text("#enrolled")
+    assert "the library in use has no slate yet" in browser.text("#enrolled li"), browser.text("#enrolled li")
     browser.wait("the library with slate", known(browser, "slate"))
+    browser.wait("how it is named left out", lambda: "of 3 trials of slate are named right" in (browser.text("#enrolled-rest") or ""))
+
+    # More of it: the library says what it knew before. A count is shown once it rests on three trials.
+    browser.run("document.getElementById('trials').value = 40")
+    browser.type("#surface", "slate")
+    browser.click("#enroll")
+    browser.wait("a trial that was named", lambda: "before it was added, the library named it slate, at " in browser.text("#enrolled li"), 90)
+    assert "were named right" not in browser.text("#enrolling-kept"), browser.text("#enrolling-kept")
+    assert not browser.text("#enrolled-rest"), "the library is not read with them yet"
+    browser.wait("how many were named right", lambda: "of 3 were named right before they were added" in browser.text("#enrolling-kept"), 90)
+    shots_of(browser, shots, "added")
+    browser.click("#enroll-end")
+    browser.wait("the end of the order", lambda: browser.run("return document.getElementById('enrolling').hidden"))
 
     # The same surface under another name: it looks like slate, which is in the library.
     enrol(browser, "granite", 1)

@@ -108,7 +108,7 @@ def main():
         browser.wait("an answer", lambda: get(station, "/api/v1/scans?limit=1")["scans"], 60)
         answer = get(station, "/api/v1/scans?limit=1")["scans"][0]
         station.end()
-        for added in ("correction", "became", "kept"):
+        for added in ("correction", "became", "became_by", "kept"):
             del answer[added]
         past(library, answer)
         station = Station(surfaced, library, data)

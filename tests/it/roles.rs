@@ -186,8 +186,21 @@ fn the_audit_log_says_who_changed_what_and_stays_when_scans_go() {
     let anna = |path, body| post_by(&served, ADMINISTRATOR, "anna", (path, body)).status;
     post_by(&served, OPERATOR, "ben", ("scans/1/correct", r#"{"surface": "oak"}"#));
     assert_eq!(anna("scans/1/keep", r#"{"user": "ben"}"#), 200);
-    assert_eq!(anna("scans/1/correct", r#"{"surface": "ash"}"#), 200);
+    let trial = || {
+        let scan = served.request("GET", "/api/v1/scans/1", &[OPERATOR], "").json();
+        json!([scan["became"], scan["became_by"]])
+    };
+    assert_eq!(trial(), json!(["oak/ben-01", "anna"]));
+    let ben = r#"{"surface": "ash"}"#;
+    assert_eq!(post_by(&served, OPERATOR, "ben", ("scans/1/correct", ben)).status, 200);
+    assert_eq!(trial(), json!(["ash/ben-01", "ben"]));
+    // The trial stays where it is, and so who moved it stays.
+    assert_eq!(anna("scans/1/correct", ben), 200);
+    assert_eq!(trial(), json!(["ash/ben-01", "ben"]));
     assert_eq!(anna("library/move", r#"{"trials": ["ash/ben-01"], "to": "elm"}"#), 200);
+    assert_eq!(trial(), json!(["elm/ben-01", "anna"]));
+    let csv = served.request("GET", "/api/v1/scans.csv", &[OPERATOR], "").body;
+    assert!(csv.lines().nth(1).unwrap().ends_with(",anna,anna"), "{csv}");
     assert_eq!(anna("library/undo", ""), 200);
     assert_eq!(anna("scans/1/correct", r#"{"unknown": true}"#), 200);
     served.orders.try_iter().for_each(drop);
@@ -204,8 +217,9 @@ fn the_audit_log_says_who_changed_what_and_stays_when_scans_go() {
         ["anna", "administrator", "remove", "ash/ben-01", "ash/ben-01", null],
         ["anna", "administrator", "undo", "elm/ben-01", "elm/ben-01", "ash/ben-01"],
         ["anna", "administrator", "move", "ash/ben-01", "ash/ben-01", "elm/ben-01"],
-        ["anna", "administrator", "correct", id, "oak", "ash"],
-        ["anna", "administrator", "move", "oak/ben-01", "oak/ben-01", "ash/ben-01"],
+        ["anna", "administrator", "correct", id, "ash", "ash"],
+        ["ben", "operator", "correct", id, "oak", "ash"],
+        ["ben", "operator", "move", "oak/ben-01", "oak/ben-01", "ash/ben-01"],
         ["anna", "administrator", "keep", id, null, "oak/ben-01"],
         ["ben", "operator", "correct", id, null, "oak"],
     ]);

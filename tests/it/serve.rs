@@ -189,12 +189,14 @@ fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
     let ash = |wanted| {
         let (surface, user) = ("ash".into(), "anna".into());
         let (trials, wanted) = (Some(2), Some(wanted));
+        let (kept, asked, right, refused, ordered_by) = (0, 0, 0, None, None);
         let left =
-            Enrolling { surface, user, wanted, trials, kept: 0, refused: None, ordered_by: None };
+            Enrolling { surface, user, wanted, trials, kept, asked, right, refused, ordered_by };
         StationEvent::Enrolling(Some(left).filter(|left| left.wanted > Some(0)))
     };
     served.report([ash(2)]);
     let ordered = json!({"surface": "ash", "user": "anna", "wanted": 2, "trials": 2, "kept": 0,
+        "asked": 0, "right": 0,
         "refused": null, "ordered_by": null});
     assert_eq!(events.next("enrolling"), ordered);
     // Nobody's order is replaced unseen.
@@ -212,11 +214,16 @@ fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
             trial: Some(1),
             folder: None,
             doubts: vec![],
-            nearest: None,
+            nearest: Some("ash".into()),
+            probability: Some(0.75),
+            known: Some(2),
             wanted,
         });
         served.report([enrolled, ash(wanted)]);
-        assert_eq!(events.next("enrolled")["wanted"], wanted);
+        let enrolled = events.next("enrolled");
+        assert_eq!(enrolled["wanted"], wanted);
+        let before = [&enrolled["nearest"], &enrolled["probability"], &enrolled["known"]];
+        assert_eq!(before, [&json!("ash"), &json!(0.75), &json!(2)]);
         let left = events.next("enrolling");
         assert_eq!(left["wanted"], if wanted == 0 { Value::Null } else { json!(wanted) });
     }

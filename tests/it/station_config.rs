@@ -226,9 +226,14 @@ fn a_rule_for_alerts_says_when_and_to_whom_and_is_refused_where_nobody_would_hea
     let oak = "name = \"oak\"\nsurface = \"oak\"\n[outputs]\nmqtt = \"mqtt://b\"";
     assert_eq!(alerts(oak).unwrap()[0].on, AlertCause::Surface("oak".into()));
     let bell = "http = \"http://bell\"";
+    let drift = format!("name = \"worn\"\non = \"drift\"\n{bell}");
+    assert_eq!(alerts(&drift).unwrap()[0].on, AlertCause::Drift);
     for (text, part) in [
         ("name = \"a b\"\nstate = \"unknown\"", "line 3: name: use 1 to 64 letters"),
-        ("name = \"a\"", "line 3: give `state`, such as \"unknown\", or `surface`"),
+        ("name = \"a\"", "line 3: give one of `state`, such as \"unknown\", `surface`, and"),
+        ("name = \"a\"\non = \"drift\"\nsurface = \"oak\"", "line 3: give one of `state`"),
+        ("name = \"a\"\non = \"wear\"", "unknown variant `wear`"),
+        (&format!("{drift}\nof = 3"), "line 6: `scans` and `of` count answers"),
         ("name = \"a\"\nstate = \"lost\"", "unknown variant `lost`"),
         ("name = \"a\"\nstate = \"unknown\"", "line 3: nobody would hear of it"),
         ("name = \"a\"\nstate = \"unknown\"\nscans = 3\nof = 2", "line 5: scans = 3, of = 2;"),

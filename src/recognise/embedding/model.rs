@@ -388,6 +388,19 @@ impl EmbeddingModel {
         LeftOutAccuracy::new(self.followed(), self.counts())
     }
 
+    /// How many trials of each surface were left out, and how many of these were named right by a model
+    /// without them. Surfaces of which none could be left out do not occur. Of a large library, only
+    /// some trials are. The first call takes a while, unless scans were followed before.
+    pub(crate) fn left_out_of_each(&self) -> BTreeMap<String, (usize, usize)> {
+        let mut found = BTreeMap::new();
+        for trial in self.followed() {
+            let surface = self.labels.surfaces[trial.truth].clone();
+            let (trials, right) = found.entry(surface).or_default();
+            (*trials, *right) = (*trials + 1, *right + usize::from(trial.whole == trial.truth));
+        }
+        found
+    }
+
     /// The p-value at or below which a query is called unknown, for a stated false rejection rate. If
     /// `rate` is `None`, the rate is 1 %, or the lowest rate that the library's trials can show.
     ///

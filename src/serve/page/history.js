@@ -77,7 +77,7 @@ export const newest = () => latest;
 
 // Handles a new answer, named or not.
 export function add(answer) {
-  const scan = { ...answer, correction: null, became: null, kept: null };
+  const scan = { ...answer, correction: null, became: null, became_by: null, kept: null };
   latest = scan;
   // Whether the filter lets it through is known to the station alone.
   if (filter() !== "") return void load();

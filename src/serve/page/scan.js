@@ -158,9 +158,10 @@ function signals(scan, { scan: own, nearest, no_nearest: noNearest }) {
 // Shows the correction of a scan, and the forms to change it.
 function showCorrection(scan) {
   const spoiled = scan.spoiled.length > 0;
-  const by = scan.correction?.person ? ` (${scan.correction.person})` : "";
-  const parts = [scan.correction ? `${corrected(scan)}${by}` : "Not reviewed yet."];
-  if (scan.became) parts.push(`trial ${scan.became}`);
+  const by = (person) => (person ? ` (${person})` : "");
+  const parts = [scan.correction ? `${corrected(scan)}${by(scan.correction.person)}` : "Not reviewed yet."];
+  if (scan.became) parts.push(`trial ${scan.became}${by(scan.became_by)}`);
+  else if (scan.became_by) parts.push(`no longer a trial${by(scan.became_by)}`);
   else if (scan.correction?.was === "surface" && spoiled) parts.push("it is spoiled, so it cannot become a trial");
   say("was-now", parts.join(" · "));
   hide("was-right", scan.surface === null);

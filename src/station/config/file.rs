@@ -156,12 +156,20 @@ pub(super) struct OutputsBlock {
     pub key: Option<Spanned<PathBuf>>,
 }
 
+/// The only value of `on`.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Drifts {
+    Drift,
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct AlertBlock {
     pub name: Spanned<String>,
     pub state: Option<Spanned<AnswerState>>,
     pub surface: Option<Spanned<String>>,
+    pub on: Option<Spanned<Drifts>>,
     pub scans: Option<Spanned<usize>>,
     pub of: Option<Spanned<usize>>,
     pub cooldown_s: Option<Spanned<f64>>,

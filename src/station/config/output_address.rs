@@ -61,13 +61,13 @@ pub struct TlsFiles {
     pub client: Option<(PathBuf, PathBuf)>,
 }
 
-/// A rule by which answers become an alert.
+/// A rule by which answers, or a drift, become an alert.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AlertConfig {
     /// Letters, digits, `-` and `_`; no other rule has it.
     pub name: String,
     pub on: AlertCause,
-    /// How many of the last `of` answers must fit; from 1 to `of`.
+    /// How many of the last `of` answers must fit; from 1 to `of`. Both are 1 for a drift.
     pub scans: usize,
     pub of: usize,
     /// Time after an alert in which there is no other.
@@ -79,12 +79,14 @@ pub struct AlertConfig {
     pub hold: Duration,
 }
 
-/// The answers that fit a rule.
+/// What a rule is for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum AlertCause {
     State(AnswerState),
     /// Answers that name this surface, also those that are not sure.
     Surface(String),
+    /// A control chart of a reference surface has left its limits.
+    Drift,
 }
 
 /// A coil (digital output) of a device that speaks Modbus TCP.

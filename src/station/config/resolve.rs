@@ -199,15 +199,25 @@ fn alert(
     to_broker: bool,
     file: impl Fn(&Spanned<PathBuf>) -> PathBuf,
 ) -> Result<AlertConfig, Mistake> {
-    let AlertBlock { name, state, surface, http, header_file, modbus, .. } = &block;
+    let AlertBlock { name, state, surface, on, http, header_file, modbus, .. } = &block;
     if !is_segment(name.get_ref()) {
         return mistake(name, "name: use 1 to 64 letters, digits, `-` and `_`, such as \"reject\"");
     }
-    let on = match (state, surface) {
-        (Some(state), None) => AlertCause::State(*state.get_ref()),
-        (None, Some(surface)) => AlertCause::Surface(surface.get_ref().clone()),
-        _ => return mistake(name, "give `state`, such as \"unknown\", or `surface`, and not both"),
+    let on = match (state, surface, on) {
+        (Some(state), None, None) => AlertCause::State(*state.get_ref()),
+        (None, Some(surface), None) => AlertCause::Surface(surface.get_ref().clone()),
+        (None, None, Some(_)) => AlertCause::Drift,
+        _ => {
+            let problem =
+                "give one of `state`, such as \"unknown\", `surface`, and `on = \"drift\"`";
+            return mistake(name, problem);
+        }
     };
+    if let (AlertCause::Drift, Some(stray)) = (&on, block.scans.as_ref().or(block.of.as_ref())) {
+        let problem = "`scans` and `of` count answers, and a drift is found by many scans anyway; \
+                       leave them out";
+        return mistake(stray, problem);
+    }
     let count = |value: &Option<Spanned<usize>>| value.as_ref().map(|value| *value.get_ref());
     let scans = count(&block.scans).unwrap_or(1);
     let of = count(&block.of).unwrap_or(scans);
