@@ -228,12 +228,13 @@ impl HistoryState {
             written?;
             entry.text = text;
             let id = || entry.head.id.clone();
-            let (bytes, correction, trial) =
-                (entry.signals, entry.correction.clone(), entry.became.clone());
+            let (bytes, correction) = (entry.signals, entry.correction.clone());
+            let (trial, person) = (entry.became.clone(), entry.became_by.clone());
+            let is_or_was_trial = trial.is_some() || person.is_some();
             let changes = [
                 bytes.is_some().then(|| LogLine::Signals { id: id(), bytes }),
                 correction.is_some().then(|| LogLine::Correction { id: id(), correction }),
-                trial.is_some().then(|| LogLine::Trial { id: id(), trial }),
+                is_or_was_trial.then(|| LogLine::Trial { id: id(), trial, person }),
             ];
             for line in changes.into_iter().flatten() {
                 fresh.append(&json_text(&line))?;

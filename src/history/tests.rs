@@ -189,6 +189,9 @@ fn the_log_is_bounded_and_keeps_the_newest_answers_with_what_was_said_of_them() 
         let answer = answer(scan, Some("oak"));
         history.answered(&answer).unwrap();
         history.correct(&answer.id, Some(Truth::Unknown.into())).unwrap();
+        // Each second one was a trial, and is none any more.
+        let trial = (scan % 2 == 0).then(|| format!("oak/anna-{scan}"));
+        history.became(&answer.id, trial, Some("ben".into())).unwrap();
     }
     let log = fs::metadata(dir.path().join("answers.jsonl")).unwrap().len();
     assert!(log <= most / 8 + 2000, "{log}");
@@ -196,6 +199,9 @@ fn the_log_is_bounded_and_keeps_the_newest_answers_with_what_was_said_of_them() 
     assert!(newest.len() > 20 && newest.len() < 1000);
     assert_eq!(newest[0].head.scan, 1000);
     assert!(newest.iter().all(|row| row.correction == Some(Truth::Unknown.into())));
+    let trials: Vec<bool> = newest.iter().map(|row| row.became.is_some()).collect();
+    assert_eq!(trials[..4], [true, false, true, false]);
+    assert!(newest.iter().all(|row| row.became_by.as_deref() == Some("ben")));
     let before = &newest[5].head.id;
     assert_eq!(history.newest(Some(before), 1, &Wanted::default()).unwrap()[0].head.scan, 994);
 }

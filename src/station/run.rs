@@ -449,9 +449,7 @@ impl<'a> StationRun<'a> {
             WorkerEvent::Progress(heard) => {
                 let Heard { guess, change, ended } = *heard;
                 ended.into_iter().for_each(|stretch| self.answered(stretch));
-                change
-                    .into_iter()
-                    .for_each(|change| self.emit(StationEvent::Change(change.into())));
+                change.into_iter().for_each(|one| self.emit(StationEvent::Change(one.into())));
                 self.emit(StationEvent::Guess(guess));
             }
             WorkerEvent::Nearest(answer) => {

@@ -1,6 +1,5 @@
 //! A server with a station that only seems to be there, and clients that may misbehave.
 
-use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::sync::Arc;
@@ -175,10 +174,9 @@ pub fn session() -> Vec<StationEvent> {
         name: "workshop".into(),
         surfaces: vec![("beech".into(), 4), ("oak".into(), 5)],
         sources: vec![id("ac"), id("mi2")],
-        synthetic: false,
-        reference: BTreeMap::new(),
-        problem: None,
+        left_out: [("oak".into(), (5, 4))].into(),
         remarks: vec!["answers come when scans end".into()],
+        ..LibraryState::default()
     };
     let device = StationEvent::Device {
         device: "stylus".into(),

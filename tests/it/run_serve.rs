@@ -61,7 +61,7 @@ fn what_a_program_enrols_at_a_live_station_is_named_reloaded_and_on_the_page() {
         assert_eq!(station.post("/api/v1/enroll", &body).status, 202);
         let state = until(station, "/api/v1/state", &mut fake, |s| s["enrolling"].is_object());
         let ordered = json!({"surface": label, "user": "anna", "wanted": 2, "trials": 2, "kept": 0,
-            "refused": null, "ordered_by": null});
+            "asked": 0, "right": 0, "refused": null, "ordered_by": null});
         assert_eq!(state["enrolling"], ordered);
         for number in 1..=2 {
             let seconds = bench.play(&fake, &trial(&data, surface, number), 1.5);
