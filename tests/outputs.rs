@@ -485,7 +485,7 @@ fn the_state_tells_of_devices_and_of_a_station_that_ends_or_is_gone() {
     );
     let to = FoundSurface { state: AnswerState::Unknown, surface: None };
     let (from, confidence) = (None, None);
-    let change = Change { unix_ms: 1, scan: 3, at_s: 1.5, from, to, confidence };
+    let change = Change { unix_ms: 1, scan: 3, at_s: 1.5, since_s: 0.5, from, to, confidence };
     output.on_event(&StationEvent::Change(change.into()));
     let change = subscriber.next("surfaced/press-3/change", |said| said["scan"] == 3);
     assert_eq!(
