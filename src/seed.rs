@@ -28,6 +28,7 @@ pub fn rng(seed: u64, key: &[&[u8]]) -> ChaCha8Rng {
 }
 
 /// A uniformly distributed number in [0, 1), with 53 random bits.
+#[inline]
 pub(crate) fn uniform(rng: &mut impl Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
@@ -41,6 +42,7 @@ pub fn normal(rng: &mut impl Rng) -> f64 {
 
 /// A nearly normal number, computed fast: the sum of four uniform numbers, scaled to mean 0 and
 /// variance 1 (Irwin and Hall). Its magnitude is at most 3.47, its kurtosis 2.7.
+#[inline]
 pub(crate) fn nearly_normal(rng: &mut impl Rng) -> f32 {
     const SCALE: f32 = 1.732_050_8 / 65_536.0;
     let x = rng.next_u64();

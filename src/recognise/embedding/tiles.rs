@@ -126,14 +126,14 @@ fn pixels_of(quarter: usize) -> (Range<usize>, Range<usize>) {
 /// The three channels of a picture, each row by row.
 fn planes(image: &Image) -> [Vec<f32>; CHANNELS] {
     let (pixels, _) = image.rgb().as_chunks();
-    let plane = |of: fn([f32; 3]) -> f32| -> Vec<f32> {
-        pixels.iter().map(|rgb: &[u8; 3]| of(rgb.map(|x| f32::from(x) / 255.0))).collect()
-    };
-    [
-        plane(|[r, g, b]| (r + g + b) / 3.0),
-        plane(|[r, g, _]| r - g),
-        plane(|[r, g, b]| (r + g) / 2.0 - b),
-    ]
+    let mut planes = [(); CHANNELS].map(|()| Vec::with_capacity(pixels.len()));
+    for [r, g, b] in pixels {
+        let (r, g, b) = (f32::from(*r) / 255.0, f32::from(*g) / 255.0, f32::from(*b) / 255.0);
+        planes[0].push((r + g + b) / 3.0);
+        planes[1].push(r - g);
+        planes[2].push((r + g) / 2.0 - b);
+    }
+    planes
 }
 
 impl PixelSums {
@@ -326,6 +326,30 @@ impl Rings {
     }
 }
 
+/// Writes two tiles, without their means and windowed, as the real and imaginary parts of `pair`. A tile
+/// begins at the first of the pixels that are given, and the rows of the picture follow each other.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn fill(tiles: [&[f32]; 2], window: &[f32], pair: &mut [Complex<f32>]) {
+    let mut means = [0f32; 2];
+    for (mean, tile) in means.iter_mut().zip(tiles) {
+        let mut total = 0.0;
+        for row in 0..SIDE {
+            total += sum(&tile[row * Image::COLS..][..SIDE]);
+        }
+        *mean = (total / (SIDE * SIDE) as f64) as f32;
+    }
+    let window = &window[..SIDE];
+    for row in 0..SIDE {
+        let (a, b) =
+            (&tiles[0][row * Image::COLS..][..SIDE], &tiles[1][row * Image::COLS..][..SIDE]);
+        let out = &mut pair[row * SIDE..][..SIDE];
+        for i in 0..SIDE {
+            out[i].re = (a[i] - means[0]) * window[i] * window[row];
+            out[i].im = (b[i] - means[1]) * window[i] * window[row];
+        }
+    }
+}
+
 /// ln power of one row of tiles; each tile has all its channels.
 fn tile_row(planes: &[Vec<f32>; CHANNELS], row: usize) -> Vec<f32> {
     let rings = rings();
@@ -335,19 +359,12 @@ fn tile_row(planes: &[Vec<f32>; CHANNELS], row: usize) -> Vec<f32> {
         (0..TILES[1]).flat_map(|column| (0..CHANNELS).map(move |c| (column, c))).collect();
     let mut all = Vec::with_capacity(TILES[1] * PictureTiles::width());
     for two in tiles.chunks(2) {
-        pair.fill(Complex::default());
-        for (i, &(column, channel)) in two.iter().enumerate() {
-            let line =
-                |y: usize| &planes[channel][(row * HOP + y) * Image::COLS + column * HOP..][..SIDE];
-            let sum: f64 = (0..SIDE).map(|y| sum(line(y))).sum();
-            let mean = (sum / (SIDE * SIDE) as f64) as f32;
-            for (y, out) in pair.chunks_exact_mut(SIDE).enumerate() {
-                for ((out, x), w) in out.iter_mut().zip(line(y)).zip(&rings.window) {
-                    let value = (x - mean) * w * rings.window[y];
-                    if i == 0 { out.re = value } else { out.im = value }
-                }
-            }
-        }
+        // The second tile may be missing; the first stands for it, and its powers are left out.
+        let tile = |&(column, channel): &(usize, usize)| {
+            let first = row * HOP * Image::COLS + column * HOP;
+            &planes[channel][first..first + (SIDE - 1) * Image::COLS + SIDE]
+        };
+        fill([tile(&two[0]), tile(&two[two.len() - 1])], &rings.window, &mut pair);
         let powers = rings.transform(&mut pair, &mut scratch);
         powers.into_iter().take(two.len()).for_each(|of_tile| all.extend(of_tile));
     }
