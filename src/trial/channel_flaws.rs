@@ -189,10 +189,9 @@ impl SeriesFlaws {
 
     /// Takes the next frames, their channels interleaved.
     pub fn add(&mut self, frames: &[f32]) {
-        for frame in frames.chunks_exact(self.0.len()) {
-            for (channel, &x) in frame.iter().enumerate() {
-                self.0[channel].add(x);
-            }
+        let channels = self.0.len();
+        for (c, channel) in self.0.iter_mut().enumerate() {
+            frames.iter().skip(c).step_by(channels).for_each(|&x| channel.add(x));
         }
     }
 

@@ -303,7 +303,11 @@ pub(super) fn median(mut values: Vec<f64>) -> f64 {
 
 /// Adds the features of all bands to `sums`, shape ([`BAND_FEATURES`], width). `counts` has shape
 /// (width, bins). `table` holds the value of each bin, shape (channels, bins).
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
 fn add_bands(
     counts: &[f32],
     (bins, bands): (usize, usize),

@@ -9,6 +9,8 @@
 
 use rand_chacha::ChaCha8Rng;
 
+use super::lanes::dot;
+use super::moments::{less, means};
 use crate::seed;
 
 pub(super) const EXCERPTS: usize = 3;
@@ -81,10 +83,8 @@ pub(super) fn samples(
     let mut excerpt = samples[first * channels..(first + length).min(frames) * channels].to_vec();
     if copy.quarter > 0 {
         let noise = noise(between(&mut rng, EXCERPT_NOISE_DB), deviations);
-        for frame in excerpt.chunks_exact_mut(channels) {
-            for (x, noise) in frame.iter_mut().zip(&noise) {
-                *x += noise * seed::nearly_normal(&mut rng);
-            }
+        for (x, noise) in excerpt.iter_mut().zip(noise.iter().cycle()) {
+            *x += noise * seed::nearly_normal(&mut rng);
         }
     }
     excerpt
@@ -129,15 +129,13 @@ fn twin(rng: &mut ChaCha8Rng, deviations: &[f64], samples: &[f32]) -> Vec<f32> {
 
 /// Standard deviation of each channel of interleaved samples.
 pub(super) fn deviations(channels: usize, samples: &[f32]) -> Vec<f64> {
-    let means = super::moments::means(samples, channels);
+    let means = means(samples, channels);
     let frames = (samples.len() / channels).max(1) as f64;
-    let mut squares = vec![0.0; channels];
-    for frame in samples.chunks_exact(channels) {
-        for ((square, x), mean) in squares.iter_mut().zip(frame).zip(&means) {
-            *square += f64::from(x - mean).powi(2);
-        }
-    }
-    squares.iter().map(|square: &f64| (square / frames).sqrt()).collect()
+    let of_channel = |(c, mean): (usize, &f32)| {
+        let apart = less(samples, (channels, c), *mean);
+        (dot(&apart, &apart) / frames).sqrt()
+    };
+    means.iter().enumerate().map(of_channel).collect()
 }
 
 #[cfg(test)]

@@ -2,8 +2,9 @@
 //! nearly all work is matrix products (Golub & Van Loan, "Matrix Computations", 4th ed., §4.2.9 and
 //! §3.1).
 
+use multiversion::multiversion;
 use ndarray::linalg::general_mat_mul;
-use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut2, Axis, s};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 use rayon::prelude::*;
 
 /// Size of the blocks that are factored column by column.
@@ -41,22 +42,32 @@ fn factor(mut a: ArrayViewMut2<'_, f64>) -> Option<()> {
         subtract_lower_product(&l21.view(), &l21.t(), &mut a22);
         return factor(a22);
     }
+    let mut upper = transposed(&a.view());
     for j in 0..n {
-        let left: f64 = a.slice(s![j, ..j]).iter().map(|x| x * x).sum();
-        let pivot = a[[j, j]] - left;
+        let pivot = upper[j * n + j];
         // Written so that NaN fails as well.
         if !(pivot > 0.0 && pivot.is_finite()) {
             return None;
         }
         let root = pivot.sqrt();
-        a[[j, j]] = root;
-        let (above, mut below) = a.view_mut().split_at(Axis(0), j + 1);
-        let row_j = above.slice(s![j, ..j]);
-        for mut row in below.rows_mut() {
-            row[j] = (row[j] - product(row.slice(s![..j]), row_j)) / root;
+        let (above, below) = upper.split_at_mut((j + 1) * n);
+        let row = &mut above[j * n + j..];
+        row[0] = root;
+        row[1..].iter_mut().for_each(|x| *x /= root);
+        for (i, below) in below.chunks_exact_mut(n).enumerate() {
+            let own = row[1 + i];
+            below[j + 1 + i..].iter_mut().zip(&row[1 + i..]).for_each(|(x, of)| *x -= own * of);
         }
     }
+    for ((i, j), x) in a.indexed_iter_mut().filter(|((i, j), _)| j <= i) {
+        *x = upper[j * n + i];
+    }
     Some(())
+}
+
+/// The transpose of a block, row by row.
+fn transposed(block: &ArrayView2<'_, f64>) -> Vec<f64> {
+    block.t().iter().copied().collect()
 }
 
 fn half_of(n: usize) -> usize {
@@ -78,11 +89,29 @@ fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
         general_mat_mul(-1.0, &first, &l.slice(s![half.., ..half]).t(), 1.0, &mut second);
         return solve_from_right(&l.slice(s![half.., half..]), second);
     }
-    // Row by row of L, whose slices are then made once.
+    let upper = transposed(l);
+    for mut row in b.rows_mut() {
+        match row.as_slice_mut() {
+            Some(row) => solve_row(&upper, row),
+            None => {
+                let mut own = row.to_vec();
+                solve_row(&upper, &mut own);
+                row.iter_mut().zip(own).for_each(|(x, own)| *x = own);
+            }
+        }
+    }
+}
+
+/// Solves x·U = b in place; U is upper triangular, row by row.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn solve_row(upper: &[f64], b: &mut [f64]) {
+    let n = b.len();
     for j in 0..n {
-        let (of_l, pivot) = (l.slice(s![j, ..j]), l[[j, j]]);
-        for mut row in b.rows_mut() {
-            row[j] = (row[j] - product(row.slice(s![..j]), of_l)) / pivot;
+        let of_u = &upper[j * n..][..n];
+        let x = b[j] / of_u[j];
+        b[j] = x;
+        for k in j + 1..n {
+            b[k] -= x * of_u[k];
         }
     }
 }
@@ -293,14 +322,6 @@ fn diagonal(values: &mut [f64], beside: &mut [f64], vectors: &mut [f64]) {
                 (*u, *w) = (c * *u + s * *w, c * *w - s * *u);
             }
         }
-    }
-}
-
-/// Σ a·b over rows of matrices.
-fn product(a: ArrayView1<'_, f64>, b: ArrayView1<'_, f64>) -> f64 {
-    match (a.as_slice(), b.as_slice()) {
-        (Some(a), Some(b)) => inner(a, b),
-        _ => a.dot(&b),
     }
 }
 

@@ -279,14 +279,8 @@ fn held(x: f64) -> f32 {
 /// The mean of each channel of interleaved samples.
 pub(super) fn means(samples: &[f32], channels: usize) -> Vec<f32> {
     let frames = (samples.len() / channels).max(1) as f64;
-    if channels == 1 {
-        return vec![(sum(samples) / frames) as f32];
-    }
-    let mut sums = vec![0.0; channels];
-    for frame in samples.chunks_exact(channels) {
-        sums.iter_mut().zip(frame).for_each(|(sum, &x)| *sum += f64::from(x));
-    }
-    sums.iter().map(|sum| (sum / frames) as f32).collect()
+    let mean = |c: usize| (sum(&less(samples, (channels, c), 0.0)) / frames) as f32;
+    (0..channels).map(mean).collect()
 }
 
 fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usize) -> Vec<f32> {
@@ -339,7 +333,11 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
 }
 
 /// One channel of interleaved samples, minus `reference`.
-fn less(samples: &[f32], (channels, channel): (usize, usize), reference: f32) -> Vec<f32> {
+pub(super) fn less(
+    samples: &[f32],
+    (channels, channel): (usize, usize),
+    reference: f32,
+) -> Vec<f32> {
     if channels == 1 {
         return samples.iter().map(|x| x - reference).collect();
     }

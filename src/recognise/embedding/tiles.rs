@@ -214,7 +214,11 @@ impl PixelSums {
 }
 
 /// Adds Σ v_i and, for j ≤ i, Σ v_i·v_j over equally long rows.
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
 fn add_products(rows: &[&[f32]], sums: &mut [f64], products: &mut [f64]) {
     let mut at = 0;
     for (i, a) in rows.iter().enumerate() {
