@@ -83,9 +83,7 @@ pub(super) fn samples(
     let mut excerpt = samples[first * channels..(first + length).min(frames) * channels].to_vec();
     if copy.quarter > 0 {
         let noise = noise(between(&mut rng, EXCERPT_NOISE_DB), deviations);
-        for (x, noise) in excerpt.iter_mut().zip(noise.iter().cycle()) {
-            *x += noise * seed::nearly_normal(&mut rng);
-        }
+        add_noise(&mut rng, &noise, &mut excerpt);
     }
     excerpt
 }
@@ -98,6 +96,18 @@ fn between(rng: &mut ChaCha8Rng, (low, high): (f64, f64)) -> f64 {
 fn noise(db: f64, deviations: &[f64]) -> Vec<f32> {
     let share = 10f64.powf(-db / 20.0);
     deviations.iter().map(|deviation| (share * deviation) as f32).collect()
+}
+
+/// Adds white noise with these deviations to the channels of interleaved samples.
+fn add_noise(rng: &mut ChaCha8Rng, noise: &[f32], samples: &mut [f32]) {
+    let mut draws = vec![0.0; samples.len()];
+    seed::nearly_normals(rng, &mut draws);
+    if let [noise] = noise {
+        samples.iter_mut().zip(&draws).for_each(|(x, draw)| *x += noise * draw);
+    } else {
+        let noise = noise.iter().cycle();
+        samples.iter_mut().zip(&draws).zip(noise).for_each(|((x, draw), noise)| *x += noise * draw);
+    }
 }
 
 /// A series as a worse sensor would have recorded it: stretched, with white noise. In half of the
@@ -121,8 +131,17 @@ fn twin(rng: &mut ChaCha8Rng, deviations: &[f64], samples: &[f32]) -> Vec<f32> {
         for channel in 0..channels {
             let (a, b) =
                 (samples[before * channels + channel], samples[after * channels + channel]);
-            twin.push(a + part * (b - a) + noise[channel] * seed::nearly_normal(rng));
+            twin.push(a + part * (b - a));
         }
+        if lost > 0.0 {
+            // In turn with the draws of what is lost.
+            let kept = twin.len() - channels;
+            let noisy = twin[kept..].iter_mut().zip(&noise);
+            noisy.for_each(|(x, noise)| *x += noise * seed::nearly_normal(rng));
+        }
+    }
+    if lost == 0.0 {
+        add_noise(rng, &noise, &mut twin);
     }
     twin
 }

@@ -7,6 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::growing::joined;
 use super::lanes::{about, dot, extremes, powers};
 use super::quantiles::{Histograms, QUANTILES};
 use crate::recognise::features::windowed_frames::sum;
@@ -240,9 +241,8 @@ impl GrowingMoments {
     pub(super) fn extend(&mut self, samples: &[f32]) {
         let channels = self.sums.channels;
         let size = self.block * channels;
-        self.pending.extend_from_slice(samples);
-        let pending = std::mem::take(&mut self.pending);
-        let mut blocks = pending.chunks_exact(size);
+        let all = joined(&mut self.pending, samples);
+        let mut blocks = all.chunks_exact(size);
         for block in &mut blocks {
             let reference = self.reference.get_or_insert_with(|| means(block, channels));
             let counts = self.sums.add(&block_sums(block, &self.before, reference, channels));

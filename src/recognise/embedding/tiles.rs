@@ -222,29 +222,41 @@ impl PixelSums {
 fn add_products(rows: &[&[f32]], sums: &mut [f64], products: &mut [f64]) {
     let mut at = 0;
     for (i, a) in rows.iter().enumerate() {
-        let mut sum = 0.0;
-        for x in *a {
-            sum += x;
+        let (a, last_a) = chunks::<16>(a, 0.0);
+        let mut lanes = last_a;
+        for chunk in a {
+            for lane in 0..16 {
+                lanes[lane] += chunk[lane];
+            }
         }
-        sums[i] += f64::from(sum);
+        sums[i] += f64::from(total(lanes));
         for b in &rows[..=i] {
-            let (mut lanes, mut product) = ([0f32; 16], 0.0);
-            let ((a, last_a), (b, last_b)) = (chunks::<16>(a, 0.0), chunks::<16>(b, 0.0));
+            let (b, last_b) = chunks::<16>(b, 0.0);
+            let mut lanes = [0f32; 16];
+            for lane in 0..16 {
+                lanes[lane] = last_a[lane] * last_b[lane];
+            }
             for i in 0..a.len().min(b.len()) {
                 for lane in 0..16 {
                     lanes[lane] += a[i][lane] * b[i][lane];
                 }
             }
-            for lane in 0..16 {
-                lanes[lane] += last_a[lane] * last_b[lane];
-            }
-            for lane in lanes {
-                product += lane;
-            }
-            products[at] += f64::from(product);
+            products[at] += f64::from(total(lanes));
             at += 1;
         }
     }
+}
+
+/// The sum of the lanes, halves first, so that few additions wait for the one before.
+#[inline(always)]
+fn total(mut lanes: [f32; 16]) -> f32 {
+    for lane in 0..8 {
+        lanes[lane] += lanes[lane + 8];
+    }
+    for lane in 0..4 {
+        lanes[lane] += lanes[lane + 4];
+    }
+    (lanes[0] + lanes[2]) + (lanes[1] + lanes[3])
 }
 
 /// The band of each bin of a transformed tile.
