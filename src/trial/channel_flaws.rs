@@ -54,19 +54,24 @@ impl Default for ChannelFlaws {
 }
 
 impl ChannelFlaws {
-    fn add(&mut self, x: f32) {
-        self.run = if self.samples > 0 && x == self.last { self.run + 1 } else { 1 };
-        self.samples += 1;
-        self.last = x;
-        if self.run == 1 && self.varies_little() && !self.seen.contains(&x) {
-            self.seen.push(x);
+    fn add(&mut self, samples: impl Iterator<Item = f32>) {
+        // Held apart, since a look into `resting` would write them to memory after each sample.
+        let (mut run, mut last, mut low, mut high) = (self.run, self.last, self.low, self.high);
+        for x in samples {
+            run = if run > 0 && x == last { run + 1 } else { 1 };
+            self.samples += 1;
+            last = x;
+            (low, high) = (low.min(x), high.max(x));
+            if run == 1 && self.varies_little() && !self.seen.contains(&x) {
+                self.seen.push(x);
+            }
+            if run >= RUN {
+                // Adding 0 turns -0 into 0, so that both count as one value.
+                let of_value = self.resting.entry((x + 0.0).to_bits()).or_default();
+                *of_value += if run == RUN { RUN } else { 1 };
+            }
         }
-        (self.low, self.high) = (self.low.min(x), self.high.max(x));
-        if self.run >= RUN {
-            // Adding 0 turns -0 into 0, so that both count as one value.
-            let of_value = self.resting.entry((x + 0.0).to_bits()).or_default();
-            *of_value += if self.run == RUN { RUN } else { 1 };
-        }
+        (self.run, self.last, self.low, self.high) = (run, last, low, high);
     }
 
     fn varies_little(&self) -> bool {
@@ -189,9 +194,11 @@ impl SeriesFlaws {
 
     /// Takes the next frames, their channels interleaved.
     pub fn add(&mut self, frames: &[f32]) {
-        for frame in frames.chunks_exact(self.0.len()) {
-            for (channel, &x) in frame.iter().enumerate() {
-                self.0[channel].add(x);
+        let channels = self.0.len();
+        for (c, channel) in self.0.iter_mut().enumerate() {
+            match channels {
+                1 => channel.add(frames.iter().copied()),
+                _ => channel.add(frames.chunks_exact(channels).map(|frame| frame[c])),
             }
         }
     }

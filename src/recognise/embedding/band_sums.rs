@@ -11,6 +11,10 @@
 //! than the rest and say nothing about the surface. Which frames are left out depends on the median
 //! loudness, which is known only at the end. So each class of loudness has its own histograms.
 
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::sync::OnceLock;
+
 use multiversion::multiversion;
 use serde::{Deserialize, Serialize};
 
@@ -30,6 +34,9 @@ const QUIETER: i32 = 4;
 
 /// Added to P/P̄ (power over mean power) before the logarithm, to hide noise far below the signal.
 const FLOOR: f64 = 1e-4;
+
+/// Most P/P̄, e⁸⁰, where a mean is no more than the floor of numbers.
+const MOST: f64 = 5.540_622_384_393_51e34;
 
 #[derive(Clone, Debug)]
 pub(super) struct Counts {
@@ -68,9 +75,8 @@ impl Counts {
         (self.first, self.bins, self.counts) = (first, bins, counts);
     }
 
+    /// Adds a row whose values lie within reach.
     fn add(&mut self, row: &[f32]) {
-        let (least, most) = extremes(row);
-        self.reach(floor(least * BINS), floor(most * BINS) + 1);
         count(row, self.first, self.bins, &mut self.counts);
         self.frames += 1;
     }
@@ -93,15 +99,27 @@ impl Counts {
         self.width / self.channels
     }
 
-    /// ln power of each bin.
-    fn levels(&self) -> impl Iterator<Item = f64> {
-        let first = self.first;
-        (0..self.bins).map(move |bin| f64::from(first + bin as i32) / f64::from(BINS))
+    /// The first bin after the last.
+    fn end(&self) -> i32 {
+        self.first + self.bins as i32
+    }
+
+    /// The power of each bin.
+    fn powers(&self) -> impl Iterator<Item = f64> {
+        /// Places of the bins, in units of ln power, that are kept: the floor of silence, and full scale.
+        const KEPT: Range<i32> = -40 * 8..24 * 8;
+        static POWERS: OnceLock<Vec<f64>> = OnceLock::new();
+        let power = |bin: i32| (f64::from(bin) / f64::from(BINS)).exp();
+        let kept = POWERS.get_or_init(|| KEPT.map(power).collect());
+        (self.first..self.end()).map(move |bin| match kept.get((bin - KEPT.start) as usize) {
+            Some(kept) => *kept,
+            None => power(bin),
+        })
     }
 
     /// ln of each channel's mean power over frames and bands.
     pub(super) fn ln_mean_power(&self) -> Vec<f64> {
-        let power: Vec<f64> = self.levels().map(f64::exp).collect();
+        let power: Vec<f64> = self.powers().collect();
         let of_channel = |counts: &[f32]| {
             let mut of_bins = vec![0f32; self.bins];
             for band in counts.chunks_exact(self.bins.max(1)) {
@@ -119,8 +137,8 @@ impl Counts {
     /// ln(P/P̄ + 1e-4) of each bin; `ln_mean` gives ln P̄ of each channel. Shape (channels, bins).
     fn relative(&self, ln_mean: &[f64]) -> Vec<f32> {
         let relative = |mean: &f64| {
-            let mean = *mean;
-            self.levels().map(move |x| ((x - mean).min(80.0).exp() + FLOOR).ln() as f32)
+            let scale = (-mean).exp();
+            self.powers().map(move |power| ((power * scale).min(MOST) + FLOOR).ln() as f32)
         };
         ln_mean.iter().flat_map(relative).collect()
     }
@@ -162,31 +180,43 @@ pub(super) struct BandSums {
     channels: usize,
     width: usize,
     /// Classes of loudness in ascending order, with their histograms.
-    by_loudness: Vec<(i32, Counts)>,
+    by_loudness: BTreeMap<i32, Counts>,
 }
 
 impl BandSums {
     /// Starts without frames; `width` is the number of bands of all channels together.
     pub(super) fn new(channels: usize, width: usize) -> Self {
-        Self { channels, width, by_loudness: Vec::new() }
+        Self { channels, width, by_loudness: BTreeMap::new() }
     }
 
     /// Adds frames of ln power, shape (frames, width).
     pub(super) fn add(&mut self, values: &[f32]) {
-        for row in values.chunks_exact(self.width) {
+        let rows = values.chunks_exact(self.width);
+        // Room is made for all of them at once.
+        let mut ranges: BTreeMap<i32, (i32, i32)> = BTreeMap::new();
+        let class_of = |row: &[f32]| {
             let mean = sum(row) as f32 / row.len() as f32;
-            let class = floor(mean / LOUDNESS);
-            let at = self.by_loudness.partition_point(|(other, _)| *other < class);
-            if self.by_loudness.get(at).is_none_or(|(other, _)| *other != class) {
-                self.by_loudness.insert(at, (class, Counts::new(self.channels, self.width)));
+            let (class, (least, most)) = (floor(mean / LOUDNESS), extremes(row));
+            let (first, last) = (floor(least * BINS), floor(most * BINS) + 1);
+            let range = ranges.entry(class).or_insert((first, last));
+            *range = (range.0.min(first), range.1.max(last));
+            class
+        };
+        let classes: Vec<i32> = rows.clone().map(class_of).collect();
+        for (class, (first, last)) in ranges {
+            let new = || Counts::new(self.channels, self.width);
+            self.by_loudness.entry(class).or_insert_with(new).reach(first, last);
+        }
+        for (row, class) in rows.zip(classes) {
+            if let Some(counts) = self.by_loudness.get_mut(&class) {
+                counts.add(row);
             }
-            self.by_loudness[at].1.add(row);
         }
     }
 
     /// Number of frames, on the surface or not.
     pub(super) fn frames(&self) -> usize {
-        self.by_loudness.iter().map(|(_, counts)| counts.frames).sum()
+        self.by_loudness.values().map(|counts| counts.frames).sum()
     }
 
     pub(super) fn on_surface(&self) -> Counts {
@@ -197,8 +227,12 @@ impl BandSums {
         });
         let mut total = Counts::new(self.channels, self.width);
         let least = median.map_or(0, |(class, _)| class - QUIETER);
-        let loud = self.by_loudness.iter().filter(|(class, _)| *class >= least);
-        loud.for_each(|(_, counts)| total.join(counts));
+        let loud = || self.by_loudness.range(least..).map(|(_, counts)| counts);
+        let (first, end) = (loud().map(|of| of.first).min(), loud().map(Counts::end).max());
+        if let Some((first, end)) = first.zip(end) {
+            total.reach(first, end - 1);
+        }
+        loud().for_each(|counts| total.join(counts));
         total
     }
 }
@@ -269,7 +303,11 @@ pub(super) fn median(mut values: Vec<f64>) -> f64 {
 
 /// Adds the features of all bands to `sums`, shape ([`BAND_FEATURES`], width). `counts` has shape
 /// (width, bins). `table` holds the value of each bin, shape (channels, bins).
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
 fn add_bands(
     counts: &[f32],
     (bins, bands): (usize, usize),

@@ -9,6 +9,8 @@
 
 use rand_chacha::ChaCha8Rng;
 
+use super::lanes::dot;
+use super::moments::{less, means};
 use crate::seed;
 
 pub(super) const EXCERPTS: usize = 3;
@@ -63,28 +65,25 @@ fn rng(digest: u64, seed: u64, purpose: &str) -> ChaCha8Rng {
 }
 
 /// The samples of a copy of a series: an excerpt, or the twin. `samples` are interleaved; `source` is
-/// the name of the source.
+/// the name of the source, and `deviations` are the [`deviations`] of its channels.
 pub(super) fn samples(
     copy: &Copy,
     (digest, seed, source): (u64, u64, &str),
-    channels: usize,
+    deviations: &[f64],
     samples: &[f32],
 ) -> Vec<f32> {
+    let channels = deviations.len();
     let mut rng = rng(digest, seed, &format!("copy {} {source}", copy.quarter));
     let Some(place) = copy.place else {
-        return twin(&mut rng, channels, samples);
+        return twin(&mut rng, deviations, samples);
     };
     let frames = samples.len() / channels;
     let length = ((SHARE * frames as f64).round() as usize).max(1);
     let first = (place * (frames - length.min(frames)) as f64).round() as usize;
     let mut excerpt = samples[first * channels..(first + length).min(frames) * channels].to_vec();
     if copy.quarter > 0 {
-        let noise = noise(between(&mut rng, EXCERPT_NOISE_DB), channels, samples);
-        for frame in excerpt.chunks_exact_mut(channels) {
-            for (x, noise) in frame.iter_mut().zip(&noise) {
-                *x += noise * seed::nearly_normal(&mut rng);
-            }
-        }
+        let noise = noise(between(&mut rng, EXCERPT_NOISE_DB), deviations);
+        add_noise(&mut rng, &noise, &mut excerpt);
     }
     excerpt
 }
@@ -94,16 +93,29 @@ fn between(rng: &mut ChaCha8Rng, (low, high): (f64, f64)) -> f64 {
 }
 
 /// Deviation of white noise on each channel, `db` below the signal.
-fn noise(db: f64, channels: usize, samples: &[f32]) -> Vec<f32> {
+fn noise(db: f64, deviations: &[f64]) -> Vec<f32> {
     let share = 10f64.powf(-db / 20.0);
-    deviations(channels, samples).iter().map(|deviation| (share * deviation) as f32).collect()
+    deviations.iter().map(|deviation| (share * deviation) as f32).collect()
+}
+
+/// Adds white noise with these deviations to the channels of interleaved samples.
+fn add_noise(rng: &mut ChaCha8Rng, noise: &[f32], samples: &mut [f32]) {
+    let mut draws = vec![0.0; samples.len()];
+    seed::nearly_normals(rng, &mut draws);
+    if let [noise] = noise {
+        samples.iter_mut().zip(&draws).for_each(|(x, draw)| *x += noise * draw);
+    } else {
+        let noise = noise.iter().cycle();
+        samples.iter_mut().zip(&draws).zip(noise).for_each(|((x, draw), noise)| *x += noise * draw);
+    }
 }
 
 /// A series as a worse sensor would have recorded it: stretched, with white noise. In half of the
 /// cases, single samples are lost and later samples move up.
-fn twin(rng: &mut ChaCha8Rng, channels: usize, samples: &[f32]) -> Vec<f32> {
+fn twin(rng: &mut ChaCha8Rng, deviations: &[f64], samples: &[f32]) -> Vec<f32> {
+    let channels = deviations.len();
     let pace = between(rng, (-LN_STRETCH, LN_STRETCH)).exp();
-    let noise = noise(between(rng, TWIN_NOISE_DB), channels, samples);
+    let noise = noise(between(rng, TWIN_NOISE_DB), deviations);
     let lost = 10f64.powf(between(rng, LOST_LOG10));
     let lost = if seed::uniform(rng) < 0.5 { lost } else { 0.0 };
     let last = samples.len() / channels - 1;
@@ -119,21 +131,30 @@ fn twin(rng: &mut ChaCha8Rng, channels: usize, samples: &[f32]) -> Vec<f32> {
         for channel in 0..channels {
             let (a, b) =
                 (samples[before * channels + channel], samples[after * channels + channel]);
-            twin.push(a + part * (b - a) + noise[channel] * seed::nearly_normal(rng));
+            twin.push(a + part * (b - a));
         }
+        if lost > 0.0 {
+            // In turn with the draws of what is lost.
+            let kept = twin.len() - channels;
+            let noisy = twin[kept..].iter_mut().zip(&noise);
+            noisy.for_each(|(x, noise)| *x += noise * seed::nearly_normal(rng));
+        }
+    }
+    if lost == 0.0 {
+        add_noise(rng, &noise, &mut twin);
     }
     twin
 }
 
-fn deviations(channels: usize, samples: &[f32]) -> Vec<f64> {
-    let means = super::moments::means(samples, channels);
+/// Standard deviation of each channel of interleaved samples.
+pub(super) fn deviations(channels: usize, samples: &[f32]) -> Vec<f64> {
+    let means = means(samples, channels);
     let frames = (samples.len() / channels).max(1) as f64;
-    let of_channel = |c: usize| {
-        let of = samples.iter().skip(c).step_by(channels);
-        let square: f64 = of.map(|x| f64::from(x - means[c]).powi(2)).sum();
-        (square / frames).sqrt()
+    let of_channel = |(c, mean): (usize, &f32)| {
+        let apart = less(samples, (channels, c), *mean);
+        (dot(&apart, &apart) / frames).sqrt()
     };
-    (0..channels).map(of_channel).collect()
+    means.iter().enumerate().map(of_channel).collect()
 }
 
 #[cfg(test)]
@@ -150,7 +171,10 @@ mod tests {
         assert_ne!(copies(1, 1), copies(2, 1));
         assert_ne!(copies(1, 1), copies(1, 2));
         assert_eq!(copies(1, 1).map(|copy| copy.place.is_none()), [false, false, false, true]);
-        let of = |source| samples(&copies(1, 1)[EXCERPTS], (1, 1, source), 1, &wave());
+        let of = |source| {
+            let wave = wave();
+            samples(&copies(1, 1)[EXCERPTS], (1, 1, source), &deviations(1, &wave), &wave)
+        };
         assert_eq!(of("ac"), of("ac"));
         assert_ne!(of("ac"), of("fr"));
     }
@@ -160,24 +184,24 @@ mod tests {
         let given: Vec<f32> = (0..2 * 1001).map(|i| i as f32).collect();
         for digest in 1..50 {
             for copy in &copies(digest, 3)[..EXCERPTS] {
-                let cut = samples(copy, (digest, 3, "ac"), 2, &given);
+                let cut = samples(copy, (digest, 3, "ac"), &deviations(2, &given), &given);
                 assert_eq!(cut.len(), 800);
                 let clean = cut[0] % 2.0 == 0.0 && cut.windows(2).all(|w| w[1] == w[0] + 1.0);
                 assert_eq!(clean, copy.quarter == 0);
             }
         }
         let copy = copies(1, 3)[0];
-        assert_eq!(samples(&copy, (1, 3, "ac"), 2, &given[..2]).len(), 2, "a single frame");
+        assert_eq!(samples(&copy, (1, 3, "ac"), &[0.0; 2], &given[..2]).len(), 2, "a single frame");
     }
 
     #[test]
     fn a_twin_is_as_long_as_clock_and_losses_leave_it() {
         for digest in 1..30 {
             let copy = copies(digest, 1)[EXCERPTS];
-            let twin = samples(&copy, (digest, 1, "ac"), 1, &wave());
+            let twin = samples(&copy, (digest, 1, "ac"), &deviations(1, &wave()), &wave());
             let share = twin.len() as f64 / 2000.0;
             assert!((0.83..1.07).contains(&share), "{share}");
-            let rest = samples(&copy, (digest, 1, "ac"), 1, &[0.25; 400]);
+            let rest = samples(&copy, (digest, 1, "ac"), &[0.0], &[0.25; 400]);
             assert!(rest.iter().all(|&x| x == 0.25), "a channel at rest stays at rest");
         }
     }

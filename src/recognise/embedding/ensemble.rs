@@ -65,6 +65,13 @@ impl Answer {
         (0..classes).map(|class| log_mean(of_members.iter().map(|of| of[class]))).collect()
     }
 
+    /// ln of the probability of one class, as in [`Self::log_probabilities`].
+    pub(super) fn log_probability(&self, class: usize, tau: f64) -> f64 {
+        let of_member = |distances: &Vec<f64>| log_share(distances, tau)(distances[class]);
+        let of_members: Vec<f64> = self.distances.iter().map(of_member).collect();
+        log_mean(of_members.iter().copied())
+    }
+
     /// Mean over members of the squared distance to the nearest class mean, divided by the number of
     /// features.
     pub(crate) fn strangeness(&self) -> f64 {
@@ -192,13 +199,19 @@ fn least(distances: &[f64]) -> f64 {
 
 /// ln softmax(−d/2τ); equal shares if all distances are infinite.
 fn log_softmax(distances: &[f64], tau: f64) -> Vec<f64> {
+    distances.iter().copied().map(log_share(distances, tau)).collect()
+}
+
+/// ln softmax(−d/2τ) of one of the distances.
+fn log_share(distances: &[f64], tau: f64) -> impl Fn(f64) -> f64 {
     let least = least(distances);
-    if !least.is_finite() {
-        return vec![-(distances.len() as f64).ln(); distances.len()];
-    }
+    let equal = (!least.is_finite()).then(|| -(distances.len() as f64).ln());
     let scale = 0.5 / tau;
-    let total = distances.iter().map(|d| (scale * (least - d)).exp()).sum::<f64>().ln();
-    distances.iter().map(|d| scale * (least - d) - total).collect()
+    let total = match equal {
+        Some(_) => 0.0,
+        None => distances.iter().map(|d| (scale * (least - d)).exp()).sum::<f64>().ln(),
+    };
+    move |d| equal.unwrap_or(scale * (least - d) - total)
 }
 
 /// ln of the mean of e^x. A mean too small for a number still has a logarithm.

@@ -132,8 +132,9 @@ impl SeriesFrames {
     ) -> Self {
         let (channels, samples) = (series.channels(), series.samples());
         let source = (digest, seed, spec.id.as_str());
+        let deviations = copies::deviations(channels, samples);
         let copy =
-            |copy: &Copy| Piece::new(&views, &copies::samples(copy, source, channels, samples));
+            |copy: &Copy| Piece::new(&views, &copies::samples(copy, source, &deviations, samples));
         let copies = copies(digest, seed).iter().map(copy).collect();
         let (mut growing, mut taken, mut looks) = (Growing::new(&views), 0, Vec::new());
         let mut frames: [PackedFrames; 2] = Default::default();

@@ -1,6 +1,8 @@
 //! A series as it grows: cut into frames and summed, in pieces of any size. Whole recordings, copies,
 //! beginnings and scans in progress all go this way, so that they cannot differ.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use super::frames::SourceViews;
@@ -22,6 +24,15 @@ impl Piece {
         let frames = growing.add(samples);
         growing.ended(frames)
     }
+}
+
+/// What waited, and the samples after it; a whole series, before which nothing waits, is not copied.
+pub(super) fn joined<'a>(pending: &mut Vec<f32>, samples: &'a [f32]) -> Cow<'a, [f32]> {
+    if pending.is_empty() {
+        return samples.into();
+    }
+    pending.extend_from_slice(samples);
+    std::mem::take(pending).into()
 }
 
 #[derive(Clone, Debug)]
@@ -54,17 +65,18 @@ impl Growing {
         }
         std::array::from_fn(|number| {
             let (view, pending) = (&self.views.frames[number], &mut self.pending[number]);
-            pending.extend_from_slice(samples);
+            let all = joined(pending, samples);
             let fresh = match &mut self.passed {
                 Some(passed) if number == 0 => {
-                    let (fresh, parts) = view.whole_frames_and_passed(pending);
+                    let (fresh, parts) = view.whole_frames_and_passed(&all);
                     self.moments.extend(&passed.add(&parts));
                     fresh
                 }
-                _ => view.whole_frames(pending),
+                _ => view.whole_frames(&all),
             };
             self.begun[number] |= !fresh.is_empty();
-            pending.drain(..view.hop() * view.channels * (fresh.len() / view.width()));
+            let done = view.hop() * view.channels * (fresh.len() / view.width());
+            *pending = all[done..].to_vec();
             PackedFrames::new(&fresh)
         })
     }

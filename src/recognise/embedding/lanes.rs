@@ -31,7 +31,11 @@ fn total<T: Copy + Into<f64>>(lanes: &[T; LANES]) -> f64 {
 }
 
 /// Σ a·b over two lists of equal length.
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f64 {
     let ((a, last_a), (b, last_b)) = (chunks(a, 0.0), chunks(b, 0.0));
     let mut sums = [0f64; LANES];
@@ -50,7 +54,11 @@ fn add_products(sums: &mut [f64; LANES], a: &[f32; LANES], b: &[f32; LANES]) {
 }
 
 /// Σ x, Σ x³ and Σ x⁴.
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
 pub(super) fn powers(x: &[f32]) -> [f64; 3] {
     let (whole, last) = chunks(x, 0.0);
     let mut sums = [[0f64; LANES]; 3];

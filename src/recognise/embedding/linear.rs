@@ -2,6 +2,7 @@
 //! nearly all work is matrix products (Golub & Van Loan, "Matrix Computations", 4th ed., §4.2.9 and
 //! §3.1).
 
+use multiversion::multiversion;
 use ndarray::linalg::general_mat_mul;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, s};
 use rayon::prelude::*;
@@ -41,23 +42,32 @@ fn factor(mut a: ArrayViewMut2<'_, f64>) -> Option<()> {
         subtract_lower_product(&l21.view(), &l21.t(), &mut a22);
         return factor(a22);
     }
+    let mut upper = transposed(&a.view());
     for j in 0..n {
-        let left: f64 = a.slice(s![j, ..j]).iter().map(|x| x * x).sum();
-        let pivot = a[[j, j]] - left;
+        let pivot = upper[j * n + j];
         // Written so that NaN fails as well.
         if !(pivot > 0.0 && pivot.is_finite()) {
             return None;
         }
         let root = pivot.sqrt();
-        a[[j, j]] = root;
-        let (above, mut below) = a.view_mut().split_at(Axis(0), j + 1);
-        let row_j = above.slice(s![j, ..j]);
-        for mut row in below.rows_mut() {
-            let dot: f64 = row.slice(s![..j]).iter().zip(&row_j).map(|(x, y)| x * y).sum();
-            row[j] = (row[j] - dot) / root;
+        let (above, below) = upper.split_at_mut((j + 1) * n);
+        let row = &mut above[j * n + j..];
+        row[0] = root;
+        row[1..].iter_mut().for_each(|x| *x /= root);
+        for (i, below) in below.chunks_exact_mut(n).enumerate() {
+            let own = row[1 + i];
+            below[j + 1 + i..].iter_mut().zip(&row[1 + i..]).for_each(|(x, of)| *x -= own * of);
         }
     }
+    for ((i, j), x) in a.indexed_iter_mut().filter(|((i, j), _)| j <= i) {
+        *x = upper[j * n + i];
+    }
     Some(())
+}
+
+/// The transpose of a block, row by row.
+fn transposed(block: &ArrayView2<'_, f64>) -> Vec<f64> {
+    block.t().iter().copied().collect()
 }
 
 fn half_of(n: usize) -> usize {
@@ -79,11 +89,29 @@ fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
         general_mat_mul(-1.0, &first, &l.slice(s![half.., ..half]).t(), 1.0, &mut second);
         return solve_from_right(&l.slice(s![half.., half..]), second);
     }
+    let upper = transposed(l);
     for mut row in b.rows_mut() {
-        for j in 0..n {
-            let known = row.slice(s![..j]);
-            let dot: f64 = known.iter().zip(l.slice(s![j, ..j])).map(|(x, y)| x * y).sum();
-            row[j] = (row[j] - dot) / l[[j, j]];
+        match row.as_slice_mut() {
+            Some(row) => solve_row(&upper, row),
+            None => {
+                let mut own = row.to_vec();
+                solve_row(&upper, &mut own);
+                row.iter_mut().zip(own).for_each(|(x, own)| *x = own);
+            }
+        }
+    }
+}
+
+/// Solves x·U = b in place; U is upper triangular, row by row.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn solve_row(upper: &[f64], b: &mut [f64]) {
+    let n = b.len();
+    for j in 0..n {
+        let of_u = &upper[j * n..][..n];
+        let x = b[j] / of_u[j];
+        b[j] = x;
+        for k in j + 1..n {
+            b[k] -= x * of_u[k];
         }
     }
 }
@@ -181,50 +209,133 @@ pub(crate) fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
     gram
 }
 
-/// Eigenvalues and eigenvectors of a small symmetric matrix.
+/// Eigenvalues and eigenvectors of a symmetric matrix.
 pub(crate) struct EigenPairs {
-    n: usize,
     values: Vec<f64>,
-    /// One eigenvector a column, shape (n, n).
-    vectors: Vec<f64>,
+    /// One eigenvector a row, shape (n, n).
+    vectors: Array2<f64>,
 }
 
 impl EigenPairs {
-    /// Decomposes a matrix of shape (n, n), given row by row, with cyclic Jacobi rotations (Golub &
-    /// Van Loan, §8.5). They suit small n.
-    pub(crate) fn new(mut a: Vec<f64>, n: usize) -> Self {
-        /// Sweeps converge quadratically; ten are plenty.
-        const SWEEPS: usize = 30;
-        let mut vectors = vec![0.0; n * n];
-        (0..n).for_each(|i| vectors[i * n + i] = 1.0);
-        let diagonal: f64 = (0..n).map(|i| a[i * n + i].powi(2)).sum();
-        for _ in 0..SWEEPS {
-            let off: f64 = (0..n)
-                .flat_map(|i| (0..i).map(move |j| (i, j)))
-                .map(|(i, j)| a[i * n + j].powi(2))
-                .sum();
-            if off <= 1e-24 * diagonal {
-                break;
-            }
-            for p in 0..n {
-                for q in p + 1..n {
-                    rotate(&mut a, &mut vectors, n, (p, q));
-                }
-            }
-        }
-        Self { n, values: (0..n).map(|i| a[i * n + i]).collect(), vectors }
+    /// Decomposes a matrix of shape (n, n), given row by row: Householder reflections make it
+    /// tridiagonal, implicit QR steps diagonal (Golub & Van Loan, §8.3).
+    pub(crate) fn new(matrix: Vec<f64>, n: usize) -> Self {
+        let (mut values, mut beside, mut vectors) = tridiagonal(matrix, n);
+        diagonal(&mut values, &mut beside, &mut vectors);
+        // The buffer has n·n values.
+        let vectors = Array2::from_shape_vec((n, n), vectors).unwrap_or_default();
+        Self { values, vectors }
     }
 
     /// The matrix with the same eigenvectors and the eigenvalues `f`(λ), row by row.
     pub(crate) fn map(&self, f: impl Fn(f64) -> f64) -> Vec<f64> {
-        let (n, v) = (self.n, &self.vectors);
-        let values: Vec<f64> = self.values.iter().map(|&x| f(x)).collect();
-        let entry = |k: usize| {
-            let (i, j) = (k / n, k % n);
-            (0..n).map(|e| v[i * n + e] * values[e] * v[j * n + e]).sum()
-        };
-        (0..n * n).map(entry).collect()
+        let mut scaled = self.vectors.clone();
+        for (mut row, &value) in scaled.rows_mut().into_iter().zip(&self.values) {
+            row *= f(value);
+        }
+        self.vectors.t().dot(&scaled).into_iter().collect()
     }
+}
+
+/// Makes a symmetric matrix A tridiagonal: T = Qᵀ·A·Q. Gives the diagonal of T, the values beside it,
+/// each before its own row, and Qᵀ.
+fn tridiagonal(mut a: Vec<f64>, n: usize) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
+    let mut q = vec![0.0; n * n];
+    (0..n).for_each(|i| q[i * n + i] = 1.0);
+    let (mut p, mut beside) = (vec![0.0; n], vec![0.0; n]);
+    for k in 0..n.saturating_sub(1) {
+        let from = k + 1;
+        // The reflection I − 2·v·vᵀ/|v|² that turns row k, right of the diagonal, into (−α, 0, …).
+        let mut v = a[k * n + from..(k + 1) * n].to_vec();
+        let alpha = inner(&v, &v).sqrt().copysign(v[0]);
+        beside[from] = -alpha;
+        v[0] += alpha;
+        let square = inner(&v, &v);
+        if square == 0.0 {
+            continue;
+        }
+        let scale = 2.0 / square;
+        for (p, row) in p[from..].iter_mut().zip(a.chunks_exact(n).skip(from)) {
+            *p = scale * inner(&row[from..], &v);
+        }
+        let half = 0.5 * scale * inner(&p[from..], &v);
+        p[from..].iter_mut().zip(&v).for_each(|(p, v)| *p -= half * v);
+        for (i, row) in a.chunks_exact_mut(n).skip(from).enumerate() {
+            let (own_v, own_p) = (v[i], p[from + i]);
+            for ((x, v), p) in row[from..].iter_mut().zip(&v).zip(&p[from..]) {
+                *x -= own_v * p + own_p * v;
+            }
+        }
+        // Qᵀ ← (I − 2·v·vᵀ/|v|²)·Qᵀ
+        p.fill(0.0);
+        for (v, row) in v.iter().zip(q.chunks_exact(n).skip(from)) {
+            p.iter_mut().zip(row).for_each(|(p, x)| *p += scale * v * x);
+        }
+        for (v, row) in v.iter().zip(q.chunks_exact_mut(n).skip(from)) {
+            row.iter_mut().zip(&p).for_each(|(x, p)| *x -= v * p);
+        }
+    }
+    ((0..n).map(|i| a[i * n + i]).collect(), beside, q)
+}
+
+/// Makes a tridiagonal matrix diagonal; turns the rows of `vectors` with it.
+fn diagonal(values: &mut [f64], beside: &mut [f64], vectors: &mut [f64]) {
+    /// Two or three steps an eigenvalue are usual.
+    const STEPS: usize = 60;
+    let n = values.len();
+    let mut last = n.saturating_sub(1);
+    for _ in 0..STEPS * n {
+        let joined = |at: usize, values: &[f64], beside: &[f64]| {
+            beside[at].abs() > f64::EPSILON * (values[at - 1].abs() + values[at].abs())
+        };
+        while last > 0 && !joined(last, values, beside) {
+            last -= 1;
+        }
+        if last == 0 {
+            return;
+        }
+        let mut first = last - 1;
+        while first > 0 && joined(first, values, beside) {
+            first -= 1;
+        }
+        // The eigenvalue of the last 2 × 2 block that is nearer to its last value (Wilkinson's shift).
+        let (off, half) = (beside[last], 0.5 * (values[last - 1] - values[last]));
+        let shift = values[last] - off * off / (half + half.hypot(off).copysign(half));
+        let (mut x, mut z) = (values[first] - shift, beside[first + 1]);
+        for k in first..last {
+            let length = x.hypot(z);
+            let (c, s) = if length == 0.0 { (1.0, 0.0) } else { (x / length, z / length) };
+            if k > first {
+                beside[k] = length;
+            }
+            let (a, b, d) = (values[k], beside[k + 1], values[k + 1]);
+            values[k] = c * c * a + 2.0 * c * s * b + s * s * d;
+            values[k + 1] = s * s * a - 2.0 * c * s * b + c * c * d;
+            beside[k + 1] = c * s * (d - a) + (c * c - s * s) * b;
+            x = beside[k + 1];
+            if k + 1 < last {
+                z = s * beside[k + 2];
+                beside[k + 2] *= c;
+            }
+            let (above, below) = vectors.split_at_mut((k + 1) * n);
+            for (u, w) in above[k * n..].iter_mut().zip(&mut below[..n]) {
+                (*u, *w) = (c * *u + s * *w, c * *w - s * *u);
+            }
+        }
+    }
+}
+
+/// Σ a·b, by four sums, so that no addition waits for the one before.
+fn inner(a: &[f64], b: &[f64]) -> f64 {
+    const LANES: usize = 4;
+    let ((a, rest_a), (b, rest_b)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    let mut sums = [0.0; LANES];
+    for (a, b) in a.iter().zip(b) {
+        for lane in 0..LANES {
+            sums[lane] += a[lane] * b[lane];
+        }
+    }
+    sums.iter().sum::<f64>() + rest_a.iter().zip(rest_b).map(|(a, b)| a * b).sum::<f64>()
 }
 
 /// Appends the upper triangle of a symmetric matrix of shape (n, n). Off-diagonal values are
@@ -235,31 +346,6 @@ pub(crate) fn push_upper(matrix: &[f64], n: usize, vector: &mut Vec<f32>) {
             let factor = if row == column { 1.0 } else { std::f64::consts::SQRT_2 };
             vector.push((factor * matrix[row * n + column]) as f32);
         }
-    }
-}
-
-/// One rotation that makes a_pq zero.
-fn rotate(a: &mut [f64], v: &mut [f64], n: usize, (p, q): (usize, usize)) {
-    let off = a[p * n + q];
-    if off == 0.0 {
-        return;
-    }
-    let tau = (a[q * n + q] - a[p * n + p]) / (2.0 * off);
-    let t = tau.signum() / (tau.abs() + (1.0 + tau * tau).sqrt());
-    let c = 1.0 / (1.0 + t * t).sqrt();
-    let s = t * c;
-    for k in 0..n {
-        let (x, y) = (a[k * n + p], a[k * n + q]);
-        a[k * n + p] = c * x - s * y;
-        a[k * n + q] = s * x + c * y;
-        let (x, y) = (v[k * n + p], v[k * n + q]);
-        v[k * n + p] = c * x - s * y;
-        v[k * n + q] = s * x + c * y;
-    }
-    for k in 0..n {
-        let (x, y) = (a[p * n + k], a[q * n + k]);
-        a[p * n + k] = c * x - s * y;
-        a[q * n + k] = s * x + c * y;
     }
 }
 
@@ -301,6 +387,23 @@ mod tests {
         let lower = lower_gram(&vectors.view());
         for ((i, j), expected) in full.indexed_iter().filter(|((i, j), _)| j <= i) {
             assert!((lower[[i, j]] - expected).abs() < 1e-5 * full[[i, i]], "{i}, {j}");
+        }
+    }
+
+    #[test]
+    fn eigenvectors_are_orthogonal_and_make_the_matrix_again() {
+        let twins = |n: usize| Array2::from_shape_fn((n, n), |(i, j)| f64::from(i % 2 == j % 2));
+        let matrices = [1, 2, 3, 21, 60].map(matrix).into_iter();
+        for a in matrices.chain([Array2::zeros((4, 4)), Array2::eye(5), twins(8)]) {
+            let n = a.nrows();
+            let pairs = EigenPairs::new(a.iter().copied().collect(), n);
+            let near = |got: &[f64], expected: &Array2<f64>| {
+                let size = expected.iter().fold(1.0, |most: f64, x| most.max(x.abs()));
+                got.iter().zip(expected).all(|(x, y)| (x - y).abs() < 1e-12 * size)
+            };
+            assert!(near(&pairs.map(|x| x), &a), "{n}: the matrix");
+            assert!(near(&pairs.map(|_| 1.0), &Array2::eye(n)), "{n}: orthogonal");
+            assert!(near(&pairs.map(|x| x * x), &a.dot(&a)), "{n}: its square");
         }
     }
 

@@ -7,11 +7,17 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::growing::joined;
 use super::lanes::{about, dot, extremes, powers};
 use super::quantiles::{Histograms, QUANTILES};
+use crate::recognise::features::windowed_frames::sum;
 
 /// Number of lags of the products x_t·x_{t−l}: 0 … 3 samples.
 const LAGS: usize = 4;
+
+/// Sources with more channels than this have lagged products of each channel with itself alone: those of
+/// pairs grow with the square.
+pub(super) const MOST_LAGGED: usize = 16;
 
 /// Keeps logarithms finite; far below one step of a 24-bit converter.
 const FLOOR: f64 = 1e-9;
@@ -40,17 +46,30 @@ enum Of {
 
 const OF_CHANNEL: usize = 9;
 
-/// Number of sums of a block: its length, [`OF_CHANNEL`] for each channel, C × C for each lag.
+/// Number of sums of a block: its length, [`OF_CHANNEL`] for each channel, the products of each lag.
 fn width(channels: usize) -> usize {
-    1 + OF_CHANNEL * channels + LAGS * channels * channels
+    products(channels, LAGS)
 }
 
 fn place(of: Of, channel: usize) -> usize {
     1 + OF_CHANNEL * channel + of as usize
 }
 
+/// The place of the first product of a lag.
 fn products(channels: usize, lag: usize) -> usize {
-    1 + OF_CHANNEL * channels + lag * channels * channels
+    1 + OF_CHANNEL * channels + (0..lag).map(|lag| pairs(channels, lag)).sum::<usize>()
+}
+
+/// Number of products of a lag: of each channel with each, or with itself alone.
+fn pairs(channels: usize, lag: usize) -> usize {
+    if lag > 0 && channels > MOST_LAGGED { channels } else { channels * channels }
+}
+
+/// The channels of each product of a lag: the later sample's, then the earlier one's.
+fn of_pairs(channels: usize, lag: usize) -> impl Iterator<Item = (usize, usize)> {
+    let each = pairs(channels, lag) / channels;
+    (0..channels)
+        .flat_map(move |i| (if each == 1 { i..i + 1 } else { 0..each }).map(move |j| (i, j)))
 }
 
 /// Sums over the blocks in which a channel moves, or over all blocks if no channel ever moves. Blocks
@@ -83,14 +102,15 @@ impl Sums {
         if first {
             *self = Self { moved: true, ..Self::new(self.channels) };
         }
-        let powers = 1..products(self.channels, 0);
-        for (i, (sum, &x)) in self.values.iter_mut().zip(of_block).enumerate() {
-            let x = f64::from(x);
-            match (i.wrapping_sub(1)) % OF_CHANNEL {
-                of if powers.contains(&i) && of == Of::Least as usize => *sum = sum.min(x),
-                of if powers.contains(&i) && of == Of::Greatest as usize => *sum = sum.max(x),
-                _ => *sum += x,
-            }
+        let (channels, values) = (self.channels, &mut self.values);
+        let extremes: Vec<_> = (0..channels)
+            .map(|c| [place(Of::Least, c), place(Of::Greatest, c)])
+            .map(|[low, high]| [(low, values[low]), (high, values[high])])
+            .collect();
+        values.iter_mut().zip(of_block).for_each(|(sum, &x)| *sum += f64::from(x));
+        for [(low, least), (high, greatest)] in extremes {
+            values[low] = least.min(f64::from(of_block[low]));
+            values[high] = greatest.max(f64::from(of_block[high]));
         }
         (true, !first)
     }
@@ -124,17 +144,17 @@ impl Moments {
         // Γ(l)_ij: the mean of (x_i(t) − m_i)·(x_j(t − l) − m_j).
         let covariance = |lag: usize| -> Vec<f64> {
             let from = products(channels, lag);
-            let entry = |k: usize| {
-                let (i, j) = (k / channels, k % channels);
-                f64::from(self.sums[from + k]) / n - level[i] * level[j]
-            };
-            (0..channels * channels).map(entry).collect()
+            let products = of_pairs(channels, lag).zip(&self.sums[from..]);
+            products.map(|((i, j), sum)| f64::from(*sum) / n - level[i] * level[j]).collect()
         };
         let mut covariances: Vec<Vec<f64>> = (0..LAGS).map(covariance).collect();
         let mut moments = Vec::with_capacity(MOMENTS * channels);
         let mut deviations = Vec::with_capacity(channels);
         for (c, &m) in level.iter().enumerate() {
-            let own = |lag: usize| covariances[lag][c * channels + c];
+            let own = |lag: usize| {
+                let each = pairs(channels, lag) / channels;
+                covariances[lag][c * each + if each == 1 { 0 } else { c }]
+            };
             let variance = own(0).max(0.0);
             let deviation = variance.sqrt().max(FLOOR);
             let (second, third, fourth) =
@@ -184,7 +204,8 @@ pub struct Statistics {
     pub deviations: Vec<f64>,
     /// Mean of each channel, without the gain.
     pub means: Vec<f64>,
-    /// Γ(l) for lags of 0 to 3 samples, each of shape (C, C).
+    /// Γ(l) for lags of 0 to 3 samples, each of shape (C, C); with more than [`MOST_LAGGED`] channels, the
+    /// diagonal alone for the lags above 0.
     pub covariances: Vec<Vec<f64>>,
     /// For each channel, quantiles of x minus its mean, then of |step|; see [`QUANTILES`].
     pub quantiles: Vec<f64>,
@@ -220,9 +241,8 @@ impl GrowingMoments {
     pub(super) fn extend(&mut self, samples: &[f32]) {
         let channels = self.sums.channels;
         let size = self.block * channels;
-        self.pending.extend_from_slice(samples);
-        let pending = std::mem::take(&mut self.pending);
-        let mut blocks = pending.chunks_exact(size);
+        let all = joined(&mut self.pending, samples);
+        let mut blocks = all.chunks_exact(size);
         for block in &mut blocks {
             let reference = self.reference.get_or_insert_with(|| means(block, channels));
             let counts = self.sums.add(&block_sums(block, &self.before, reference, channels));
@@ -259,10 +279,7 @@ fn held(x: f64) -> f32 {
 /// The mean of each channel of interleaved samples.
 pub(super) fn means(samples: &[f32], channels: usize) -> Vec<f32> {
     let frames = (samples.len() / channels).max(1) as f64;
-    let mean = |c: usize| {
-        let sum: f64 = samples.iter().skip(c).step_by(channels).map(|&x| f64::from(x)).sum();
-        (sum / frames) as f32
-    };
+    let mean = |c: usize| (sum(&less(samples, (channels, c), 0.0)) / frames) as f32;
     (0..channels).map(mean).collect()
 }
 
@@ -299,14 +316,16 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
         let at = products(channels, lag);
         // A recording has no samples before its first block.
         let from = past.max(lag);
-        for (i, now) in all.iter().enumerate() {
-            for (j, earlier) in all.iter().enumerate() {
-                if from < now.len() {
-                    let end = earlier.len() - lag;
-                    sums[at + i * channels + j] =
-                        dot(&now[from..], &earlier[from - lag..end]) as f32;
-                }
-            }
+        if from >= past + frames {
+            continue;
+        }
+        for (k, (i, j)) in of_pairs(channels, lag).enumerate() {
+            sums[at + k] = if lag == 0 && j < i {
+                sums[at + j * channels + i]
+            } else {
+                let earlier = &all[j];
+                dot(&all[i][from..], &earlier[from - lag..earlier.len() - lag]) as f32
+            };
         }
     }
     sums.iter_mut().for_each(|x| *x = x.clamp(-f32::MAX, f32::MAX));
@@ -314,7 +333,11 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
 }
 
 /// One channel of interleaved samples, minus `reference`.
-fn less(samples: &[f32], (channels, channel): (usize, usize), reference: f32) -> Vec<f32> {
+pub(super) fn less(
+    samples: &[f32],
+    (channels, channel): (usize, usize),
+    reference: f32,
+) -> Vec<f32> {
     if channels == 1 {
         return samples.iter().map(|x| x - reference).collect();
     }

@@ -1,6 +1,7 @@
 //! Stores numbers as one run of little-endian bytes, which is far quicker to read than single numbers:
 //! frames and, by `#[serde(with = "…")]`, matrices of stored trials and models.
 
+use multiversion::multiversion;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -17,12 +18,17 @@ const STEPS: f32 = 512.0;
 
 impl PackedFrames {
     pub fn new(values: &[f32]) -> Self {
-        let pack = |x: &f32| (x * STEPS).round().clamp(f32::from(i16::MIN), f32::from(i16::MAX));
-        Self { values: values.iter().map(|x| pack(x) as i16).collect() }
+        let mut packed = vec![0; values.len()];
+        pack(values, &mut packed);
+        Self { values: packed }
     }
 
     pub(super) fn extend(&mut self, other: &Self) {
         self.values.extend_from_slice(&other.values);
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.values.is_empty()
     }
 
     /// All values, as ln power.
@@ -34,6 +40,15 @@ impl PackedFrames {
     pub fn part(&self, width: usize, within: std::ops::Range<usize>) -> Vec<f32> {
         let values = &self.values[within.start * width..within.end * width];
         values.iter().map(|&x| f32::from(x) / STEPS).collect()
+    }
+}
+
+/// Without SSE 4.1, `f32::round` is a function call.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn pack(values: &[f32], packed: &mut [i16]) {
+    for i in 0..values.len().min(packed.len()) {
+        packed[i] =
+            (values[i] * STEPS).round().clamp(f32::from(i16::MIN), f32::from(i16::MAX)) as i16;
     }
 }
 

@@ -89,6 +89,11 @@ fn quantiles(counts: &[u32], edge: impl Fn(usize) -> f32) -> [f32; QUANTILES] {
         while bin + 1 < counts.len() && below + counts[bin] as f32 <= wanted {
             below += counts[bin] as f32;
             bin += 1;
+            if below <= wanted {
+                // Most bins are empty.
+                let empty = counts[bin..counts.len() - 1].iter().take_while(|n| **n == 0).count();
+                bin += empty;
+            }
         }
         if total == 0.0 {
             return 0.0;

@@ -10,7 +10,7 @@ use super::band_sums::{BandSums, Counts, ViewEmbedder, median};
 use super::frames::{SeriesFrames, SourceViews};
 use super::growing::Piece;
 use super::linear::{EigenPairs, push_upper};
-use super::moments::{LOUDNESS, MOMENTS, Moments, Statistics};
+use super::moments::{LOUDNESS, MOMENTS, MOST_LAGGED, Moments, Statistics};
 use super::packed::PackedFrames;
 use super::quantiles::QUANTILES;
 use crate::recognise::features::windowed_frames::FrameView;
@@ -18,9 +18,6 @@ use crate::trial::usual_rests;
 
 /// Lags in samples; the joint covariance is of the series shifted by each of them.
 const LAGS: [usize; 3] = [0, 1, 3];
-
-/// Sources with more channels than this have no lags: their covariance grows with the square of both.
-const MOST_LAGGED: usize = 16;
 
 /// Series of fewer samples have no quantiles: the frames say more of them.
 const FEWEST_RANKED: f64 = 64.0;

@@ -54,7 +54,7 @@ impl Temperature {
 /// The τ in [1, [`HIGHEST`]] with the least log loss.
 fn best(held_out: &[(Answer, usize)]) -> f64 {
     let loss = |tau: f64| -> f64 {
-        let of_trial = |(answer, class): &(Answer, usize)| answer.log_probabilities(tau)[*class];
+        let of_trial = |(answer, class): &(Answer, usize)| answer.log_probability(*class, tau);
         -held_out.iter().map(|trial| of_trial(trial).max(LEAST)).sum::<f64>()
     };
     let tau = |step: usize| HIGHEST.powf(step as f64 / (STEPS - 1) as f64);

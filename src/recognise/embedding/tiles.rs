@@ -126,14 +126,14 @@ fn pixels_of(quarter: usize) -> (Range<usize>, Range<usize>) {
 /// The three channels of a picture, each row by row.
 fn planes(image: &Image) -> [Vec<f32>; CHANNELS] {
     let (pixels, _) = image.rgb().as_chunks();
-    let plane = |of: fn([f32; 3]) -> f32| -> Vec<f32> {
-        pixels.iter().map(|rgb: &[u8; 3]| of(rgb.map(|x| f32::from(x) / 255.0))).collect()
-    };
-    [
-        plane(|[r, g, b]| (r + g + b) / 3.0),
-        plane(|[r, g, _]| r - g),
-        plane(|[r, g, b]| (r + g) / 2.0 - b),
-    ]
+    let mut planes = [(); CHANNELS].map(|()| Vec::with_capacity(pixels.len()));
+    for [r, g, b] in pixels {
+        let (r, g, b) = (f32::from(*r) / 255.0, f32::from(*g) / 255.0, f32::from(*b) / 255.0);
+        planes[0].push((r + g + b) / 3.0);
+        planes[1].push(r - g);
+        planes[2].push((r + g) / 2.0 - b);
+    }
+    planes
 }
 
 impl PixelSums {
@@ -214,33 +214,49 @@ impl PixelSums {
 }
 
 /// Adds Σ v_i and, for j ≤ i, Σ v_i·v_j over equally long rows.
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
 fn add_products(rows: &[&[f32]], sums: &mut [f64], products: &mut [f64]) {
     let mut at = 0;
     for (i, a) in rows.iter().enumerate() {
-        let mut sum = 0.0;
-        for x in *a {
-            sum += x;
+        let (a, last_a) = chunks::<16>(a, 0.0);
+        let mut lanes = last_a;
+        for chunk in a {
+            for lane in 0..16 {
+                lanes[lane] += chunk[lane];
+            }
         }
-        sums[i] += f64::from(sum);
+        sums[i] += f64::from(total(lanes));
         for b in &rows[..=i] {
-            let (mut lanes, mut product) = ([0f32; 16], 0.0);
-            let ((a, last_a), (b, last_b)) = (chunks::<16>(a, 0.0), chunks::<16>(b, 0.0));
+            let (b, last_b) = chunks::<16>(b, 0.0);
+            let mut lanes = [0f32; 16];
+            for lane in 0..16 {
+                lanes[lane] = last_a[lane] * last_b[lane];
+            }
             for i in 0..a.len().min(b.len()) {
                 for lane in 0..16 {
                     lanes[lane] += a[i][lane] * b[i][lane];
                 }
             }
-            for lane in 0..16 {
-                lanes[lane] += last_a[lane] * last_b[lane];
-            }
-            for lane in lanes {
-                product += lane;
-            }
-            products[at] += f64::from(product);
+            products[at] += f64::from(total(lanes));
             at += 1;
         }
     }
+}
+
+/// The sum of the lanes, halves first, so that few additions wait for the one before.
+#[inline(always)]
+fn total(mut lanes: [f32; 16]) -> f32 {
+    for lane in 0..8 {
+        lanes[lane] += lanes[lane + 8];
+    }
+    for lane in 0..4 {
+        lanes[lane] += lanes[lane + 4];
+    }
+    (lanes[0] + lanes[2]) + (lanes[1] + lanes[3])
 }
 
 /// The band of each bin of a transformed tile.
@@ -326,6 +342,30 @@ impl Rings {
     }
 }
 
+/// Writes two tiles, without their means and windowed, as the real and imaginary parts of `pair`. A tile
+/// begins at the first of the pixels that are given, and the rows of the picture follow each other.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn fill(tiles: [&[f32]; 2], window: &[f32], pair: &mut [Complex<f32>]) {
+    let mut means = [0f32; 2];
+    for (mean, tile) in means.iter_mut().zip(tiles) {
+        let mut total = 0.0;
+        for row in 0..SIDE {
+            total += sum(&tile[row * Image::COLS..][..SIDE]);
+        }
+        *mean = (total / (SIDE * SIDE) as f64) as f32;
+    }
+    let window = &window[..SIDE];
+    for row in 0..SIDE {
+        let (a, b) =
+            (&tiles[0][row * Image::COLS..][..SIDE], &tiles[1][row * Image::COLS..][..SIDE]);
+        let out = &mut pair[row * SIDE..][..SIDE];
+        for i in 0..SIDE {
+            out[i].re = (a[i] - means[0]) * window[i] * window[row];
+            out[i].im = (b[i] - means[1]) * window[i] * window[row];
+        }
+    }
+}
+
 /// ln power of one row of tiles; each tile has all its channels.
 fn tile_row(planes: &[Vec<f32>; CHANNELS], row: usize) -> Vec<f32> {
     let rings = rings();
@@ -335,19 +375,12 @@ fn tile_row(planes: &[Vec<f32>; CHANNELS], row: usize) -> Vec<f32> {
         (0..TILES[1]).flat_map(|column| (0..CHANNELS).map(move |c| (column, c))).collect();
     let mut all = Vec::with_capacity(TILES[1] * PictureTiles::width());
     for two in tiles.chunks(2) {
-        pair.fill(Complex::default());
-        for (i, &(column, channel)) in two.iter().enumerate() {
-            let line =
-                |y: usize| &planes[channel][(row * HOP + y) * Image::COLS + column * HOP..][..SIDE];
-            let sum: f64 = (0..SIDE).map(|y| sum(line(y))).sum();
-            let mean = (sum / (SIDE * SIDE) as f64) as f32;
-            for (y, out) in pair.chunks_exact_mut(SIDE).enumerate() {
-                for ((out, x), w) in out.iter_mut().zip(line(y)).zip(&rings.window) {
-                    let value = (x - mean) * w * rings.window[y];
-                    if i == 0 { out.re = value } else { out.im = value }
-                }
-            }
-        }
+        // The second tile may be missing; the first stands for it, and its powers are left out.
+        let tile = |&(column, channel): &(usize, usize)| {
+            let first = row * HOP * Image::COLS + column * HOP;
+            &planes[channel][first..first + (SIDE - 1) * Image::COLS + SIDE]
+        };
+        fill([tile(&two[0]), tile(&two[two.len() - 1])], &rings.window, &mut pair);
         let powers = rings.transform(&mut pair, &mut scratch);
         powers.into_iter().take(two.len()).for_each(|of_tile| all.extend(of_tile));
     }

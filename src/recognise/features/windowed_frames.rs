@@ -223,7 +223,7 @@ impl Workspace {
                 .expect("buffers of the plan's own lengths");
             for (band, slot) in bands.iter_mut().enumerate() {
                 let bins = &self.output[view.edges[band]..view.edges[band + 1]];
-                let power: f32 = bins.iter().map(Complex::norm_sqr).sum();
+                let power = power(bins);
                 // Samples far above full scale must not give infinite values.
                 let mean = (power * self.scale / bins.len() as f32).min(f32::MAX);
                 *slot = (mean + POWER_FLOOR).ln();
@@ -257,6 +257,18 @@ impl Workspace {
             part[i * view.channels + channel] = x + mean * self.window[i * step];
         }
     }
+}
+
+/// Σ |X|², by four sums, so that no addition waits for the one before.
+fn power(bins: &[Complex<f32>]) -> f32 {
+    let (chunks, rest) = bins.as_chunks::<4>();
+    let mut lanes = [0f32; 4];
+    for chunk in chunks {
+        for lane in 0..4 {
+            lanes[lane] += chunk[lane].norm_sqr();
+        }
+    }
+    lanes.iter().sum::<f32>() + rest.iter().map(Complex::norm_sqr).sum::<f32>()
 }
 
 fn mean(samples: &[f32]) -> f32 {
