@@ -52,7 +52,8 @@ impl PictureEmbedder {
         // In a grey picture, two of the three channels do not vary, so the median may be 0.
         let own = variances[STACKED / 2].max(1e-3 * variances[STACKED - 1]).max(1e-12);
         let power = (2.0 * ln_gain).exp();
-        let eigen = EigenPairs::new(statistics.covariance, STACKED);
+        let least = RIDGE * own.min(UNIT / power);
+        let eigen = EigenPairs::new(statistics.covariance, STACKED, least);
         for unit in [own, UNIT / power] {
             push_upper(&eigen.map(|x| (x.max(0.0) / unit + RIDGE).ln()), STACKED, &mut vector);
         }

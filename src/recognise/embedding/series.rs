@@ -177,7 +177,7 @@ impl SeriesEmbedder {
                 matrix[row * size + column] = 0.5 * (entry(row, column) + entry(column, row));
             }
         }
-        let log = EigenPairs::new(matrix, size).map(|x| (x.max(0.0) + RIDGE).ln());
+        let log = EigenPairs::new(matrix, size, RIDGE).map(|x| (x.max(0.0) + RIDGE).ln());
         push_upper(&log, size, vector);
         for i in 0..channels {
             for j in i + 1..channels {
