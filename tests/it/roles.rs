@@ -200,7 +200,7 @@ fn the_audit_log_says_who_changed_what_and_stays_when_scans_go() {
     assert_eq!(anna("library/move", r#"{"trials": ["ash/ben-01"], "to": "elm"}"#), 200);
     assert_eq!(trial(), json!(["elm/ben-01", "anna"]));
     let csv = served.request("GET", "/api/v1/scans.csv", &[OPERATOR], "").body;
-    assert!(csv.lines().nth(1).unwrap().ends_with(",anna,anna"), "{csv}");
+    assert!(csv.lines().any(|line| line.ends_with(",anna,anna")), "{csv}");
     assert_eq!(anna("library/undo", ""), 200);
     assert_eq!(anna("scans/1/correct", r#"{"unknown": true}"#), 200);
     served.orders.try_iter().for_each(drop);
