@@ -223,8 +223,9 @@ impl EigenPairs {
         /// The errors of QR are about 1e-15 of the largest eigenvalue.
         const RANGE: f64 = 1e7;
         let largest = (0..n).map(|i| matrix[i * n + i]).fold(0.0, f64::max);
-        // Written so that NaN fails as well.
-        if !(largest <= RANGE * least) {
+        // False for NaN as well.
+        let is_narrow = largest <= RANGE * least;
+        if !is_narrow {
             return Self::by_rotations(matrix, n);
         }
         let (mut values, mut beside, mut vectors) = tridiagonal(matrix, n);
@@ -385,8 +386,7 @@ pub(crate) fn push_upper(matrix: &[f64], n: usize, vector: &mut Vec<f32>) {
     }
 }
 
-/// One rotation that makes a_pq zero.
-/// Eigenvectors are the rows of `v`.
+/// One rotation that makes a_pq zero. Eigenvectors are the rows of `v`.
 fn rotate(a: &mut [f64], v: &mut [f64], n: usize, (p, q): (usize, usize)) {
     let off = a[p * n + q];
     if off == 0.0 {
