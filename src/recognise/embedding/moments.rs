@@ -409,6 +409,28 @@ mod tests {
     }
 
     #[test]
+    fn a_channel_among_many_has_the_moments_it_has_alone_though_pairs_have_no_lags() {
+        let channels = MOST_LAGGED + 2;
+        let samples = series(600, channels);
+        let all = statistics(channels, 64, &samples);
+        assert_eq!(all.covariances[1].len(), channels);
+        for c in 0..channels {
+            let own = statistics(1, 64, &less(&samples, (channels, c), 0.0));
+            assert_eq!(all.moments[c * MOMENTS..][..MOMENTS], own.moments);
+            for lag in 1..LAGS {
+                assert_eq!(all.covariances[lag][c], own.covariances[lag][0], "{c}, {lag}");
+            }
+            // Of two channels, as without the others.
+            let d = (c + 5) % channels;
+            let pair: Vec<f32> =
+                samples.chunks_exact(channels).flat_map(|frame| [frame[c], frame[d]]).collect();
+            let pair = statistics(2, 64, &pair);
+            assert_eq!(all.covariances[0][c * channels + d], pair.covariances[0][1]);
+            assert_eq!(all.covariances[0][d * channels + c], pair.covariances[0][1]);
+        }
+    }
+
+    #[test]
     fn an_offset_costs_no_digits() {
         let samples = series(4000, 1);
         let shifted: Vec<f32> = samples.iter().map(|x| x + 500.0).collect();
