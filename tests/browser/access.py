@@ -174,7 +174,7 @@ def check(browser, station, shots):
     assert not console, f"the console stays empty: {console}"
 
 
-def long_names(surfaced, library):
+def long_names(surfaced, library, _data):
     surfaces = sorted(path.name for path in library.iterdir() if path.is_dir())
     for surface, name in zip(surfaces, LONG):
         run(surfaced, "library", "rename", library, surface, name)

@@ -7,16 +7,9 @@ show as a chart with its limits, and what has drifted comes first.
 Needs chromium and chromedriver (Debian: chromium chromium-driver).
 """
 
-import json
-import sys
-import tempfile
-import time
-from pathlib import Path
-
 from access import assert_named, close, long_names_wrap
-from page import Station, scene
-from review import get, shots_of
-from webdriver import Browser
+from page import on_stage
+from review import give_past, shots_of
 
 PART = "golden part"
 SCANS, MOVED = 40, 30
@@ -28,21 +21,21 @@ def level(channel, level_db):
     return {"source": "ac", "channel": channel, "level_db": level_db, "noise_db": None}
 
 
-def past(library, answer):
-    """A history of scans of the part: one channel gets louder by 3 dB, another came only lately."""
-    folder = library / ".history"
-    folder.mkdir(exist_ok=True)
-    begin = answer["unix_ms"] - SCANS * 3_600_000
-    with open(folder / "answers.jsonl", "w") as log:
-        for scan in range(1, SCANS + 1):
-            ms = begin + scan * 3_600_000
-            moment = time.strftime("%Y%m%d-%H%M%S", time.gmtime(ms / 1000))
-            name = f"{moment}.{ms % 1000:03}-{scan:02}"
-            levels = [level(1, -20 + (3 if scan > MOVED else scan % 3 / 10))]
-            levels += [level(2, -30.5)] if scan > SCANS - 5 else []
-            of = {"id": name, "link": f"/#scan={name}", "unix_ms": ms, "scan": scan, "state": "named",
-                  "surface": PART, "spoiled": [], "p_value": 0.5 + scan % 2 / 10, "levels": levels}
-            log.write(json.dumps({"answer": {**answer, **of}}) + "\n")
+def lines(scan, answer):
+    """A scan of the part: one channel gets louder by 3 dB, another came only lately."""
+    levels = [level(1, -20 + (3 if scan > MOVED else scan % 3 / 10))]
+    levels += [level(2, -30.5)] if scan > SCANS - 5 else []
+    of = {"state": "named", "surface": PART, "spoiled": [], "p_value": 0.5 + scan % 2 / 10, "levels": levels}
+    yield {"answer": {**answer, **of}}
+
+
+def golden(surfaced, library, data):
+    """Makes the part a reference, and gives the library a past of its scans."""
+    give_past((surfaced, library, data), SCANS, 3600, lines)
+    about = library / "library.toml"
+    # No scan that is played now bears its name.
+    reference = f'reference = {{ "{PART}" = 2020-01-01T00:00:00Z }}'
+    about.write_text(about.read_text().replace("format = 1\n", f"format = 1\n{reference}\n", 1))
 
 
 CHARTS = """
@@ -91,25 +84,7 @@ def check(browser, station, shots):
 
 
 def main():
-    surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
-    with tempfile.TemporaryDirectory() as folder, Browser() as browser:
-        library, data = scene(surfaced, Path(folder), trials="10", users="0", kept=3, seconds="1.0")
-        station = Station(surfaced, library, data)
-        browser.wait("an answer", lambda: get(station, "/api/v1/scans?limit=1")["scans"], 60)
-        answer = get(station, "/api/v1/scans?limit=1")["scans"][0]
-        station.end()
-        for added in ("correction", "became", "became_by", "kept"):
-            del answer[added]
-        about = library / "library.toml"
-        # No scan that is played now bears its name.
-        reference = f'reference = {{ "{PART}" = 2020-01-01T00:00:00Z }}'
-        about.write_text(about.read_text().replace("format = 1\n", f"format = 1\n{reference}\n", 1))
-        past(library, answer)
-        station = Station(surfaced, library, data)
-        try:
-            check(browser, station, shots)
-        finally:
-            station.end()
+    on_stage(check, golden, trials="10", users="0", kept=3, seconds="1.0")
     print("drift is seen, with its limits")
 
 

@@ -7,36 +7,24 @@ the station does not grow with use.
 Needs chromium and chromedriver (Debian: chromium chromium-driver).
 """
 
-import json
-import sys
-import tempfile
 import time
 import urllib.request
 from pathlib import Path
 
-from page import Station, scene
-from review import get
-from webdriver import Browser
+from page import on_stage
+from review import get, give_past
 
 SCANS = 10_000
 # Rows that the page shows at first.
 ROWS = 300
 
 
-def past(library, answer):
-    """A history of answers like this one, corrected now and then."""
-    folder = Path(library) / ".history"
-    folder.mkdir(exist_ok=True)
-    begin = answer["unix_ms"] - SCANS * 60_000
-    with open(folder / "answers.jsonl", "w") as log:
-        for scan in range(1, SCANS + 1):
-            ms = begin + scan * 60_000
-            moment = time.strftime("%Y%m%d-%H%M%S", time.gmtime(ms / 1000))
-            name = f"{moment}.{ms % 1000:03}-{scan:02}"
-            log.write(json.dumps({"answer": {**answer, "id": name, "link": f"/#scan={name}", "unix_ms": ms, "scan": scan}}) + "\n")
-            if scan % 10 == 0:
-                was = {"was": "surface", "surface": answer["ranked"][scan // 10 % 2]["surface"]}
-                log.write(json.dumps({"correction": {"id": name, "correction": was}}) + "\n")
+def lines(scan, answer):
+    """An answer, corrected now and then."""
+    yield {"answer": answer}
+    if scan % 10 == 0:
+        was = {"was": "surface", "surface": answer["ranked"][scan // 10 % 2]["surface"]}
+        yield {"correction": {"id": answer["id"], "correction": was}}
 
 
 def resident_mb(station):
@@ -82,7 +70,7 @@ def older_ones(browser):
     assert names == sorted(names, reverse=True), "the newest first"
 
 
-def check(browser, station):
+def check(browser, station, _shots):
     assert get(station, "/api/v1/history")["scans"] >= SCANS
     answer_s = min(timed(lambda: get(station, f"/api/v1/scans?limit={ROWS}")) for _ in range(5))
     page_s = min(opened(browser, station) for _ in range(5))
@@ -101,21 +89,7 @@ def check(browser, station):
 
 
 def main():
-    surfaced = sys.argv[1]
-    with tempfile.TemporaryDirectory() as folder, Browser() as browser:
-        library, data = scene(surfaced, Path(folder), trials="10", users="0", kept=3, seconds="1.0")
-        station = Station(surfaced, library, data)
-        browser.wait("an answer", lambda: get(station, "/api/v1/scans?limit=1")["scans"], 60)
-        answer = get(station, "/api/v1/scans?limit=1")["scans"][0]
-        station.end()
-        for added in ("correction", "became", "became_by", "kept"):
-            del answer[added]
-        past(library, answer)
-        station = Station(surfaced, library, data)
-        try:
-            check(browser, station)
-        finally:
-            station.end()
+    on_stage(check, lambda *stage: give_past(stage, SCANS, 60, lines), trials="10", users="0", kept=3, seconds="1.0")
     print("a long history opens at once")
 
 

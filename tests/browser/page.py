@@ -224,11 +224,11 @@ def check(browser, station, shots):
 
 
 def on_stage(check, prepare, **size):
-    """Runs `check(browser, station, shots)` on a scene of this size, whose library was prepared."""
+    """Runs `check(browser, station, shots)` on a scene of this size, whose library was prepared by `prepare(surfaced, library, data)`."""
     surfaced, shots = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else None
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
         library, data = scene(surfaced, Path(folder), **size)
-        prepare(surfaced, library)
+        prepare(surfaced, library, data)
         station = Station(surfaced, library, data)
         try:
             check(browser, station, shots)

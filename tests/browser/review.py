@@ -36,6 +36,29 @@ def get(station, path):
         return json.load(answer)
 
 
+def give_past(stage, scans, every_s, lines):
+    """Writes a history of scans into a library, one every `every_s` seconds until now. `lines(scan, answer)` gives
+    the lines of each; `answer` is one that a station on this stage gives, with the id and time of the past scan."""
+    surfaced, library, data = stage
+    station = Station(surfaced, library, data)
+    try:
+        answer = Browser.wait("an answer", lambda: get(station, "/api/v1/scans?limit=1")["scans"], 60)[0]
+    finally:
+        station.end()
+    for added in ("correction", "became", "became_by", "kept"):
+        del answer[added]
+    folder = library / ".history"
+    folder.mkdir(exist_ok=True)
+    begin = answer["unix_ms"] - scans * every_s * 1000
+    with open(folder / "answers.jsonl", "w") as log:
+        for scan in range(1, scans + 1):
+            ms = begin + scan * every_s * 1000
+            moment = time.strftime("%Y%m%d-%H%M%S", time.gmtime(ms / 1000))
+            name = f"{moment}.{ms % 1000:03}-{scan:02}"
+            own = {"id": name, "link": f"/#scan={name}", "unix_ms": ms, "scan": scan}
+            log.writelines(json.dumps(line) + "\n" for line in lines(scan, {**answer, **own}))
+
+
 def shots_of(browser, shots, name):
     """Light and dark, wide and narrow; nothing may stick out sideways."""
     for width in WIDTHS:

@@ -125,7 +125,8 @@ class Browser:
         found = self.call("POST", f"{self.session}/execute/async", body)
         assert not found, f"{where}: {found}"
 
-    def wait(self, what, condition, seconds=30):
+    @staticmethod
+    def wait(what, condition, seconds=30):
         """Waits until `condition()` is true, and gives its value."""
         end = time.monotonic() + seconds
         while True:
