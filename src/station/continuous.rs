@@ -12,9 +12,9 @@
 //! a change is taken for a mixture. A window with a gap is no evidence, since the gap is filled with repeated
 //! frames.
 //!
-//! A change is found some time after it: about a window and a half, where surfaces are much alike. It has both
-//! times, the one when it was found and the one since when the surface is there, as the model has it then;
-//! stretches, and so answers, are from the latter to the next.
+//! A change is found only later: about a window and a half later, if surfaces are much alike. It tells when it
+//! was found, and when the new surface began by the estimate of the model. A stretch, and so an answer, lasts from
+//! one such begin to the next.
 //!
 //! A window that fits no surface by the rule for scans ([`Rejection`]) speaks for an unknown surface, any
 //! other for a known one. For known surfaces the rule errs at its rate, which left-out trials show; for

@@ -5,11 +5,9 @@
 //! (L. R. Rabiner, *A tutorial on hidden Markov models*, Proc. IEEE 77, 1989, Eqs. 19 and 20, with
 //! scaling). After a change, windows hold some of the state before: of one that ends a steps after the
 //! change, W steps long, the share a/W is of the new state. Its likelihood is the mixture of both states' by
-//! these shares. A filter without this, which takes each window for one of its last state alone, finds a
-//! change half a window later, since half of the mixed windows speak for the state before. So the filter
-//! remembers how long ago the state began, as run lengths do in R. P. Adams and D. J. C. MacKay, *Bayesian
-//! online changepoint detection*, 2007 (arXiv:0710.3742), and can tell it. The state changes at most once
-//! in W steps.
+//! these shares. So the filter remembers how long ago the state began, and can tell it, as with the run
+//! lengths of R. P. Adams and D. J. C. MacKay, *Bayesian online changepoint detection*, 2007
+//! (arXiv:0710.3742). The state changes at most once in W steps.
 
 use std::collections::VecDeque;
 
@@ -86,8 +84,8 @@ impl StickyFilter {
         let each = steps.min((REMEMBERED * self.window) as u32);
         (0..each).for_each(|_| self.step());
         if steps > each {
-            // The rest at once, by the second eigenvalue of the transitions: all has settled, but for changes
-            // during these steps, of which the next windows, with a gap, say nothing.
+            // The rest at once, by the second eigenvalue of the transitions, as if the state could change in
+            // every step.
             let settled = self.settled();
             let alike = settled.iter().sum::<f64>() / settled.len() as f64;
             let keep = (self.stay - self.change()).powf(f64::from(steps - each));

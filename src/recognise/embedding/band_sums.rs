@@ -107,7 +107,7 @@ impl Counts {
     /// The power of each bin.
     fn powers(&self) -> impl Iterator<Item = f64> {
         /// Places of the bins, in units of ln power, that are kept: the floor of silence, and full scale.
-        const KEPT: Range<i32> = -40 * 8..24 * 8;
+        const KEPT: Range<i32> = -40 * BINS as i32..24 * BINS as i32;
         static POWERS: OnceLock<Vec<f64>> = OnceLock::new();
         let power = |bin: i32| (f64::from(bin) / f64::from(BINS)).exp();
         let kept = POWERS.get_or_init(|| KEPT.map(power).collect());
