@@ -9,7 +9,7 @@
 mod simulate;
 
 use rustix::time::{ClockId, clock_gettime};
-use surfaced::duration::{
+use surfaced::independence::{
     Algorithm1Settings, CORRELATION, OnlineDuration, Rule, Search, Trials, VALUES, at_needed_rate,
 };
 use surfaced::kernel::Threshold;

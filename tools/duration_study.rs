@@ -18,7 +18,7 @@ use std::path::Path;
 
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use surfaced::duration::{
+use surfaced::independence::{
     Algorithm1Settings, CORRELATION, PooledAnswer, PooledEstimate, Rule, Search, Trials, VALUES,
     at_needed_rate,
 };

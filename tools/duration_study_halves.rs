@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use rayon::prelude::*;
-use surfaced::duration::{
+use surfaced::independence::{
     Algorithm1Settings, CORRELATION, Estimator, PooledSettings, Question, Rule, SourceDuration,
     VALUES, at_needed_rate, report,
 };

@@ -10,9 +10,9 @@ use std::collections::BTreeSet;
 use std::error::Error;
 
 use surfaced::dataset::synth::{self, Difficulty, Effect, Parameters};
-use surfaced::evaluate::paper::{ALL, rows};
 use surfaced::evaluate::{self, Evaluation, Protocol};
 use surfaced::recognise::{Reference, ReferenceOptions, STAGES};
+use surfaced::replication::{ALL, rows};
 use surfaced::scene::{Scene, SourceId};
 
 /// The setting in Table II that the paper then uses for each source.

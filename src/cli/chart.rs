@@ -9,7 +9,7 @@ use super::condition::WhereArgs;
 use super::figure::{FigureArgs, is_earlier};
 use super::method::{OneOrAll, at_least_one, options_of};
 use super::show::{Made, MadeBy, quoted};
-use super::{Done, Failure, bad_files, show};
+use super::{Done, Failure, bad_files, one_of, show};
 use crate::evaluate::chart::{Chart, charted, drag_s, figure, measure};
 use crate::library::Library;
 use crate::scene::SourceId;
@@ -32,7 +32,7 @@ pub(super) struct Args {
     #[command(flatten)]
     only: WhereArgs,
     /// Methods, with commas between them; `reference` is the slowest by far
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…", default_value = "all")]
+    #[arg(long, value_delimiter = ',', value_name = "METHOD,…", value_parser = one_of(OneOrAll::each()), default_value = "all")]
     methods: Vec<OneOrAll>,
     /// Measure only one setting of each method, on whole drags with all sources
     #[arg(long)]
@@ -52,7 +52,7 @@ pub(super) fn run(args: &Args) -> Done {
         "bars: {}; hollow: some of the sources; grey line: the best trade-offs; dashed: negative controls",
         made.of.bars()
     );
-    show::wrote(&args.figure.keep(&figure(&made.of, args.figure.look)?, &made)?);
+    show::wrote(&args.figure.keep(&figure(&made.of, args.figure.look.into())?, &made)?);
     let lib = quoted(&args.lib);
     let next = format!("surfaced plan {lib} chooses the cheapest setting that is good enough");
     show::result(args.figure.json, &made, |_| show::next(&next));
@@ -110,7 +110,7 @@ fn measured(args: &Args, library: &Library) -> Result<Made<Chart>, Failure> {
             say!("       {part}: {accuracy} ({low} to {high}), {:.2} ms", point.query_ms_p50);
             made.of.points.push(point);
         }
-        args.figure.keep(&figure(&made.of, args.figure.look)?, &made)?;
+        args.figure.keep(&figure(&made.of, args.figure.look.into())?, &made)?;
     }
     Ok(made)
 }

@@ -5,11 +5,33 @@ use std::path::{Path, PathBuf};
 
 use super::condition::value_of;
 use super::show::{counted, listed};
-use super::{Failure, say};
+use super::{Failure, Named, one_of, say};
 use crate::evaluate::{self, Fold, Leaks, Protocol, Split, TEST, TRAIN, in_libraries};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
+
+pub(super) fn protocols() -> [Named<Protocol>; 4] {
+    [
+        (
+            Protocol::AllVsOneUser,
+            "Each fold names the trials of one person; the library is everybody else's trials (10 vs 1)",
+        ),
+        (
+            Protocol::LeaveOneSessionOut,
+            "Each fold names the trials of one session; the library is the trials of all other sessions",
+        ),
+        (
+            Protocol::LeaveOneTrialOut,
+            "Fold k names trial k of every surface; the library is the same person's other trials (1 vs 1)",
+        ),
+        (
+            Protocol::ExpertVsUsers,
+            "The library is the expert's trials; each fold names the trials of one other user (1 vs 10)",
+        ),
+    ]
+    .map(|(protocol, help)| (protocol, protocol.name(), help))
+}
 
 /// The trials, sources and folds of a measurement.
 pub(super) struct Choice {
@@ -23,7 +45,7 @@ pub(super) struct Choice {
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(super) struct SplitArgs {
     /// How queries and library are split (default: the hardest that the data allow: other people, else other sessions, else other trials)
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = one_of(protocols()))]
     pub protocol: Option<Protocol>,
     /// Split as a table says: a line for each trial, with its folder and its fold, or `train` or `test`
     #[arg(long, value_name = "FILE.csv", conflicts_with = "protocol")]

@@ -5,12 +5,11 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::condition::WhereArgs;
-use super::figure::{can_draw, draw};
+use super::figure::{LookArgs, can_draw, draw};
 use super::method::{at_least_one, honoured};
 use super::show::{Made, MadeBy};
 use super::{Done, Failure, bad_files, say, share, show};
-use crate::draw::Look;
-use crate::duration::{
+use crate::independence::{
     AccuracyCurve, Algorithm1Settings, CORRELATION, DurationReport, Estimator, PooledSettings,
     Question, ReportError, Rule, figure, report,
 };
@@ -72,7 +71,7 @@ pub(super) struct Args {
     #[arg(long, alias = "svg", value_name = "FILE")]
     out: Option<PathBuf>,
     #[command(flatten)]
-    look: Look,
+    look: LookArgs,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -209,7 +208,7 @@ pub(super) fn run(args: &Args) -> Done {
     if let Some(path) = &args.out {
         let curve = AccuracyCurve { points, target: answer.target, enough_s: answer.scan_s() };
         let data = (found.library.as_str(), found.synthetic);
-        draw(path, &figure(&found.durations, Some(&curve), data, args.look)?)?;
+        draw(path, &figure(&found.durations, Some(&curve), data, args.look.into())?)?;
         show::wrote(&[path]);
     }
     let refused = match args.accuracy {

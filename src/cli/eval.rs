@@ -9,9 +9,8 @@ use super::condition::WhereArgs;
 use super::eval_report::{EvalAnswer, EvalReport, EvalTable, Seeds, write_predictions};
 use super::method::{AnswerArgs, MethodOptions, OneOrAll};
 use super::show::{Made, MadeBy, listed, quoted};
-use super::{Done, Failure, SourceArgs, paper, parsed, say, show};
+use super::{Done, Failure, SourceArgs, one_of, paper, parsed, say, show};
 use crate::dataset::feature_tables::{self, FeatureTables};
-use crate::evaluate::paper::Shard;
 use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Leaks, Over, Prediction,
     SettledOutcome, Split, UnknownOutcome, better_plain, enrol,
@@ -19,6 +18,7 @@ use crate::evaluate::{
 use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{MethodName, MethodSpec, RecogniseError};
 use crate::record::edit::LibraryLock;
+use crate::replication::Shard;
 use crate::scene::{Scene, SourceId};
 use crate::trial::TrialKey;
 
@@ -57,7 +57,7 @@ pub(super) struct Args {
     sources: SourceArgs,
     /// How trials are compared (default: embedding, or the one whose options are given). Several, with
     /// commas between them, name the same queries, and are compared by paired tests
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…")]
+    #[arg(long, value_delimiter = ',', value_name = "METHOD,…", value_parser = one_of(OneOrAll::each()))]
     method: Vec<OneOrAll>,
     #[command(flatten)]
     options: MethodOptions,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::choose::SplitArgs;
-use super::{Done, Failure, SourceArgs};
+use super::{Done, Failure, Named, SourceArgs, one_of};
 use crate::draw::Look;
 
 /// The data of a figure, and the file to write.
@@ -17,7 +17,7 @@ pub(super) struct FigureArgs {
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     #[command(flatten)]
-    pub look: Look,
+    pub look: LookArgs,
     #[command(flatten)]
     pub split: SplitArgs,
     #[command(flatten)]
@@ -25,6 +25,25 @@ pub(super) struct FigureArgs {
     /// Print the JSON on stdout, too
     #[arg(long)]
     pub json: bool,
+}
+
+/// How a figure looks.
+#[derive(Clone, Copy, clap::Args)]
+pub(super) struct LookArgs {
+    /// Printed width of the figure: that of a journal's column or page (default: for screens)
+    #[arg(long = "width", value_name = "WIDTH", value_parser = one_of(WIDTHS))]
+    width_mm: Option<u32>,
+    /// Draw no title; synthetic data are marked all the same
+    #[arg(long)]
+    no_title: bool,
+}
+
+const WIDTHS: [Named<u32>; 2] = [(85, "85mm", ""), (180, "180mm", "")];
+
+impl From<LookArgs> for Look {
+    fn from(LookArgs { width_mm, no_title }: LookArgs) -> Self {
+        Self { width_mm, no_title }
+    }
 }
 
 impl FigureArgs {

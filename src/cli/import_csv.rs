@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::show::{self, counted, quoted};
-use super::{Done, Failure, bad_files, parsed};
+use super::{Done, Failure, Named, bad_files, one_of, parsed};
 use crate::dataset::tables::{
     self, Clock, Form, Gaps, Head, NamePattern, Read, Said, SessionOf, array, columns,
 };
@@ -19,6 +19,11 @@ const TABLES: [&str; 12] =
     ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz", "npy", "npz", "mat", "parquet"];
 /// Extensions of tables that are refused, with the reason.
 const REFUSED: [&str; 7] = ["xlsx", "xls", "ods", "feather", "h5", "tdms", "zip"];
+
+const GAPS: [Named<Gaps>; 2] = [
+    (Gaps::Cut, "cut", "Cut the trial there, and make a trial of each part"),
+    (Gaps::Error, "error", "Do not use the trial"),
+];
 
 /// Make a library from CSV tables, one for each trial, or a long one with columns that name trials
 ///
@@ -77,7 +82,7 @@ pub(super) struct CsvArgs {
     #[arg(long, value_name = "ARRAY")]
     variable: Option<String>,
     /// What to do where more than 5 samples in a row are missing; fewer are filled in, up to 5 % of a channel
-    #[arg(long, value_enum, default_value_t = Gaps::Cut)]
+    #[arg(long, default_value = "cut", value_parser = one_of(GAPS))]
     gaps: Gaps,
     /// Count Excel's days from 1904, as old Macs do
     #[arg(long)]

@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 
+use super::system::{HANGUP, has_terminal, next_key, restore_terminal, signals, single_keys};
 use super::{DAMAGED, Failure};
 use crate::station::Command;
-use crate::system::{HANGUP, has_terminal, next_key, restore_terminal, signals, single_keys};
 
 /// Time from the first signal until the process is ended by force. It is longer than a station needs
 /// to end, and shorter than the five seconds allowed.

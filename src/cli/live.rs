@@ -15,6 +15,7 @@ use super::method::{AccuracyArgs, AnswerArgs, ComparingArgs, NOT_WITH_MODEL};
 use super::naming::{self, OpenedModel};
 use super::serve::{Page, ServeArgs};
 use super::show::{counted, quoted};
+use super::system;
 use super::terminal::Terminal;
 use super::{Done, Failure};
 use crate::dataset;
@@ -33,7 +34,6 @@ use crate::station::{
     Assembled, Command, Enrolled, EnrolledOutcome, Keep, Listener, Load, Recogniser, ScanStore,
     Station, StationEvent, assemble,
 };
-use crate::system;
 use crate::trial::checked_session;
 
 /// Name of the folder, inside the library, that holds answers not sent yet.

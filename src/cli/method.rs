@@ -4,11 +4,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use clap::ValueEnum;
-use clap::builder::PossibleValue;
-
 use super::show::joined;
-use super::{Done, Failure, SourceArgs, parsed, share, show};
+use super::{Done, Failure, Named, SourceArgs, one_of, parsed, share, show};
 use crate::evaluate::plan::Plan;
 use crate::recognise::{
     LeftOutBy, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode, ReferenceOptions,
@@ -17,30 +14,24 @@ use crate::recognise::{
 use crate::scene::Scene;
 use crate::station::Recogniser;
 
-impl ValueEnum for MethodName {
-    fn value_variants<'a>() -> &'a [Self] {
-        &Self::ALL
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(self.as_str()).help(self.help()))
-    }
+fn methods() -> [Named<MethodName>; MethodName::ALL.len()] {
+    MethodName::ALL.map(|method| (method, method.as_str(), method.help()))
 }
+
+const POSITIONS: [Named<PositionMode>; 2] = [
+    (PositionMode::Shared, "shared", "Once a repetition, the same for every trial; far cheaper"),
+    (PositionMode::PerPair, "per-pair", "Anew for every pair of trials, like the authors' program"),
+];
 
 /// A method, or (`None`) all of them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OneOrAll(Option<MethodName>);
 
 impl OneOrAll {
-    const EACH: [Self; MethodName::ALL.len() + 1] = {
-        let mut each = [Self(None); MethodName::ALL.len() + 1];
-        let mut at = 0;
-        while at < MethodName::ALL.len() {
-            each[at] = Self(Some(MethodName::ALL[at]));
-            at += 1;
-        }
-        each
-    };
+    pub(super) fn each() -> impl Iterator<Item = Named<Self>> {
+        let one = |(method, name, help)| (Self(Some(method)), name, help);
+        methods().into_iter().map(one).chain([(Self(None), "all", "All of them")])
+    }
 
     /// The methods of a list, each once.
     pub(super) fn list(of: &[Self]) -> Vec<MethodName> {
@@ -49,23 +40,10 @@ impl OneOrAll {
     }
 }
 
-impl ValueEnum for OneOrAll {
-    fn value_variants<'a>() -> &'a [Self] {
-        &Self::EACH
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        match &self.0 {
-            Some(name) => name.to_possible_value(),
-            None => Some(PossibleValue::new("all").help("All of them")),
-        }
-    }
-}
-
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct MethodArgs {
     /// How trials are compared (default: embedding, or the one whose options are given)
-    #[arg(long, value_enum, value_name = "METHOD")]
+    #[arg(long, value_name = "METHOD", value_parser = one_of(methods()))]
     method: Option<MethodName>,
     #[command(flatten)]
     options: MethodOptions,
@@ -75,7 +53,7 @@ pub(super) struct MethodArgs {
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct MethodOptions {
     /// With `reference`: how sample positions are drawn (default: shared)
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = one_of(POSITIONS))]
     positions: Option<PositionMode>,
     /// With `reference`: samples drawn from a source, n (default: 400)
     #[arg(long, value_name = "N", value_parser = at_least_one)]

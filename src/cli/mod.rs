@@ -36,6 +36,7 @@ mod serve;
 mod show;
 mod stress;
 mod synth;
+mod system;
 mod tally;
 mod terminal;
 mod train;
@@ -45,6 +46,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::str::FromStr;
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
 use tracing::Level;
 
@@ -243,6 +245,23 @@ fn open_held(path: &Path) -> Result<Library, Failure> {
     Ok(library)
 }
 
+/// A value of an option, its name and its help (empty for none).
+type Named<T> = (T, &'static str, &'static str);
+
+/// Parses the name of one of `all`, where its type is of a package that knows nothing of clap.
+fn one_of<T: Copy + Send + Sync + 'static>(
+    all: impl IntoIterator<Item = Named<T>>,
+) -> impl TypedValueParser<Value = T> {
+    let all: Vec<Named<T>> = all.into_iter().collect();
+    let value = |&(_, name, help): &Named<T>| {
+        PossibleValue::new(name).help((!help.is_empty()).then_some(help))
+    };
+    PossibleValuesParser::new(all.iter().map(value)).try_map(move |text| {
+        let named = all.iter().find(|(_, name, _)| *name == text);
+        named.map(|(one, _, _)| *one).ok_or("no such name")
+    })
+}
+
 /// The longest drag that an option may give, in seconds (an hour).
 const LONGEST_S: f64 = 3600.0;
 
@@ -279,8 +298,8 @@ mod tests {
     fn every_command_of_the_pages_can_be_typed() {
         let pages = [
             include_str!("../../README.md"),
-            include_str!("../evaluate/README.md"),
-            include_str!("../library/README.md"),
+            include_str!("../method/evaluate/README.md"),
+            include_str!("../method/library/README.md"),
             include_str!("../outputs/README.md"),
             include_str!("../serve/README.md"),
             include_str!("../../configs/README.md"),

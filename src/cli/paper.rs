@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use super::method::MethodOptions;
 use super::show::{Made, MadeBy};
 use super::{Done, Failure, say, show};
-use crate::evaluate::paper::{self, PaperPart, PaperReport, ReportRow, Shard};
 use crate::library::Library;
 use crate::library::files::{self, Listed};
 use crate::recognise::ReferenceOptions;
 use crate::record::replace_file;
+use crate::replication::{self, PaperPart, PaperReport, ReportRow, Shard};
 
 /// Join the shards that `surfaced eval --paper --shard` wrote, and show the result
 #[derive(clap::Args)]
@@ -43,7 +43,7 @@ pub(super) fn run(
     let path = out.join(shard.file_name());
     if let Ok(done) = read(&path) {
         // Data, settings and trials identify a run, so an old shard is checked without an evaluation.
-        let expected = paper::work_head(library, &options, shard);
+        let expected = replication::work_head(library, &options, shard);
         if done.shard != shard || !done.is_of_run(&expected) {
             let problem = "a shard of another run (other data or settings); name another folder, \
                            or remove it";
@@ -63,7 +63,7 @@ fn worked(
     options: &ReferenceOptions,
     shard: Shard,
 ) -> Result<PaperPart, Failure> {
-    let part = paper::work(library, options, shard, &say::progress)?;
+    let part = replication::work(library, options, shard, &say::progress)?;
     Ok(PaperPart { library: library.digest(), ..part })
 }
 
@@ -80,7 +80,7 @@ pub(super) fn merge(args: &MergeArgs) -> Done {
         found.extend(shards.map(|item| item.path));
     }
     let parts = found.iter().map(|path| read(path)).collect::<Result<Vec<_>, _>>()?;
-    let whole = paper::merge(parts).map_err(Failure::Failed)?;
+    let whole = replication::merge(parts).map_err(Failure::Failed)?;
     finish(&whole, args.out.as_deref(), args.json)
 }
 
@@ -105,10 +105,10 @@ fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {
     if let Some(out) = out {
         let mut files = vec![
             ("report.json", serde_json::to_string_pretty(&report)?),
-            ("bars.svg", paper::bars(&report.of)?),
+            ("bars.svg", replication::bars(&report.of)?),
         ];
         if let Some(confusion) = &report.of.confusion {
-            files.push(("confusion.svg", paper::confusion(confusion)?));
+            files.push(("confusion.svg", replication::confusion(confusion)?));
         }
         files.iter().try_for_each(|(name, text)| write(&out.join(name), text))?;
         say!("wrote {} to {}", show::listed(files.iter().map(|(name, _)| name)), out.display());

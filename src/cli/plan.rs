@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::choose::within;
+use super::choose::{protocols, within};
 use super::figure::write;
 use super::show::{Made, MadeBy, quoted};
-use super::{Done, Failure, SourceArgs, bad_files, say, share, show};
+use super::{Done, Failure, SourceArgs, bad_files, one_of, say, share, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Expected, Plan, PlanOptions, Planned, search};
 use crate::library::Library;
@@ -33,7 +33,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// How queries and library are split (default: the hardest that the data allow: other people, else other sessions, else other trials)
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = one_of(protocols()))]
     protocol: Option<Protocol>,
     #[command(flatten)]
     sources: SourceArgs,

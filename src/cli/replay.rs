@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::choose::{Choice, SplitArgs, choose, within};
+use super::choose::{Choice, SplitArgs, choose, protocols, within};
 use super::condition::WhereArgs;
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
@@ -13,7 +13,7 @@ use super::naming::{self, OpenedModel};
 use super::serve::{Page, ServeArgs};
 use super::show::{self, quoted};
 use super::tally::Tally;
-use super::{Done, Failure, bad_files, live, say};
+use super::{Done, Failure, bad_files, live, one_of, say};
 use crate::dataset::synth;
 use crate::device::{Replay, Speed};
 use crate::evaluate::{Evaluation, Fold, Protocol, first_seconds, in_libraries};
@@ -54,7 +54,7 @@ pub(super) struct Args {
     #[arg(long, default_value = "max", value_name = "SPEED")]
     speed: Speed,
     /// How queries and library are split, if no library is given
-    #[arg(long, value_enum, conflicts_with_all = ["library", "model"])]
+    #[arg(long, value_parser = one_of(protocols()), conflicts_with_all = ["library", "model"])]
     protocol: Option<Protocol>,
     #[command(flatten)]
     comparing: ComparingArgs,

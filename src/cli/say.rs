@@ -17,8 +17,8 @@ use tracing_subscriber::Layer;
 use tracing_subscriber::layer::{Context, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 
+use super::system::{AsOutput, takes_more};
 use crate::printable::Printable;
-use crate::system::{AsOutput, takes_more};
 
 /// How long a line may wait for a stalled reader. Later lines do not wait until the reader is ready.
 const PATIENCE: Duration = Duration::from_millis(100);

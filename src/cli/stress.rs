@@ -8,7 +8,7 @@ use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, draw, is_earlier, write};
 use super::method::{OneOrAll, at_least_one};
 use super::show::{Made, MadeBy};
-use super::{Done, Failure, bad_files, say, show};
+use super::{Done, Failure, bad_files, one_of, say, show};
 use crate::evaluate::stress::{
     self, Disturbance, Measure, StressPlan, StressReport, disturb, figure,
 };
@@ -32,7 +32,7 @@ pub(super) struct Args {
     #[command(flatten)]
     figure: FigureArgs,
     /// Methods, with commas between them
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "METHOD,…", default_value = "all")]
+    #[arg(long, value_delimiter = ',', value_name = "METHOD,…", value_parser = one_of(OneOrAll::each()), default_value = "all")]
     methods: Vec<OneOrAll>,
     /// Disturbances, with commas between them (default: all that the data can show)
     #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
@@ -142,7 +142,7 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
 fn keep(args: &Args, made: &Made<StressReport>) -> Result<Vec<PathBuf>, Failure> {
     let (out, report) = (&args.figure.out, &made.of);
     let mut written =
-        args.figure.keep(&figure(report, Measure::Accuracy, args.figure.look)?, made)?;
+        args.figure.keep(&figure(report, Measure::Accuracy, args.figure.look.into())?, made)?;
     let table = out.with_extension("md");
     write(&table, report.markdown())?;
     written.push(table);
@@ -152,7 +152,7 @@ fn keep(args: &Args, made: &Made<StressReport>) -> Result<Vec<PathBuf>, Failure>
         [("unknown", Measure::UnknownRejected), ("calibration", Measure::CalibrationError)]
     {
         // If no method gives probabilities, there is no figure.
-        if let Ok(svg) = figure(report, measure, args.figure.look) {
+        if let Ok(svg) = figure(report, measure, args.figure.look.into()) {
             let path = out.with_file_name(format!("{stem}-{name}.{extension}"));
             draw(&path, &svg)?;
             written.push(path);

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use console::Term;
 
+use super::system::has_status_line;
 use super::{say, show};
 use crate::device::DeviceState;
 use crate::ring::Counts;
@@ -16,7 +17,6 @@ use crate::station::{
     Answer, Change, Enrolled, EnrolledOutcome, FoundSurface, Guess, LibraryState, Listener,
     StationEvent, told,
 };
-use crate::system::has_status_line;
 use crate::trial::Doubt;
 
 /// Shows a station to people. Answers go to stdout, everything else to stderr.

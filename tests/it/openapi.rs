@@ -84,9 +84,10 @@ fn each_doubt_warning_and_refusal_has_its_row_among_the_remedies() {
         let words = schemas[schema]["properties"][field]["enum"].as_array().unwrap();
         words.iter().map(|word| word.as_str().unwrap().into()).collect()
     };
-    let doubts = variants(include_str!("../../src/trial/doubt.rs"), "pub enum Doubt {");
+    let doubts = variants(include_str!("../../src/method/trial/doubt.rs"), "pub enum Doubt {");
     assert_eq!(listed("Doubt", "kind"), doubts);
-    let warnings = variants(include_str!("../../src/device/warning.rs"), "pub enum WarningKind {");
+    let warnings =
+        variants(include_str!("../../src/station/device/warning.rs"), "pub enum WarningKind {");
     assert_eq!(listed("Warning", "kind"), warnings);
     let problems = include_str!("../../src/serve/request.rs").split_once("fn kind(").unwrap().1;
     let problems = problems.split_once("\n    }\n").unwrap().0;

@@ -259,7 +259,7 @@ fn lmt108_as_a_newcomer_has_it_is_evaluated_without_options() {
 #[test]
 fn files_of_the_pages_are_read() {
     let (mut libraries, mut trials, mut stations) = (0, 0, 0);
-    for block in blocks(include_str!("../../src/library/README.md")) {
+    for block in blocks(include_str!("../../src/method/library/README.md")) {
         if block.starts_with("format = 1") {
             LibraryToml::parse(&block, &Scene::lmt108()).unwrap();
             libraries += 1;

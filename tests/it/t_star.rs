@@ -1,7 +1,7 @@
 //! T* of processes whose correlation time is known: by the published rule, and pooled.
 
 use crate::common::simulate;
-use surfaced::duration::{
+use surfaced::independence::{
     Algorithm1Settings, CORRELATION, DurationError, Estimate, PooledAnswer, Rule, Search, Trials,
     VALUES, at_needed_rate,
 };

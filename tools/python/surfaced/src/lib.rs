@@ -7,17 +7,17 @@ use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use rayon::prelude::*;
-use surfaced::dataset;
-use surfaced::duration::{Question, report};
-use surfaced::kernel::{Dependence, Threshold, test_independence};
-use surfaced::library::{Entry, Library};
-use surfaced::recognise::{
+use surfaced_method::dataset;
+use surfaced_method::independence::{Question, report};
+use surfaced_method::kernel::{Dependence, Threshold, test_independence};
+use surfaced_method::library::{Entry, Library};
+use surfaced_method::recognise::{
     EmbeddingOptions, MethodSpec, Model as Named, ready_model, score_samples,
 };
-use surfaced::record::{TrialOptions, write_library_toml, write_trial};
-use surfaced::scene::{Scene, SourceId};
-use surfaced::seed;
-use surfaced::trial::{Series, Signal, Trial, TrialKey};
+use surfaced_method::record::{TrialOptions, write_library_toml, write_trial};
+use surfaced_method::scene::{Scene, SourceId};
+use surfaced_method::seed;
+use surfaced_method::trial::{Series, Signal, Trial, TrialKey};
 
 fn refused(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())

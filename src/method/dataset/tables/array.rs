@@ -1,0 +1,348 @@
+//! Arrays of samples, as NumPy and MATLAB write them, and the trials in them: an array holds trials ×
+//! channels × samples, or channels × samples of one trial, or the samples of one channel.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::iter::once;
+use std::path::Path;
+
+use super::gather::Rows;
+use super::mat::MatFile;
+use super::text::{Lines, shown};
+use super::{Form, OnRead, Said, give, name_of, npy, trial_number};
+use crate::library::LibraryError;
+use crate::printable::counted;
+use crate::scene::MOST_CHANNELS;
+use crate::trial::{EXPERT, Series, TrialKey, normal};
+
+/// The largest array of labels, or of trials that lie crosswise (Fortran's order), in bytes.
+pub(super) const MOST_WHOLE: u64 = 1 << 28;
+
+/// What the header of an array says, and a reader of its content.
+pub(super) struct Array {
+    pub shape: Vec<usize>,
+    pub kind: Kind,
+    /// Bytes of an element.
+    pub size: usize,
+    pub is_big_endian: bool,
+    pub is_crosswise: bool,
+    pub content: Box<dyn Read>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Kind {
+    Float,
+    Signed,
+    Unsigned,
+    /// Text of UTF-32 units.
+    Wide,
+    /// Text of bytes.
+    Bytes,
+}
+
+/// Whether a file holds arrays, by its name.
+pub fn is_array(path: &Path) -> bool {
+    ["npy", "npz", "mat"].iter().any(|extension| is_called(path, extension))
+}
+
+fn is_called(path: &Path, extension: &str) -> bool {
+    path.extension().is_some_and(|of| of.eq_ignore_ascii_case(extension))
+}
+
+/// The trials of a file, which lie in one array or in several.
+pub struct Trials {
+    pub count: usize,
+    pub channels: usize,
+    pub(super) arrays: Box<dyn Iterator<Item = Result<Array, String>>>,
+}
+
+impl Trials {
+    /// Opens the array of trials in a file: the one called `name`, or the only one that may be meant.
+    ///
+    /// # Errors
+    /// If the file is damaged, holds another type, or its array is not clear.
+    pub fn open(path: &Path, name: Option<&str>, most: u64) -> Result<Self, LibraryError> {
+        let trials = match is_called(path, "mat") {
+            true => MatFile::open(path, most)?.trials(name),
+            false => npy::open(path, name, most)?.try_into(),
+        };
+        trials.map_err(|problem| LibraryError::file(path, problem))
+    }
+
+    /// Gives the trials one after the other to `on`: number from 0, number of channels, and samples,
+    /// frame by frame.
+    fn each(
+        self,
+        on: &mut dyn FnMut(usize, usize, Vec<f32>) -> Result<(), LibraryError>,
+        path: &Path,
+    ) -> Result<(), LibraryError> {
+        let mut at = 0;
+        for array in self.arrays {
+            let array = array.map_err(|problem| LibraryError::file(path, problem))?;
+            let mut next = |channels, frames| {
+                at += 1;
+                on(at - 1, channels, frames)
+            };
+            array.trials(&mut next, path)?;
+        }
+        Ok(())
+    }
+}
+
+impl TryFrom<Array> for Trials {
+    type Error = String;
+
+    fn try_from(array: Array) -> Result<Self, String> {
+        let [count, channels, _] = array.dimensions()?;
+        Ok(Self { count, channels, arrays: Box::new(once(Ok(array))) })
+    }
+}
+
+impl Array {
+    pub(super) fn is_number(&self) -> bool {
+        matches!(self.kind, Kind::Float | Kind::Signed | Kind::Unsigned)
+    }
+
+    /// Gives the trials one after the other to `on`, like [`Trials::each`].
+    fn trials(
+        mut self,
+        on: &mut dyn FnMut(usize, Vec<f32>) -> Result<(), LibraryError>,
+        path: &Path,
+    ) -> Result<(), LibraryError> {
+        let fail = |problem: String| LibraryError::file(path, problem);
+        let [trials, channels, samples] = self.dimensions().map_err(fail)?;
+        let count = channels * samples;
+        let mut whole = match self.is_crosswise {
+            true => Some(self.crosswise(trials, channels, samples).map_err(fail)?),
+            false => None,
+        };
+        for trial in 0..trials {
+            let values = match &mut whole {
+                Some(whole) => whole[trial * count..(trial + 1) * count].to_vec(),
+                None => self.numbers(count).map_err(fail)?,
+            };
+            let mut frames = vec![0.0; count];
+            for (at, value) in values.into_iter().enumerate() {
+                frames[at % samples * channels + at / samples] = value;
+            }
+            on(channels, frames)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn dimensions(&self) -> Result<[usize; 3], String> {
+        let shape = match self.shape[..] {
+            _ if !self.is_number() => return Err("its elements are text, not samples".into()),
+            [samples] => [1, 1, samples],
+            [channels, samples] => [1, channels, samples],
+            [trials, channels, samples] => [trials, channels, samples],
+            _ => {
+                return Err(format!(
+                    "it has {} dimensions; expected trials × channels × samples",
+                    self.shape.len()
+                ));
+            }
+        };
+        let [_, channels, samples] = shape;
+        if shape.contains(&0) {
+            return Err("it holds no samples".into());
+        }
+        if channels > MOST_CHANNELS || channels > samples {
+            return Err(format!(
+                "it has {channels} channels of {samples} samples; expected trials × channels × samples: \
+                 turn the array (`numpy.transpose`, `permute`)"
+            ));
+        }
+        match channels.checked_mul(samples).is_some_and(|count| count <= Series::MOST_SAMPLES) {
+            true => Ok(shape),
+            false => Err(format!(
+                "a trial of it has more than {} samples; cut it into trials",
+                Series::MOST_SAMPLES
+            )),
+        }
+    }
+
+    fn numbers(&mut self, count: usize) -> Result<Vec<f32>, String> {
+        let bytes = self.bytes(count)?;
+        Ok(bytes.chunks_exact(self.size).map(|element| self.number(element) as f32).collect())
+    }
+
+    /// The bytes of the next elements. What is there is allocated, not what a header claims.
+    fn bytes(&mut self, count: usize) -> Result<Vec<u8>, String> {
+        let (mut bytes, length) = (Vec::new(), (count * self.size) as u64);
+        let read = self.content.by_ref().take(length).read_to_end(&mut bytes);
+        match read.map_err(|error| format!("truncated, or damaged: {error}"))? as u64 {
+            read if read == length => Ok(bytes),
+            read => Err(format!("truncated: of {length} bytes, {read} are there")),
+        }
+    }
+
+    /// Reads an array in Fortran's order, and puts it into the usual order.
+    fn crosswise(&mut self, a: usize, b: usize, c: usize) -> Result<Vec<f32>, String> {
+        let count = a.checked_mul(b * c).filter(|count| (*count * self.size) as u64 <= MOST_WHOLE);
+        let count = count.ok_or(
+            "it is too large for an array whose trials lie crosswise: save it by NumPy in C's order, or by \
+             MATLAB as a cell array of trials",
+        )?;
+        let values = self.numbers(count)?;
+        let mut turned = vec![0.0; count];
+        for (at, value) in values.into_iter().enumerate() {
+            let (first, second, third) = (at % a, at / a % b, at / (a * b));
+            turned[(first * b + second) * c + third] = value;
+        }
+        Ok(turned)
+    }
+
+    fn number(&self, element: &[u8]) -> f64 {
+        let mut bytes = [0; 8];
+        bytes[..element.len()].copy_from_slice(element);
+        if self.is_big_endian {
+            bytes[..element.len()].reverse();
+        }
+        let bits = u64::from_le_bytes(bytes);
+        match (self.kind, element.len()) {
+            (Kind::Float, 8) => f64::from_bits(bits),
+            (Kind::Float, 4) => f64::from(f32::from_bits(bits as u32)),
+            (Kind::Float, _) => half(bits as u16),
+            (Kind::Signed, size) => {
+                let unused = 64 - 8 * size as u32;
+                ((bits << unused) as i64 >> unused) as f64
+            }
+            _ => bits as f64,
+        }
+    }
+
+    /// All elements as text, one for each trial: names, or whole numbers.
+    ///
+    /// # Errors
+    /// If the array has several dimensions or is damaged.
+    pub(crate) fn labels(mut self) -> Result<Vec<String>, String> {
+        let count = match self.shape[..] {
+            [count] | [count, 1] | [1, count] => count,
+            _ => {
+                return Err(format!(
+                    "labels have the shape {:?}; expected one a trial",
+                    self.shape
+                ));
+            }
+        };
+        if count.saturating_mul(self.size) as u64 > MOST_WHOLE {
+            return Err("labels are too many".into());
+        }
+        let bytes = self.bytes(count)?;
+        let label = |element: &[u8]| match self.kind {
+            Kind::Bytes => String::from_utf8_lossy(element).trim_end_matches('\0').to_string(),
+            Kind::Wide => {
+                let units = element.as_chunks::<4>().0.iter();
+                let unit = |four: &[u8; 4]| match self.is_big_endian {
+                    true => u32::from_be_bytes(*four),
+                    false => u32::from_le_bytes(*four),
+                };
+                let chars = units.map(unit).take_while(|unit| *unit != 0);
+                chars.map(|unit| char::from_u32(unit).unwrap_or('\u{fffd}')).collect()
+            }
+            _ => self.number(element).to_string(),
+        };
+        Ok(bytes.chunks_exact(self.size).map(label).collect())
+    }
+}
+
+/// Reads all trials of an array, like [`super::read`].
+pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryError> {
+    let fail = |problem: String| LibraryError::file(path, problem);
+    let trials = Trials::open(path, form.variable.as_deref(), form.most_unpacked)?;
+    if form.rate_hz().is_none() {
+        return Err(fail("an array has no column of times; give --rate HZ".into()));
+    }
+    let labels =
+        form.array_labels.as_ref().map(|labels| labels_of(path, labels, form.most_unpacked));
+    let labels = labels.transpose()?;
+    let count = trials.count;
+    if let Some(labels) = labels.as_ref().filter(|labels| labels.len() != count) {
+        return Err(fail(format!(
+            "it has {}, but there are {} labels",
+            counted(count, "trial"),
+            labels.len()
+        )));
+    }
+    let of_name = form.names.parts(&name_of(path));
+    if labels.is_none() && of_name.is_none() {
+        let problem = "its name does not fit the pattern";
+        return Err(fail(format!("{problem} `{}`; see --names, or give --labels", form.names.0)));
+    }
+    let [surface, user, number, _] = of_name.unwrap_or_default();
+    let session = form.session_of(path).map_err(fail)?;
+    let names = form.columns();
+    let places =
+        names.iter().map(|name| name.parse::<usize>().ok().and_then(|at| at.checked_sub(1)));
+    let places: Option<Vec<usize>> = places.collect();
+    let places =
+        places.ok_or_else(|| fail("the channels of an array are called 1, 2, …".into()))?;
+    let (mut said, mut numbers) = (Said::default(), BTreeMap::<String, u32>::new());
+    trials.each(
+        &mut |at, channels, frames| {
+            if let Some(place) = places.iter().find(|place| **place >= channels) {
+                return Err(fail(format!(
+                    "it has no channel {}, but {channels} channels",
+                    place + 1
+                )));
+            }
+            let surface = match &labels {
+                Some(labels) => labels[at].clone(),
+                None => surface.clone().unwrap_or_default(),
+            };
+            let next = numbers.entry(surface.clone()).or_default();
+            *next += 1;
+            let of_file = number.as_deref().and_then(trial_number).filter(|_| count == 1);
+            let user = user.clone().unwrap_or_else(|| EXPERT.into());
+            let key = TrialKey::new(normal(&surface), normal(&user), of_file.unwrap_or(*next))
+                .with_session(session.clone());
+            if key.surface.is_empty() {
+                return Err(fail(format!("trial {} has no label", at + 1)));
+            }
+            if let Some(bad) = frames.iter().position(|value| value.is_infinite()) {
+                let (frame, channel) = (bad / channels + 1, bad % channels + 1);
+                return Err(fail(format!(
+                    "{key}, channel {channel}: sample {frame} is not finite"
+                )));
+            }
+            let rows = frames.chunks_exact(channels);
+            let values = rows.flat_map(|frame| places.iter().map(|place| frame[*place])).collect();
+            on(std::slice::from_ref(&key), None)?;
+            give(path, key, Rows { times: Vec::new(), values }, form, None, &mut said, on)
+        },
+        path,
+    )?;
+    Ok(said)
+}
+
+/// The labels of an array's trials: an array of the same file, or a file with one label a line or one array.
+fn labels_of(path: &Path, labels: &str, most: u64) -> Result<Vec<String>, LibraryError> {
+    let file = Path::new(labels);
+    let (of, name) = if file.exists() { (file, None) } else { (path, Some(labels)) };
+    let fail = |problem| LibraryError::file(of, problem);
+    if is_called(of, "mat") {
+        return MatFile::open(of, most)?.labels(name).map_err(fail);
+    }
+    if is_array(of) {
+        return npy::open(of, name, most)?.labels().map_err(fail);
+    }
+    let (mut lines, mut all) = (Lines::open(of, most)?, Vec::new());
+    while let Some((_, line)) = lines.next().map_err(fail)? {
+        let label = shown(line.trim_ascii()).trim_matches('"').to_string();
+        all.extend(Some(label).filter(|label| !label.is_empty()));
+    }
+    Ok(all)
+}
+
+/// A 16-bit float (IEEE 754 binary16).
+pub(super) fn half(bits: u16) -> f64 {
+    let sign = if bits & 0x8000 == 0 { 1.0 } else { -1.0 };
+    let (exponent, fraction) = (i32::from(bits >> 10 & 31), f64::from(bits & 0x3ff));
+    match exponent {
+        31 if fraction == 0.0 => sign * f64::INFINITY,
+        31 => f64::NAN,
+        0 => sign * fraction * 2f64.powi(-24),
+        _ => sign * (1.0 + fraction / 1024.0) * 2f64.powi(exponent - 15),
+    }
+}

@@ -1,0 +1,174 @@
+//! Numbers in the cells of a table, with a decimal point or a decimal comma.
+
+use super::text::shown;
+
+/// What is written for a value that is missing, in small letters.
+const MISSING: [&str; 14] = [
+    "",
+    "nan",
+    "na",
+    "n/a",
+    "#n/a",
+    "#nv",
+    "null",
+    "none",
+    "-",
+    "--",
+    "nan(ind)",
+    "-nan",
+    "-nan(ind)",
+    "1.#qnan",
+];
+
+pub(crate) fn is_missing(cell: &[u8]) -> bool {
+    cell.len() < 10 && MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word.as_bytes()))
+}
+
+/// Reads the numbers of one table, which has one decimal mark: that of the first number with a mark.
+#[derive(Clone, Debug)]
+pub(crate) struct Numbers {
+    mark: Option<u8>,
+    /// Whether commas separate the cells, so that a comma in quotes may separate thousands.
+    between_commas: bool,
+}
+
+impl Numbers {
+    pub(crate) fn new(delimiter: u8) -> Self {
+        Self { mark: None, between_commas: delimiter == b',' }
+    }
+
+    /// The number in a cell, without outer spaces; NaN if it is missing.
+    ///
+    /// # Errors
+    /// If the cell holds no finite number, or one that has two readings. The error continues a
+    /// sentence that begins with the cell.
+    pub(super) fn read(&mut self, cell: &[u8]) -> Result<f64, String> {
+        let plain = std::str::from_utf8(cell).ok().and_then(|text| text.parse::<f64>().ok());
+        match plain {
+            Some(number) if number.is_finite() => {
+                if self.mark != Some(b'.') && cell.contains(&b'.') {
+                    self.marked(b'.', cell)?;
+                }
+                Ok(number)
+            }
+            None | Some(_) if is_missing(cell) => Ok(f64::NAN),
+            Some(_) => Err("is not a finite number".into()),
+            None => self.grouped(cell),
+        }
+    }
+
+    /// Checks the decimal mark of a number that is read elsewhere, such as a time.
+    pub(super) fn check(&mut self, cell: &[u8]) -> Result<(), String> {
+        match cell.iter().find(|byte| matches!(byte, b'.' | b',')) {
+            Some(mark) => self.marked(*mark, cell),
+            None => Ok(()),
+        }
+    }
+
+    /// Remembers the decimal mark, or refuses one that is not that of the numbers before.
+    fn marked(&mut self, mark: u8, cell: &[u8]) -> Result<(), String> {
+        match *self.mark.get_or_insert(mark) {
+            known if known == mark => Ok(()),
+            known => Err(format!(
+                "has a `{}`, but numbers before it have a decimal `{}`: it may be {} or {}; write all \
+                 numbers in one way",
+                char::from(mark),
+                char::from(known),
+                shown(cell).replace([',', '.'], "."),
+                shown(cell).replace([',', '.'], ""),
+            )),
+        }
+    }
+
+    /// A number with a comma, which is a decimal mark or separates thousands.
+    fn grouped(&mut self, cell: &[u8]) -> Result<f64, String> {
+        let no_number = || "is not a finite number".to_string();
+        let text = shown(cell).replace('\u{2212}', "-");
+        let is_mark = |c: char| c == ',' || c == '.';
+        let number = |text: &str| text.parse::<f64>().ok().filter(|number| number.is_finite());
+        let (Some(last), true) = (text.rfind(is_mark), text.bytes().any(|b| b.is_ascii_digit()))
+        else {
+            return number(&text).ok_or_else(no_number);
+        };
+        if text.matches(is_mark).count() == 1 {
+            let value = number(&text.replace(',', ".")).ok_or_else(no_number)?;
+            if self.mark.is_none() && self.between_commas && by_thousands(&text) {
+                let joined = text.replace(',', "");
+                return Err(format!(
+                    "may be {value} or {joined}; write numbers without separators of thousands"
+                ));
+            }
+            self.marked(b',', cell)?;
+            return Ok(value);
+        }
+        // Several marks: the last is the decimal one, unless all are alike.
+        let is_decimal = !text[..last].contains(&text[last..=last]);
+        let (whole, rest) = if is_decimal { text.split_at(last) } else { (&*text, "") };
+        if !by_thousands(whole) || rest.bytes().skip(1).any(|byte| byte == b',' || byte == b'.') {
+            return Err(no_number());
+        }
+        let value = number(&(whole.replace(is_mark, "") + &rest.replace(',', ".")));
+        let value = value.ok_or_else(no_number)?;
+        let mark = match (is_decimal, text.as_bytes()[last]) {
+            (true, mark) => mark,
+            (false, b',') => b'.',
+            (false, _) => b',',
+        };
+        self.marked(mark, cell)?;
+        Ok(value)
+    }
+}
+
+/// Whether one kind of mark separates the digits of a whole number into thousands.
+fn by_thousands(text: &str) -> bool {
+    let digits = text.trim_start_matches(['-', '+']);
+    let Some(mark) = digits.find([',', '.']).map(|at| &digits[at..=at]) else { return false };
+    let mut groups = digits.split(mark);
+    let is_number = |group: &str| group.bytes().all(|byte| byte.is_ascii_digit());
+    groups.next().is_some_and(|first| {
+        (1..=3).contains(&first.len()) && is_number(first) && !first.starts_with('0')
+    }) && groups.all(|group| group.len() == 3 && is_number(group))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_read_by_the_mark_of_their_table() {
+        for (delimiter, cells) in [
+            (b';', &[("0,5", 0.5), ("1.234,5", 1234.5), ("-7", -7.0), ("1,5E-2", 0.015)][..]),
+            (b',', &[("0.5", 0.5), ("1,234.5", 1234.5), ("1,234,567", 1_234_567.0), (".5", 0.5)]),
+            (b',', &[("0,5", 0.5), ("\u{2212}1,25", -1.25), ("12,345", 12.345)]),
+            (b'\t', &[("+1e3", 1000.0), ("5.", 5.0), ("1,234.5", 1234.5)]),
+        ] {
+            let mut numbers = Numbers::new(delimiter);
+            for (cell, value) in cells {
+                assert_eq!(numbers.read(cell.as_bytes()), Ok(*value), "{cell}");
+            }
+        }
+        for cell in ["", "NaN", "n/a", "#N/A", "-nan(ind)", "NULL"] {
+            assert!(Numbers::new(b',').read(cell.as_bytes()).unwrap().is_nan(), "{cell}");
+        }
+    }
+
+    #[test]
+    fn what_has_two_readings_or_none_is_refused() {
+        for (delimiter, cells, part) in [
+            (b';', &["0,5", "1.234"][..], "may be 1.234 or 1234"),
+            (b';', &["0.5", "1,234"], "may be 1.234 or 1234"),
+            (b',', &["1,234"], "may be 1.234 or 1234"),
+            (b',', &["0.5g"], "not a finite"),
+            (b',', &["inf"], "not a finite"),
+            (b';', &["1,2,3"], "not a finite"),
+            (b';', &["1.2.3"], "not a finite"),
+            (b';', &["1e999"], "not a finite"),
+        ] {
+            let mut numbers = Numbers::new(delimiter);
+            let (last, first) = cells.split_last().unwrap();
+            assert!(first.iter().all(|cell| numbers.read(cell.as_bytes()).is_ok()));
+            let said = numbers.read(last.as_bytes()).unwrap_err();
+            assert!(said.contains(part), "{cells:?}: {said}");
+        }
+    }
+}

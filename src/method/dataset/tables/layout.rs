@@ -1,0 +1,342 @@
+//! How a table is laid out, found out from its first lines: what separates the cells, which lines name
+//! the columns and their units, and where the rows begin.
+
+use super::cell::{Numbers, is_missing};
+use super::heading::{Column, HeadLine, Names, distinct, names_in};
+use super::stamp;
+use super::text::shown;
+
+/// What separates cells, in the order in which they are tried.
+pub(super) const DELIMITERS: [u8; 5] = [b';', b'\t', b',', b'|', b' '];
+
+#[derive(Clone, Debug)]
+pub struct Layout {
+    /// What separates the cells; a space stands for any number of spaces and tabs.
+    pub delimiter: u8,
+    /// Whether each line begins with the time of a serial monitor, `12:34:56.789 -> `.
+    pub has_arrows: bool,
+    pub columns: Vec<Column>,
+    /// The line number of the first row, and of the last line of the names (0 without names).
+    pub first: u64,
+    pub names_at: u64,
+    /// What people should know about how the table was understood.
+    pub notes: Vec<String>,
+    /// Whether the lines are made of cells with types: without comments and quotes.
+    is_typed: bool,
+}
+
+impl Layout {
+    /// What is between typed cells; none of them holds it.
+    #[cfg(feature = "parquet")]
+    pub(super) const BETWEEN: u8 = 0x1f;
+
+    /// The layout of a table that says its columns itself.
+    #[cfg(feature = "parquet")]
+    pub(super) fn typed(mut columns: Vec<Column>) -> Self {
+        let mut notes = Vec::new();
+        distinct(&mut columns, &mut notes);
+        let (delimiter, first) = (Self::BETWEEN, 1);
+        Self { delimiter, has_arrows: false, columns, first, names_at: 0, notes, is_typed: true }
+    }
+
+    /// Finds out the layout from the `head` of a file: its first lines with their numbers.
+    ///
+    /// # Errors
+    /// If no rows of numbers are there, or names and rows do not fit.
+    pub(crate) fn of(head: &[(u64, Vec<u8>)]) -> Result<Self, String> {
+        let has_arrows = have_arrows(head);
+        let split_by = |delimiter: u8| {
+            let lines = head.iter().filter(|(_, line)| !line.trim_ascii().is_empty());
+            let lines = lines.filter(|(_, line)| !is_comment(line));
+            let cells = |(number, line): &(u64, Vec<u8>)| HeadLine {
+                number: *number,
+                cells: owned(line, delimiter, has_arrows),
+            };
+            lines.map(cells).collect::<Vec<_>>()
+        };
+        let mut best = (0.0, b',', Vec::new());
+        for delimiter in DELIMITERS {
+            let lines = split_by(delimiter);
+            let fit = fit(&lines, delimiter);
+            if fit > best.0 {
+                best = (fit, delimiter, lines);
+            }
+        }
+        let (fit, delimiter, mut lines) = best;
+        if fit == 0.0 {
+            lines = split_by(b',');
+        }
+        let mut width = usual_width(&lines, delimiter).ok_or_else(|| no_rows(head))?;
+        // An end of each row that is empty, and that nothing names, is no column.
+        while width > 1
+            && lines.iter().all(|line| line.cells.get(width - 1).is_none_or(Vec::is_empty))
+        {
+            width -= 1;
+        }
+        lines.iter_mut().for_each(|line| strip(&mut line.cells, width));
+        let is_numeric = numeric_columns(&lines, width, delimiter);
+        let is_row = |line: &HeadLine| {
+            let mut numbers = Numbers::new(delimiter);
+            let mut found = false;
+            let mut fits = |(cell, is_numeric): (&Vec<u8>, &bool)| {
+                let number = numbers.read(cell);
+                found |= matches!(number, Ok(number) if !number.is_nan());
+                // Cells that have two readings are refused later, by name.
+                !is_numeric || number.is_ok() || has_digit(cell) && !has_word(cell)
+            };
+            line.cells.len() == width && line.cells.iter().zip(&is_numeric).all(&mut fits) && found
+        };
+        let mut start = lines.iter().position(is_row).ok_or_else(|| no_rows(head))?;
+        // A first row with a damaged cell is no line of names, if there are names above it.
+        let holds = |line: &HeadLine| {
+            let mut cells = line.cells.iter().zip(&is_numeric);
+            line.cells.len() == width && cells.any(|(cell, is)| *is && is_number(cell, delimiter))
+        };
+        let is_named = |line: &HeadLine| line.cells.len() == width && !holds(line);
+        while start > 1 && holds(&lines[start - 1]) && lines[..start - 1].iter().any(is_named) {
+            start -= 1;
+        }
+        let mut notes = Vec::new();
+        if start == 0 && numbers_as_names(&lines) {
+            notes.push("the numbers in the first line are names of the columns".to_string());
+            start = 1;
+        }
+        let Some(first) = lines.get(start).map(|line| line.number) else {
+            return Err(no_rows(head));
+        };
+        let mut names = Names::of(&lines[..start], width, &is_numeric, &lines[start..], delimiter)?;
+        if names.rows.is_empty() {
+            let comments = head.iter().filter(|(number, line)| *number < first && is_comment(line));
+            names = comments
+                .rev()
+                .find_map(|comment| names_in(comment, delimiter, width))
+                .unwrap_or(names);
+        }
+        let mut columns = names.columns(width, has_arrows);
+        for (column, is_numeric) in columns.iter_mut().zip(is_numeric) {
+            column.is_numeric = is_numeric;
+        }
+        distinct(&mut columns, &mut notes);
+        let names_at = names.at;
+        Ok(Self { delimiter, has_arrows, columns, first, names_at, notes, is_typed: false })
+    }
+
+    /// Splits a line into the cells of a row. `false` for a line that is no row: blank or a comment.
+    ///
+    /// # Errors
+    /// If the line has another number of cells than the table has columns.
+    pub(crate) fn cells<'a>(
+        &self,
+        line: &'a [u8],
+        cells: &mut Vec<&'a [u8]>,
+    ) -> Result<bool, String> {
+        cells.clear();
+        if self.is_typed {
+            cells.extend(line.split(|byte| *byte == self.delimiter).map(<[u8]>::trim_ascii));
+            return Ok(cells.iter().any(|cell| !cell.is_empty()));
+        }
+        split(line, self.delimiter, self.has_arrows, cells);
+        let width = self.columns.len();
+        if cells.len() != width {
+            if is_comment(line) || cells.iter().all(|cell| cell.is_empty()) {
+                return Ok(false);
+            }
+            while cells.len() > width && cells.last().is_some_and(|cell| cell.is_empty()) {
+                cells.pop();
+            }
+            let found = cells.len();
+            if found != width {
+                let both = match self.delimiter == b',' && found == 2 * width {
+                    true => {
+                        "; commas may be decimal marks or separate columns: separate columns by \
+                             semicolons, or write decimal points"
+                    }
+                    false => "",
+                };
+                let found = crate::printable::counted(found, "column");
+                return Err(format!("has {found}; the table has {width}{both}"));
+            }
+        }
+        if matches!(cells.first(), Some([b'#' | b'%', ..]) | Some([b'/', b'/', ..])) {
+            return Ok(false);
+        }
+        Ok(cells.iter().any(|cell| !cell.is_empty()))
+    }
+
+    /// The place of a column by its name, or by its name without unit.
+    ///
+    /// # Errors
+    /// If there is no such column.
+    pub(crate) fn column(&self, name: &str) -> Result<usize, String> {
+        if let Some(exact) = self.columns.iter().position(|column| column.name == name) {
+            return Ok(exact);
+        }
+        let names =
+            || self.columns.iter().map(|column| &*column.name).collect::<Vec<_>>().join(", ");
+        let alike = self
+            .columns
+            .iter()
+            .enumerate()
+            .filter(|(_, column)| !name.is_empty() && column.base.eq_ignore_ascii_case(name));
+        match alike.map(|(at, _)| at).collect::<Vec<_>>()[..] {
+            [only] => Ok(only),
+            [] => Err(format!("it has no column `{name}`; its columns: {}", names())),
+            _ => Err(format!("several columns are called `{name}`; say which of {}", names())),
+        }
+    }
+}
+
+fn no_rows(head: &[(u64, Vec<u8>)]) -> String {
+    let first = head.iter().map(|(_, line)| line.trim_ascii()).find(|line| !line.is_empty());
+    let first: String = shown(first.unwrap_or_default()).chars().take(60).collect();
+    format!(
+        "it holds no rows of numbers; expected a line for each sample (it begins with `{}`)",
+        first.escape_debug()
+    )
+}
+
+fn is_comment(line: &[u8]) -> bool {
+    let line = line.trim_ascii_start();
+    let line = line.strip_prefix(b"\"").unwrap_or(line);
+    // A name such as `#` or `# of sample` alone before a separator is told by `Layout::cells`.
+    line.starts_with(b"#") || line.starts_with(b"%") || line.starts_with(b"//")
+}
+
+/// Whether most lines begin with a time and an arrow, as Arduino's serial monitor writes them.
+fn have_arrows(head: &[(u64, Vec<u8>)]) -> bool {
+    let lines = || head.iter().filter(|(_, line)| !line.trim_ascii().is_empty());
+    let with = lines()
+        .filter(|(_, line)| arrow(line).is_some_and(|at| stamp::is_clock(line[..at].trim_ascii())));
+    let with = with.count();
+    with > 0 && with * 5 >= lines().count() * 4
+}
+
+fn arrow(line: &[u8]) -> Option<usize> {
+    line.windows(2).take(40).position(|two| two == b"->")
+}
+
+/// Appends the cells of a line, without outer spaces and quotes.
+fn split<'a>(line: &'a [u8], delimiter: u8, has_arrows: bool, cells: &mut Vec<&'a [u8]>) {
+    let mut rest = line;
+    if has_arrows && let Some(at) = arrow(line) {
+        cells.push(line[..at].trim_ascii());
+        rest = &line[at + 2..];
+    }
+    if memchr::memchr(b'"', rest).is_some() {
+        return split_quoted(rest, delimiter, cells);
+    }
+    if delimiter == b' ' {
+        let words = rest.split(|byte| matches!(byte, b' ' | b'\t'));
+        cells.extend(words.filter(|word| !word.is_empty()));
+        return;
+    }
+    let mut start = 0;
+    for at in memchr::memchr_iter(delimiter, rest) {
+        cells.push(rest[start..at].trim_ascii());
+        start = at + 1;
+    }
+    cells.push(rest[start..].trim_ascii());
+}
+
+fn split_quoted<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a [u8]>) {
+    let (mut start, mut is_quoted) = (0, false);
+    let is_mark = |byte: u8| byte == delimiter || delimiter == b' ' && byte == b'\t';
+    for at in 0..=line.len() {
+        match line.get(at) {
+            Some(b'"') => is_quoted = !is_quoted,
+            Some(&byte) if is_quoted || !is_mark(byte) => {}
+            _ => {
+                let cell = line[start..at].trim_ascii();
+                start = at + 1;
+                if delimiter == b' ' && cell.is_empty() {
+                    continue;
+                }
+                let bare = cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\""));
+                cells.push(bare.map_or(cell, <[u8]>::trim_ascii));
+            }
+        }
+    }
+}
+
+pub(super) fn owned(line: &[u8], delimiter: u8, has_arrows: bool) -> Vec<Vec<u8>> {
+    let mut cells = Vec::new();
+    split(line, delimiter, has_arrows, &mut cells);
+    cells.into_iter().map(<[u8]>::to_vec).collect()
+}
+
+/// Drops empty cells beyond `width`.
+fn strip(cells: &mut Vec<Vec<u8>>, width: usize) {
+    while cells.len() > width && cells.last().is_some_and(Vec::is_empty) {
+        cells.pop();
+    }
+}
+
+fn is_number(cell: &[u8], delimiter: u8) -> bool {
+    Numbers::new(delimiter).read(cell).is_ok_and(|number| !number.is_nan())
+}
+
+fn has_digit(cell: &[u8]) -> bool {
+    cell.iter().any(u8::is_ascii_digit)
+}
+
+fn has_word(cell: &[u8]) -> bool {
+    cell.iter().any(u8::is_ascii_alphabetic)
+}
+
+/// How well a delimiter fits: the share of numbers, dates and missing values among the cells of lines
+/// of the usual width, times the share of these lines. 0 if it separates nothing.
+fn fit(lines: &[HeadLine], delimiter: u8) -> f64 {
+    let Some(width) = usual_width(lines, delimiter).filter(|width| *width > 1) else { return 0.0 };
+    let usual: Vec<&HeadLine> = lines.iter().filter(|line| line.cells.len() == width).collect();
+    let cells = || usual.iter().flat_map(|line| &line.cells);
+    let plain = cells()
+        .filter(|cell| is_number(cell, delimiter) || is_missing(cell) || stamp::is_moment(cell));
+    let share = plain.count() as f64 / cells().count() as f64;
+    share * usual.len() as f64 / lines.len() as f64
+}
+
+/// The most frequent number of cells among the lines of the second half that hold a number.
+fn usual_width(lines: &[HeadLine], delimiter: u8) -> Option<usize> {
+    let mut counts = std::collections::BTreeMap::<usize, usize>::new();
+    let holds = |line: &&HeadLine| line.cells.iter().any(|cell| is_number(cell, delimiter));
+    for line in lines[lines.len() / 2..].iter().filter(holds) {
+        *counts.entry(line.cells.len()).or_default() += 1;
+    }
+    counts.into_iter().max_by_key(|(width, count)| (*count, *width)).map(|(width, _)| width)
+}
+
+/// Which columns hold numbers in at least half of their cells, by the last 200 lines.
+fn numeric_columns(lines: &[HeadLine], width: usize, delimiter: u8) -> Vec<bool> {
+    let fitting: Vec<&HeadLine> = lines.iter().filter(|line| line.cells.len() == width).collect();
+    let last = &fitting[fitting.len().saturating_sub(200)..];
+    let is_numeric = |column: usize| {
+        let cells = last.iter().map(|line| &line.cells[column]).filter(|cell| !is_missing(cell));
+        let (mut numbers, mut all) = (0, 0);
+        for cell in cells {
+            all += 1;
+            numbers += usize::from(is_number(cell, delimiter));
+        }
+        all > 0 && 2 * numbers >= all
+    };
+    (0..width).map(is_numeric).collect()
+}
+
+/// Whether the numbers of the first line are names: an empty name before 0, 1, 2 …, as pandas writes
+/// unnamed columns, or 0, 1, 2 … (or 1, 2, 3 …) before rows that hold other numbers.
+fn numbers_as_names(lines: &[HeadLine]) -> bool {
+    let Some((first, rest)) = lines.split_first() else { return false };
+    let whole = |cell: &Vec<u8>| std::str::from_utf8(cell).ok()?.parse::<u32>().ok();
+    let counts = |cells: &[Vec<u8>]| {
+        let from = cells.first().and_then(whole).filter(|from| *from < 2);
+        from.is_some_and(|from| (from..).zip(cells).all(|(at, cell)| whole(cell) == Some(at)))
+    };
+    match first.cells.split_first() {
+        Some((index, names)) if index.is_empty() => counts(names),
+        Some(_) if first.cells.len() > 2 && counts(&first.cells) => {
+            let most = 4 * first.cells.len() as u32;
+            let other = |cell: &Vec<u8>| !is_missing(cell) && whole(cell).is_none_or(|x| x > most);
+            rest.iter().flat_map(|line| &line.cells).any(other)
+        }
+        _ => false,
+    }
+}

@@ -1,0 +1,417 @@
+//! Makes trials with a fixed rate of the rows of a table: drops repeated rows, fills short gaps by
+//! straight lines and says where, and cuts at longer ones, which are never filled.
+
+use super::gather::Rows;
+use crate::trial::Series;
+
+/// The longest run of samples that is filled.
+const MOST_FILLED: usize = 5;
+/// The largest share of the samples of a channel that is filled.
+const SHARE_FILLED: f64 = 0.05;
+/// The fewest rows of a part of a trial that was cut.
+const FEWEST: usize = 10;
+const S: f64 = 1e9;
+
+/// What to do where more is missing than is filled.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Gaps {
+    /// Cut the trial there, and make a trial of each part
+    Cut,
+    /// Do not use the trial
+    Error,
+}
+
+/// A part of a trial without gaps, at a fixed rate.
+#[derive(Debug)]
+pub(crate) struct Piece {
+    /// Time of the first frame in ns; 0 without a clock.
+    pub start: i64,
+    pub rate_hz: f64,
+    /// Frames of all columns, row by row.
+    pub values: Vec<f32>,
+    /// For each frame and column, whether the value was filled in; empty if none was.
+    pub filled: Vec<bool>,
+}
+
+/// The parts of a trial, and what people should know about them.
+#[derive(Debug, Default)]
+pub(crate) struct Mended {
+    pub pieces: Vec<Piece>,
+    /// Rows that had the time of the row before.
+    pub repeated: usize,
+    /// Parts that are too short to be used.
+    pub too_short: usize,
+    /// Rows a second, if the rows were interpolated in time.
+    pub resampled_hz: Option<f64>,
+}
+
+/// Makes the parts of one trial. `names` are the names of the columns.
+///
+/// # Errors
+/// If more is missing than may be filled or cut, or the times give no rate. The error continues a
+/// sentence that begins with the trial.
+pub(crate) fn mend(
+    mut rows: Rows,
+    names: &[String],
+    rate_hz: Option<f64>,
+    gaps: Gaps,
+) -> Result<Mended, String> {
+    let width = names.len();
+    let mut mended = Mended::default();
+    let mut grid = None;
+    if rate_hz.is_none() {
+        mended.repeated = without_repeated(&mut rows, width)?;
+        grid = Some(Grid::of(&rows.times)?);
+    }
+    let count = rows.values.len() / width;
+    if count < 2 {
+        return Err("has a single row; expected a row for each sample".into());
+    }
+    let missing = |row: usize, column: usize| rows.values[row * width + column].is_nan();
+    // Rows that are cut out, and rows before which the trial is cut.
+    let (mut out, mut cuts) = (vec![false; count], vec![false; count]);
+    for (column, name) in names.iter().enumerate() {
+        let mut run = 0;
+        let mut all = 0;
+        for row in 0..=count {
+            if row < count && missing(row, column) {
+                run += 1;
+                all += 1;
+                continue;
+            }
+            if run > MOST_FILLED {
+                out[row - run..row].fill(true);
+            }
+            run = 0;
+        }
+        if all == count {
+            return Err(format!("has no value in column `{name}`"));
+        }
+    }
+    if let Some(grid) = &grid {
+        let times = rows.times.windows(2).zip(&mut cuts[1..]);
+        times.for_each(|(two, cut)| *cut = grid.steps(two[1] - two[0]) > MOST_FILLED as f64 + 1.5);
+        let bursts = cuts.iter().filter(|cut| **cut).count();
+        if bursts > 2 && bursts * 50 > count {
+            return Err(format!(
+                "comes in bursts: {bursts} pauses in {count} rows, so its times are not those of its \
+                 samples; give --rate HZ",
+            ));
+        }
+    }
+    let mut ranges: Vec<(usize, usize)> = Vec::new();
+    for row in 0..count {
+        match ranges.last_mut() {
+            _ if out[row] => {}
+            Some((_, end)) if *end == row && !cuts[row] => *end += 1,
+            _ => ranges.push((row, row + 1)),
+        }
+    }
+    let is_cut = ranges.len() > 1;
+    if is_cut && gaps == Gaps::Error {
+        let at = ranges.first().map_or(0, |(_, end)| *end);
+        return Err(format!(
+            "has a gap of more than {MOST_FILLED} samples after its row {at}; --gaps cut makes a trial \
+             of each part"
+        ));
+    }
+    for (start, end) in ranges {
+        let has_all = |row: &usize| (0..width).all(|column| !missing(*row, column));
+        let ends = ((start..end).find(has_all), (start..end).rev().find(has_all));
+        let fewest = if is_cut { FEWEST } else { 2 };
+        match ends {
+            (Some(start), Some(end)) if end + 1 - start >= fewest => {
+                let piece = piece(&rows, start..end + 1, names, rate_hz, grid.as_ref())?;
+                if let (Some(grid), true) = (&grid, piece.1) {
+                    mended.resampled_hz = Some(S / grid.step);
+                }
+                mended.pieces.push(piece.0);
+            }
+            _ => mended.too_short += 1,
+        }
+    }
+    match mended.pieces.is_empty() {
+        true => Err(format!(
+            "has no {FEWEST} rows in a row without a gap; are these sensors of different rates? import \
+             the columns of each alone, by --source"
+        )),
+        false => Ok(mended),
+    }
+}
+
+/// Drops rows that have the time of the next row, and returns their number.
+fn without_repeated(rows: &mut Rows, width: usize) -> Result<usize, String> {
+    let (mut kept, mut different) = (0, 0);
+    let count = rows.times.len();
+    for row in 0..count {
+        let is_repeated = kept > 0 && rows.times[kept - 1] == rows.times[row];
+        kept += usize::from(!is_repeated);
+        rows.times[kept - 1] = rows.times[row];
+        for column in 0..width {
+            let (from, to) = (row * width + column, (kept - 1) * width + column);
+            let (last, earlier) = (rows.values[from], rows.values[to]);
+            different += usize::from(is_repeated && column == 0 && last != earlier);
+            if !(is_repeated && last.is_nan()) {
+                rows.values[to] = last;
+            }
+        }
+    }
+    rows.times.truncate(kept);
+    rows.values.truncate(kept * width);
+    if different * 5 > count {
+        return Err(format!(
+            "repeats times: {different} of {count} rows have the time of the row before, so the clock is \
+             coarser than the samples; give --rate HZ"
+        ));
+    }
+    Ok(count - kept)
+}
+
+/// The even grid that the times of a trial lie near.
+struct Grid {
+    /// Nanoseconds from sample to sample.
+    step: f64,
+    rate_hz: f64,
+    /// How far apart the distances of rows from their places on the grid may lie, in ns.
+    tolerance: f64,
+}
+
+impl Grid {
+    fn of(times: &[i64]) -> Result<Self, String> {
+        let steps = || times.windows(2).map(|two| two[1] - two[0]);
+        let mut sorted: Vec<i64> = steps().collect();
+        sorted.sort_unstable();
+        let Some(&median) = sorted.get(sorted.len() / 2) else {
+            return Err("has a single row; expected a row for each sample".into());
+        };
+        // The unit in which the times are written, where it is coarse.
+        let mut unit = 0;
+        for step in steps() {
+            unit = common_divisor(unit, step);
+            if (unit as f64) < 0.02 * step as f64 {
+                break;
+            }
+        }
+        let (median, unit) = (median as f64, unit as f64);
+        let one = 1.5 * median + if unit <= 0.5 * median { unit } else { 0.0 };
+        let single: Vec<f64> =
+            steps().map(|step| step as f64).filter(|step| *step <= one).collect();
+        let first = single.iter().sum::<f64>() / single.len() as f64;
+        let (mut total, mut rows, mut count) = (0.0, 0.0, 0.0);
+        for step in steps().map(|step| step as f64).filter(|step| *step <= 6.5 * first) {
+            total += step;
+            rows += 1.0;
+            count += (step / first).round().max(1.0);
+        }
+        // Many steps of twice the length are no lost rows, but coarse times.
+        let step = total / if rows > 20.0 && count > 1.2 * rows { rows } else { count };
+        if !(100.0..5.0 * S).contains(&step) {
+            return Err(format!(
+                "has a row every {:e} s, which no recording has; is the unit of its times right? see \
+                 --time-unit",
+                step / S
+            ));
+        }
+        // Times that are written coarsely lie beside the grid, though the samples do not.
+        let tolerance = (2.01 * unit).min(0.95 * step).max(0.04 * step);
+        let is_coarse = unit >= 0.02 * step && sorted.first() != sorted.last();
+        let rate_hz = if is_coarse { roundest(S / step, unit / total) } else { (S / step).round() };
+        Ok(Self { step, rate_hz: rate_hz.max(1.0), tolerance })
+    }
+
+    /// How many steps a time is long.
+    fn steps(&self, ns: i64) -> f64 {
+        ns as f64 / self.step
+    }
+}
+
+/// The roundest number within a share of `rate_hz`, as far as coarse times tell it; else the nearest one.
+fn roundest(rate_hz: f64, share: f64) -> f64 {
+    let round = [1000.0, 100.0, 50.0, 10.0, 5.0].map(|unit| (rate_hz / unit).round() * unit);
+    let near = round.into_iter().find(|round| (round / rate_hz - 1.0).abs() <= share);
+    near.unwrap_or_else(|| rate_hz.round())
+}
+
+fn common_divisor(mut a: i64, mut b: i64) -> i64 {
+    while b != 0 {
+        (a, b) = (b, a % b);
+    }
+    a
+}
+
+/// Fills what is missing in a range of rows, and brings it to the rate. Returns the piece, and whether
+/// it was interpolated in time.
+fn piece(
+    rows: &Rows,
+    range: std::ops::Range<usize>,
+    names: &[String],
+    rate_hz: Option<f64>,
+    grid: Option<&Grid>,
+) -> Result<(Piece, bool), String> {
+    let width = names.len();
+    let mut values = rows.values[range.start * width..range.end * width].to_vec();
+    let times = if grid.is_some() { &rows.times[range.clone()] } else { &[] };
+    let count = range.len();
+    let mut filled = vec![false; values.len()];
+    for (column, name) in names.iter().enumerate() {
+        let mut known = 0;
+        let mut missing = 0;
+        for row in 0..count {
+            if values[row * width + column].is_nan() {
+                missing += 1;
+                continue;
+            }
+            let (a, b) = (values[known * width + column], values[row * width + column]);
+            for between in known + 1..row {
+                let place =
+                    |row: usize| times.get(row).map_or(row as f64, |time| (time - times[0]) as f64);
+                let share = (place(between) - place(known)) / (place(row) - place(known));
+                values[between * width + column] = straight(a, b, share);
+                filled[between * width + column] = true;
+            }
+            known = row;
+        }
+        if missing as f64 > SHARE_FILLED * count as f64 {
+            return Err(format!(
+                "misses {missing} of {count} values in column `{name}`; at most 5 % are filled: if this \
+                 sensor has another rate, import its columns alone, by --source"
+            ));
+        }
+    }
+    let start = times.first().copied().unwrap_or(0);
+    let Some(grid) = grid else {
+        let filled = if filled.contains(&true) { filled } else { Vec::new() };
+        return Ok((Piece { start, rate_hz: rate_hz.unwrap_or(1.0), values, filled }, false));
+    };
+    let off = |(row, time): (usize, &i64)| (time - start) as f64 - row as f64 * S / grid.rate_hz;
+    let (low, high) = times
+        .iter()
+        .enumerate()
+        .map(off)
+        .fold((0.0_f64, 0.0_f64), |(low, high), x| (low.min(x), high.max(x)));
+    let is_even = high - low <= grid.tolerance;
+    let mut piece = Piece { start, rate_hz: grid.rate_hz, values, filled };
+    if !is_even {
+        resample(&mut piece, times, width, grid)?;
+    }
+    if !piece.filled.contains(&true) {
+        piece.filled.clear();
+    }
+    Ok((piece, !is_even))
+}
+
+fn straight(a: f32, b: f32, share: f64) -> f32 {
+    (f64::from(a) + share * (f64::from(b) - f64::from(a))) as f32
+}
+
+/// Interpolates rows linearly at the rate of the grid. A frame counts as filled if the row before it or
+/// after it was, or if rows are lost there.
+fn resample(piece: &mut Piece, times: &[i64], width: usize, grid: &Grid) -> Result<(), String> {
+    let last = times.len() - 1;
+    let long = (times[last] - times[0]) as f64;
+    // No step is longer than `MOST_FILLED + 1.5` of the grid's, so this is bounded by the rows.
+    let count = (long * piece.rate_hz / S + 1e-6).floor() as usize + 1;
+    if count > Series::MOST_SAMPLES {
+        return Err(format!("is {:.0} minutes long, too long for a trial", long / S / 60.0));
+    }
+    let (mut values, mut filled) = (Vec::with_capacity(count * width), Vec::new());
+    let mut before = 0;
+    for frame in 0..count {
+        let at = frame as f64 * S / piece.rate_hz;
+        while before + 2 <= last && (times[before + 1] - times[0]) as f64 <= at {
+            before += 1;
+        }
+        let step = (times[before + 1] - times[before]) as f64;
+        let share = ((at - (times[before] - times[0]) as f64) / step).clamp(0.0, 1.0);
+        let is_lost =
+            grid.steps(times[before + 1] - times[before]) >= 1.5 && (0.01..=0.99).contains(&share);
+        for column in 0..width {
+            let [a, b] = [before, before + 1].map(|row| row * width + column);
+            values.push(straight(piece.values[a], piece.values[b], share));
+            let of_filled = piece.filled[a] && share < 0.99 || piece.filled[b] && share > 0.01;
+            filled.push(is_lost || of_filled);
+        }
+    }
+    (piece.values, piece.filled) = (values, filled);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NAN: f32 = f32::NAN;
+
+    fn ms(times: &[i64]) -> Vec<i64> {
+        times.iter().map(|time| time * 1_000_000).collect()
+    }
+
+    fn mended(times: &[i64], values: &[f32], gaps: Gaps) -> Result<Mended, String> {
+        let rows = Rows { times: ms(times), values: values.to_vec() };
+        let rate_hz = times.is_empty().then_some(100.0);
+        mend(rows, &["x".to_string()], rate_hz, gaps)
+    }
+
+    #[test]
+    fn uneven_times_are_resampled_by_straight_lines() {
+        let all = mended(&[0, 10, 20, 40], &[0.0, 1.0, 2.0, 4.0], Gaps::Cut).unwrap();
+        assert_eq!(all.pieces[0].values, [0.0, 1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(all.pieces[0].filled, [false, false, false, true, false]);
+        assert_eq!((all.pieces[0].rate_hz, all.pieces.len()), (100.0, 1));
+    }
+
+    #[test]
+    fn coarse_times_of_even_samples_leave_the_samples_alone() {
+        for rate_hz in [120, 400, 700, 1000] {
+            let times: Vec<i64> = (0..100).map(|row| row * 1000 / rate_hz).collect();
+            let values: Vec<f32> = (0..100).map(|row| (row % 7) as f32).collect();
+            let all = mended(&times, &values, Gaps::Error).unwrap();
+            assert_eq!((all.pieces[0].rate_hz, &all.pieces[0].values), (rate_hz as f64, &values));
+        }
+    }
+
+    #[test]
+    fn short_runs_are_filled_and_marked_and_longer_ones_cut() {
+        let mut values: Vec<f32> = (0..200).map(|row| row as f32).collect();
+        values[50..55].fill(NAN);
+        let all = mended(&[], &values, Gaps::Error).unwrap();
+        assert_eq!(all.pieces[0].values, (0..200).map(|row| row as f32).collect::<Vec<_>>());
+        let marked = (0..200).filter(|row| all.pieces[0].filled[*row]).collect::<Vec<_>>();
+        assert_eq!(marked, [50, 51, 52, 53, 54]);
+        values[55] = NAN;
+        assert!(mended(&[], &values, Gaps::Error).unwrap_err().contains("after its row 50"));
+        let lengths =
+            |all: Mended| all.pieces.iter().map(|piece| piece.values.len()).collect::<Vec<_>>();
+        assert_eq!(lengths(mended(&[], &values, Gaps::Cut).unwrap()), [50, 144]);
+        let scattered: Vec<f32> =
+            (0..200).map(|row| if row % 10 == 5 { NAN } else { 1.0 }).collect();
+        assert!(mended(&[], &scattered, Gaps::Cut).unwrap_err().contains("misses 20 of"));
+    }
+
+    #[test]
+    fn a_gap_in_time_is_never_drawn_straight_and_needs_no_memory() {
+        let mut times: Vec<i64> = (0..100).map(|row| row * 10).collect();
+        times[60..].iter_mut().for_each(|time| *time += 4_000_000_000);
+        let values: Vec<f32> = (0..100).map(|row| row as f32).collect();
+        let all = mended(&times, &values, Gaps::Cut).unwrap();
+        assert_eq!(all.pieces.iter().map(|piece| piece.values.len()).collect::<Vec<_>>(), [60, 40]);
+        assert_eq!(all.pieces[1].start, times[60] * 1_000_000);
+        assert!(mended(&times, &values, Gaps::Error).unwrap_err().contains("after its row 60"));
+        assert!(mended(&[0, 1, 2_000_000_000_000], &[1.0; 3], Gaps::Cut).is_err());
+    }
+
+    #[test]
+    fn the_last_of_a_repeated_time_counts_and_a_coarse_clock_is_refused() {
+        let mut times: Vec<i64> = (0..20).map(|row| row * 10).collect();
+        times.insert(3, 20);
+        let mut values: Vec<f32> = (0..20).map(|row| row as f32).collect();
+        values.insert(2, 7.0);
+        let all = mended(&times, &values, Gaps::Error).unwrap();
+        assert_eq!((all.repeated, all.pieces[0].values[2]), (1, 2.0));
+        let coarse: Vec<i64> = (0..100).map(|row| row / 10 * 1000).collect();
+        let values: Vec<f32> = (0..100).map(|row| row as f32).collect();
+        assert!(mended(&coarse, &values, Gaps::Cut).unwrap_err().contains("coarser"));
+        let bursts: Vec<i64> = (0..100).map(|row| row / 10 * 1000 + row % 10).collect();
+        assert!(mended(&bursts, &values, Gaps::Cut).unwrap_err().contains("bursts"));
+    }
+}

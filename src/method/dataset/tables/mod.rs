@@ -1,0 +1,590 @@
+//! Reads recordings from tables: text or Parquet with a row for each sample, or arrays of NumPy and MATLAB.
+//! A table holds one trial, or many trials named by columns. Other columns become sources. The rows have a
+//! fixed rate, or a column of times.
+//!
+//! A table is read once, row by row, so that its size does not matter: `layout` finds out how it is
+//! written, `columns` what its columns are, `gather` collects rows by trial, and `mend` makes trials
+//! with a fixed rate of them.
+
+#[doc(hidden)]
+pub mod array;
+mod cell;
+#[doc(hidden)]
+pub mod columns;
+mod gather;
+mod heading;
+mod layout;
+mod mat;
+mod mend;
+mod names;
+mod npy;
+#[cfg(feature = "parquet")]
+mod parquet;
+mod stamp;
+mod text;
+mod zip;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use cell::Numbers;
+use gather::{Gathered, Rows};
+use layout::Layout;
+#[doc(hidden)]
+pub use mend::Gaps;
+use mend::{Mended, Piece, mend};
+#[doc(hidden)]
+pub use names::NamePattern;
+use stamp::Stamps;
+use text::{Lines, shown};
+
+use crate::library::files::number_in;
+use crate::library::{About, LibraryError};
+use crate::record::utc;
+use crate::scene::SourceId;
+use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, checked_session, normal};
+
+/// Lines and bytes that decide how a table is understood.
+const HEAD_LINES: usize = 2000;
+const HEAD_BYTES: usize = 1 << 20;
+
+/// How to find the time of each row of a table.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Clock {
+    Rate(f64),
+    Times {
+        column: String,
+        /// time unit of the column, in seconds; `None`: told by its header or its values
+        unit_s: Option<f64>,
+    },
+}
+
+/// What names the session of the trials of a table, if no column does.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SessionOf {
+    /// The pattern of the file's path that also names the surface, if it has the field.
+    Names,
+    Pattern(NamePattern),
+    /// The file's path, without the one of these folders that it lies in.
+    File(Vec<PathBuf>),
+    Nothing,
+}
+
+/// How to read the tables of one import.
+#[derive(Clone, Debug)]
+pub struct Form {
+    /// Each source, with the names of the columns that are its channels.
+    pub sources: Vec<(SourceId, Vec<String>)>,
+    pub clock: Clock,
+    /// The columns with the names of surface, user, trial and session; `None` if there is no such column.
+    pub labels: [Option<String>; 4],
+    pub session: SessionOf,
+    /// Pattern of the file's path, which names the trial if no column names the surface.
+    pub names: NamePattern,
+    /// The array of an `.npz` or `.mat` that holds the trials, and the labels of the trials: an array of
+    /// the same file, or another file.
+    pub variable: Option<String>,
+    pub array_labels: Option<String>,
+    pub gaps: Gaps,
+    /// Whether Excel's days count from 1904.
+    pub from_1904: bool,
+    /// The largest number of bytes that a packed file may unpack to.
+    pub most_unpacked: u64,
+}
+
+/// The first rows of a table, and its layout.
+pub struct Head {
+    pub layout: Layout,
+    rows: Vec<Vec<Vec<u8>>>,
+    /// The line with the names of the columns, which programs repeat when they begin anew.
+    names: Vec<u8>,
+}
+
+impl Head {
+    /// Reads the first lines of a table, and finds out its layout.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or holds no table.
+    pub fn read(path: &Path, most_unpacked: u64) -> Result<Self, LibraryError> {
+        let mut lines = Lines::open(path, most_unpacked)?;
+        Self::of(&mut lines).map_err(|problem| LibraryError::file(path, problem))
+    }
+
+    fn of(lines: &mut Lines) -> Result<Self, String> {
+        let (mut head, mut size) = (Vec::new(), 0);
+        while let Some((number, line)) = lines.next()? {
+            size += line.len();
+            head.push((number, line.to_vec()));
+            if head.len() >= HEAD_LINES || size > HEAD_BYTES {
+                break;
+            }
+        }
+        let layout = match lines.layout.take() {
+            Some(layout) => layout,
+            None => Layout::of(&head)?,
+        };
+        let mut rows = Vec::new();
+        for (number, line) in head.iter().filter(|(number, _)| *number >= layout.first) {
+            let mut cells = Vec::new();
+            if layout
+                .cells(line, &mut cells)
+                .map_err(|problem| format!("line {number} {problem}"))?
+            {
+                rows.push(cells.into_iter().map(<[u8]>::to_vec).collect());
+            }
+        }
+        let names = head.into_iter().find(|(number, _)| *number == layout.names_at);
+        Ok(Self { layout, rows, names: names.map(|(_, line)| line).unwrap_or_default() })
+    }
+
+    /// The first cells of a column.
+    pub(crate) fn cells(&self, column: usize) -> Vec<Vec<u8>> {
+        self.rows.iter().filter_map(|row| row.get(column).cloned()).collect()
+    }
+}
+
+/// A trial of a table, and what `trial.toml` says of it.
+pub struct Read {
+    pub trial: Trial,
+    pub about: About,
+    /// Whether this is a part after a gap, which needs another number than the trial.
+    pub is_further: bool,
+}
+
+/// Takes the names of trials that come, or one that was read.
+type OnRead<'a> = &'a mut dyn FnMut(&[TrialKey], Option<Read>) -> Result<(), LibraryError>;
+
+/// What people should know about a table that was read.
+#[derive(Debug, Default)]
+pub struct Said {
+    /// How the times were understood.
+    pub times: Option<String>,
+    /// Rows a second, if they were interpolated in time.
+    pub resampled_hz: Option<f64>,
+    pub repeated: usize,
+    /// Values that were filled in.
+    pub filled: usize,
+    /// Trials that were cut, and parts that were too short.
+    pub cut: usize,
+    pub too_short: usize,
+    /// Trials that cannot be used.
+    pub bad: Vec<String>,
+}
+
+/// Reads all trials of a table. Calls `on` with the names of all trials first, and then with each trial.
+/// `scratch` is a folder for rows that do not fit into memory.
+///
+/// # Errors
+/// If the table cannot be read; an error of `on`.
+pub fn read(
+    path: &Path,
+    form: &Form,
+    scratch: &Path,
+    on: OnRead<'_>,
+) -> Result<Said, LibraryError> {
+    let fail = |problem: String| LibraryError::file(path, problem);
+    if array::is_array(path) {
+        return array::read(path, form, on);
+    }
+    let head = Head::read(path, form.most_unpacked)?;
+    let mut lines = Lines::open(path, form.most_unpacked)?;
+    let table = Table::new(&head, form).map_err(fail)?;
+    let mut gathered = table.gather(path, form, &mut lines, scratch).map_err(fail)?;
+    let mut said = Said { times: table.said.clone(), ..Said::default() };
+    let keys: Vec<TrialKey> = gathered.groups.iter().map(|group| group.key.clone()).collect();
+    on(&keys, None)?;
+    for at in 0..gathered.groups.len() {
+        let key = gathered.groups[at].key.clone();
+        let rows = gathered.take(at).map_err(|error| LibraryError::io(path, error))?;
+        let stamps = table.stamps.as_ref().map(|(_, stamps)| stamps);
+        give(path, key, rows, form, stamps, &mut said, on)?;
+    }
+    Ok(said)
+}
+
+/// Makes trials of the rows of one trial, and gives them to `on`. A trial that cannot be used is added
+/// to those in `said`.
+fn give(
+    path: &Path,
+    key: TrialKey,
+    rows: Rows,
+    form: &Form,
+    stamps: Option<&Stamps>,
+    said: &mut Said,
+    on: OnRead<'_>,
+) -> Result<(), LibraryError> {
+    let mended = match mend(rows, &form.columns(), form.rate_hz(), form.gaps) {
+        Ok(mended) => mended,
+        Err(problem) => {
+            said.bad.push(format!("{key} {problem}"));
+            return Ok(());
+        }
+    };
+    said.add(&mended);
+    for (part, piece) in mended.pieces.iter().enumerate() {
+        let read = trial(key.clone(), piece, form, stamps);
+        let read = read.map_err(|problem| LibraryError::file(path, problem))?;
+        on(&[], Some(Read { is_further: part > 0, ..read }))?;
+    }
+    Ok(())
+}
+
+fn session_name(text: &str) -> Result<String, String> {
+    checked_session(text).map_err(|problem| format!("the session `{text}` {problem}"))
+}
+
+/// The path of a file without its extensions, with `/` on every system: what a [`NamePattern`] fits.
+fn name_of(path: &Path) -> String {
+    let name = path.to_string_lossy().replace('\\', "/");
+    let name = name.strip_suffix(".gz").unwrap_or(&name);
+    Path::new(name).with_extension("").to_string_lossy().into_owned()
+}
+
+impl Form {
+    /// Rows a second; `None` if a column tells the times.
+    fn rate_hz(&self) -> Option<f64> {
+        match self.clock {
+            Clock::Rate(rate_hz) => Some(rate_hz),
+            Clock::Times { .. } => None,
+        }
+    }
+
+    /// The session of the trials of a file, unless a column tells it.
+    fn session_of(&self, path: &Path) -> Result<Option<String>, String> {
+        let session = match &self.session {
+            SessionOf::Nothing => None,
+            SessionOf::Names => self.names.parts(&name_of(path)).and_then(|[.., session]| session),
+            SessionOf::Pattern(pattern) => {
+                let parts = pattern.parts(&name_of(path)).ok_or_else(|| {
+                    format!("its name does not fit the pattern `{}`; see --session", pattern.0)
+                })?;
+                parts.into_iter().next_back().flatten()
+            }
+            SessionOf::File(folders) => {
+                let within = folders.iter().find_map(|folder| path.strip_prefix(folder).ok());
+                let within = within.filter(|within| !within.as_os_str().is_empty());
+                let name = path.file_name().unwrap_or_default();
+                Some(name_of(within.unwrap_or(Path::new(name))).replace('/', " "))
+            }
+        };
+        session.as_deref().map(session_name).transpose()
+    }
+
+    /// The names of the columns of all sources, in their order.
+    fn columns(&self) -> Vec<String> {
+        self.sources.iter().flat_map(|(_, columns)| columns.clone()).collect()
+    }
+}
+
+impl Said {
+    fn add(&mut self, mended: &Mended) {
+        self.resampled_hz = self.resampled_hz.or(mended.resampled_hz);
+        self.repeated += mended.repeated;
+        self.cut += usize::from(mended.pieces.len() + mended.too_short > 1);
+        self.too_short += mended.too_short;
+        let filled = mended.pieces.iter().flat_map(|piece| &piece.filled);
+        self.filled += filled.filter(|filled| **filled).count();
+    }
+}
+
+/// The places of a table's columns, by a [`Form`].
+struct Table<'a> {
+    head: &'a Head,
+    labels: [Option<usize>; 4],
+    stamps: Option<(usize, Stamps)>,
+    said: Option<String>,
+    /// The columns of all sources, in their order.
+    values: Vec<usize>,
+}
+
+impl<'a> Table<'a> {
+    fn new(head: &'a Head, form: &Form) -> Result<Self, String> {
+        let layout = &head.layout;
+        let mut labels = [None; 4];
+        for (column, label) in labels.iter_mut().zip(&form.labels) {
+            *column = label.as_ref().map(|label| layout.column(label)).transpose()?;
+        }
+        let (mut stamps, mut said) = (None, None);
+        if let Clock::Times { column, unit_s } = &form.clock {
+            let at = layout.column(column)?;
+            let column = &layout.columns[at];
+            let unit_ns = unit_s.map(|unit| unit * 1e9).or_else(|| columns::told_unit_ns(column));
+            let (known, how) = Stamps::of(&head.cells(at), unit_ns, form.from_1904)
+                .map_err(|problem| format!("column `{}` {problem}", column.name))?;
+            said = Some(format!("times are column `{}`, {how}", column.name));
+            stamps = Some((at, known));
+        }
+        let columns = form.columns();
+        let values = columns.iter().map(|name| layout.column(name)).collect::<Result<_, _>>()?;
+        Ok(Self { head, labels, stamps, said, values })
+    }
+
+    /// Reads all rows into their groups. `scratch` is a folder for rows that do not fit into memory.
+    fn gather<'s>(
+        &self,
+        path: &Path,
+        form: &Form,
+        lines: &mut Lines,
+        scratch: &'s Path,
+    ) -> Result<Gathered<'s>, String> {
+        let mut gathered = Gathered::new(self.values.len(), self.stamps.is_some(), scratch);
+        let mut of_name = match self.labels[0] {
+            Some(_) => Default::default(),
+            None => form.names.parts(&name_of(path)).ok_or_else(|| {
+                format!("its name does not fit the pattern `{}`; see --names", form.names.0)
+            })?,
+        };
+        of_name[3] = form.session_of(path)?;
+        let widest = form.sources.iter().map(|(_, columns)| columns.len()).max().unwrap_or(1);
+        let layout = &self.head.layout;
+        let mut numbers = Numbers::new(layout.delimiter);
+        let mut values = vec![0.0; self.values.len()];
+        let (mut label, mut known, mut at) = (Vec::new(), None::<Vec<u8>>, 0);
+        let mut list = Vec::new();
+        while let Some((line, text)) = lines.next()? {
+            let mut cells = reused(list);
+            let there = line >= layout.first
+                && layout
+                    .cells(text, &mut cells)
+                    .map_err(|problem| format!("line {line} {problem}{}", shortened(text)))?;
+            if !there || text == self.head.names.as_slice() {
+                list = reused(cells);
+                continue;
+            }
+            label.clear();
+            for column in self.labels.iter().flatten() {
+                label.extend_from_slice(cells[*column]);
+                label.push(0);
+            }
+            if known.as_ref() != Some(&label) {
+                at = match gathered.places.get(&label) {
+                    Some(at) => *at,
+                    None => {
+                        let key = self.key(&cells, &of_name);
+                        let key = key.map_err(|problem| format!("line {line}: {problem}"))?;
+                        let at = gathered.group(key);
+                        gathered.places.insert(label.clone(), at);
+                        at
+                    }
+                };
+                known = Some(label.clone());
+            }
+            let group = &mut gathered.groups[at];
+            if (group.rows + 1).saturating_mul(widest) > Series::MOST_SAMPLES {
+                return Err(format!(
+                    "line {line}: {} has more than {} samples, too many for a trial; name a column of \
+                     trials by --trial, or cut the table",
+                    group.key,
+                    Series::MOST_SAMPLES
+                ));
+            }
+            let time = match &self.stamps {
+                None => None,
+                Some((column, stamps)) => {
+                    let cell = cells[*column];
+                    let is_number = matches!(stamps, Stamps::Numbers { .. } | Stamps::Days { .. });
+                    let marked = if is_number { numbers.check(cell) } else { Ok(()) };
+                    let marked = marked.map_err(|problem| format!("`{}` {problem}", shown(cell)));
+                    let time = marked.and_then(|()| time(stamps, cell, group));
+                    let time = time.map_err(|problem| {
+                        let name = &layout.columns[*column].name;
+                        format!("line {line}, column `{name}`: {problem}")
+                    })?;
+                    Some(time)
+                }
+            };
+            for (value, column) in values.iter_mut().zip(&self.values) {
+                let number = numbers.read(cells[*column]).and_then(|number| {
+                    let is_small = number.is_nan() || (number as f32).is_finite();
+                    is_small.then_some(number).ok_or_else(|| "is not a finite number".into())
+                });
+                *value = number.map_err(|problem| {
+                    let (name, cell) = (&layout.columns[*column].name, shown(cells[*column]));
+                    format!("line {line}, column `{name}`: `{cell}` {problem}")
+                })? as f32;
+            }
+            gathered.push(at, time, &values).map_err(|error| error.to_string())?;
+            list = reused(cells);
+        }
+        match gathered.groups.is_empty() {
+            true => Err("it holds no rows of numbers; expected a line for each sample".into()),
+            false => Ok(gathered),
+        }
+    }
+
+    fn key(&self, cells: &[&[u8]], of_name: &[Option<String>; 4]) -> Result<TrialKey, String> {
+        let cell = |at: usize| match self.labels[at] {
+            Some(column) => Some(shown(cells[column]).into_owned()),
+            None => of_name[at].clone(),
+        };
+        let number = cell(2).map(|text| {
+            trial_number(&text)
+                .ok_or_else(|| format!("the trial is `{text}`; expected a whole number"))
+        });
+        let (surface, user) = (cell(0).unwrap_or_default(), cell(1).unwrap_or(EXPERT.into()));
+        if surface.is_empty() || user.is_empty() {
+            return Err("no surface or no user is named".into());
+        }
+        let session = cell(3).filter(|text| !text.is_empty());
+        let session = session.as_deref().map(session_name).transpose()?;
+        let number = number.transpose()?.unwrap_or(1);
+        Ok(TrialKey::new(normal(&surface), normal(&user), number).with_session(session))
+    }
+}
+
+/// The trial of a piece, and its `trial.toml`.
+fn trial(
+    key: TrialKey,
+    piece: &Piece,
+    form: &Form,
+    stamps: Option<&Stamps>,
+) -> Result<Read, String> {
+    let width = form.sources.iter().map(|(_, columns)| columns.len()).sum();
+    let mut about = About::default();
+    if let Some(stamps) = stamps
+        && stamps.say_when()
+        && let Ok(ns) = u64::try_from(piece.start)
+    {
+        let when = std::time::UNIX_EPOCH + std::time::Duration::from_nanos(ns);
+        // Dates without a zone are in local time.
+        let is_utc = matches!(stamps, Stamps::Numbers { .. });
+        let text = utc(when);
+        about.started_at = Some(if is_utc { text } else { text.trim_end_matches('Z').to_string() });
+    }
+    let (mut signals, mut from) = (BTreeMap::new(), 0);
+    for (source, columns) in &form.sources {
+        let range = from..from + columns.len();
+        from = range.end;
+        let frames = piece.values.chunks_exact(width);
+        let samples: Vec<f32> =
+            frames.flat_map(|frame| frame[range.clone()].iter().copied()).collect();
+        let filled: Vec<usize> = (piece.filled.chunks_exact(width).enumerate())
+            .filter(|(_, frame)| frame[range.clone()].contains(&true))
+            .map(|(frame, _)| frame + 1)
+            .collect();
+        if !filled.is_empty() {
+            let marks = marks(&filled, samples.len() / columns.len());
+            about.interpolated.insert(source.to_string(), marks);
+        }
+        let series = Series::new(piece.rate_hz, columns.len(), samples);
+        let series = series.map_err(|error| format!("{key}, source `{source}`: {error}"))?;
+        signals.insert(source.clone(), Signal::Series(series));
+    }
+    Ok(Read { trial: Trial { key, signals }, about, is_further: false })
+}
+
+/// An empty list in the memory of another one, for cells of the next line.
+fn reused<'a>(mut list: Vec<&[u8]>) -> Vec<&'a [u8]> {
+    list.clear();
+    // Nothing is left that could be converted; the list keeps its memory.
+    list.into_iter().map(|_| &[][..]).collect()
+}
+
+/// The start of a line, to be shown behind an error.
+fn shortened(line: &[u8]) -> String {
+    let start: String = shown(line).chars().take(60).collect();
+    format!(": `{}`", start.escape_debug())
+}
+
+/// The time of a row of a group, in ns.
+fn time(stamps: &Stamps, cell: &[u8], group: &mut gather::Group) -> Result<i64, String> {
+    let Some(read) = stamps.read(cell) else {
+        return Err(format!("`{}` is not a time like those before", shown(cell)));
+    };
+    let lasts = match stamps {
+        Stamps::Clock { lasts } => Some(*lasts as f64),
+        // Counters of 32 bits, such as Arduino's `micros`, begin anew.
+        Stamps::Numbers { unit_ns, since_1970: false } => Some(4_294_967_296.0 * unit_ns),
+        _ => None,
+    };
+    let beyond = || "the time is beyond all ranges".to_string();
+    let mut time = read.checked_add(group.offset).ok_or_else(beyond)?;
+    if let Some(last) = group.last_time
+        && time < last
+    {
+        let before = last - group.offset;
+        match lasts {
+            Some(lasts) if before as f64 > 0.9 * lasts && (read as f64) < 0.1 * lasts => {
+                group.offset = group.offset.checked_add(lasts as i64).ok_or_else(beyond)?;
+                time = read.checked_add(group.offset).ok_or_else(beyond)?;
+            }
+            _ => return Err("the time does not rise".into()),
+        }
+    }
+    group.last_time = Some(time);
+    Ok(time)
+}
+
+/// The number of a trial: `3`, `3.0`, or the digits at the end of a name; `None` for `1.5`.
+fn trial_number(text: &str) -> Option<u32> {
+    match text.replace(',', ".").parse::<f64>() {
+        Ok(number) => (number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number))
+            .then_some(number as u32),
+        Err(_) => number_in(text),
+    }
+}
+
+/// `3 of 100: 5-6, 9`: the count of filled frames, all frames, and the first filled ones, from 1 on.
+fn marks(filled: &[usize], frames: usize) -> String {
+    const MOST: usize = 50;
+    let mut ranges: Vec<(usize, usize)> = Vec::new();
+    for &frame in filled {
+        match ranges.last_mut() {
+            Some((_, end)) if *end + 1 == frame => *end = frame,
+            _ => ranges.push((frame, frame)),
+        }
+    }
+    let one = |(from, to): &(usize, usize)| match from == to {
+        true => from.to_string(),
+        false => format!("{from}-{to}"),
+    };
+    let shown: Vec<String> = ranges.iter().take(MOST).map(one).collect();
+    let more = if ranges.len() > MOST { ", …" } else { "" };
+    format!("{} of {frames}: {}{more}", filled.len(), shown.join(", "))
+}
+
+/// The surface, user and number that the names of files give, before any is read.
+pub fn named(paths: &[std::path::PathBuf], names: &NamePattern) -> BTreeSet<TrialKey> {
+    let key = |path: &std::path::PathBuf| {
+        let [surface, user, number, _] = names.parts(&name_of(path))?;
+        let number = number.and_then(|text| trial_number(&text)).unwrap_or(1);
+        let user = user.unwrap_or_else(|| EXPERT.into());
+        Some(TrialKey::new(normal(&surface?), normal(&user), number))
+    };
+    paths.iter().filter_map(key).collect()
+}
+
+/// Reads all trials of a table at 100 rows a second, or by its times, and returns their number.
+pub(crate) fn try_read(path: &Path) -> Result<usize, LibraryError> {
+    let fail = |problem: String| LibraryError::file(path, problem);
+    let mut form = Form {
+        sources: Vec::new(),
+        clock: Clock::Rate(100.0),
+        labels: [None, None, None, None],
+        session: SessionOf::Names,
+        names: NamePattern("{surface}-{trial}".into()),
+        variable: None,
+        array_labels: None,
+        gaps: Gaps::Cut,
+        from_1904: false,
+        most_unpacked: 1 << 24,
+    };
+    if array::is_array(path) {
+        let channels = array::Trials::open(path, None, form.most_unpacked)?.channels;
+        let names = (1..=channels).map(|channel| channel.to_string()).collect();
+        form.sources.extend(SourceId::new("x").map(|id| (id, names)));
+    } else {
+        let head = Head::read(path, form.most_unpacked)?;
+        if let Some(column) = columns::clock(&head, None, false).map_err(fail)? {
+            form.clock = Clock::Times { column, unit_s: None };
+        }
+        form.sources = columns::sources(&head, &form.clock, &form.labels).map_err(fail)?.0;
+    }
+    let mut count = 0;
+    let mut on = |_: &[TrialKey], read: Option<Read>| {
+        count += usize::from(read.is_some());
+        Ok(())
+    };
+    read(path, &form, &std::env::temp_dir(), &mut on)?;
+    Ok(count)
+}

@@ -1,0 +1,325 @@
+//! The lines of a text file, in bounded memory: unpacked (gzip), decoded (UTF-8, UTF-16), and ended by
+//! LF, CR LF or CR. Text that is not UTF-8 is read as Latin-1 where it is shown.
+
+use std::borrow::Cow;
+use std::fs::File;
+use std::io::{self, Cursor, Read};
+use std::path::Path;
+
+use flate2::read::MultiGzDecoder;
+
+use super::layout::Layout;
+use crate::library::LibraryError;
+use crate::library::files::{self, EMPTY_FILE};
+
+/// Longest line that is read, in bytes.
+const MOST_LINE: usize = 1 << 20;
+const BLOCK: usize = 1 << 17;
+/// As many first bytes as decide on the form of a file.
+const HEAD: usize = 4096;
+
+/// Forms of files that are no text, by their first bytes, with what to do instead.
+const OTHERS: [(&[u8], &str); 12] = [
+    (b"PK\x03\x04", "a ZIP file or an Excel workbook; unpack it, or save the table as CSV"),
+    (b"\xd0\xcf\x11\xe0", "an Excel workbook of the old form; save the table as CSV"),
+    #[cfg(not(feature = "parquet"))]
+    (b"PAR1", "a Parquet file; build with --features parquet to read it, or write it as CSV"),
+    #[cfg(feature = "parquet")]
+    (b"PAR1", "a packed Parquet file; unpack it first (`gunzip FILE`)"),
+    (b"\x89HDF", "an HDF5 file, which is not read; write it as CSV or .npy"),
+    (b"MATLAB 7.3", "a MATLAB file of v7.3 (HDF5), which is not read; save it by `save -v7`"),
+    (b"MATLAB 5.0", "a MATLAB file; let its name end with .mat"),
+    (b"TDSm", "a TDMS file, which is not read; export it as CSV"),
+    (b"\x28\xb5\x2f\xfd", "packed by zstd; unpack it first (`unzstd FILE`)"),
+    (b"\xfd7zXZ", "packed by xz; unpack it first (`unxz FILE`)"),
+    (b"BZh", "packed by bzip2; unpack it first (`bunzip2 FILE`)"),
+    (b"RIFF", "a sound; put it into a library as it is, as SURFACE/TRIAL.wav"),
+    (b"{\\rtf", "a text of a word processor; save the table as CSV"),
+];
+
+/// Lines of a text, each with its number from 1 on.
+pub(crate) struct Lines {
+    from: Box<dyn Read>,
+    buffer: Vec<u8>,
+    start: usize,
+    end: usize,
+    is_over: bool,
+    line_end: u8,
+    number: u64,
+    /// How the lines are laid out, where the file says it.
+    pub layout: Option<Layout>,
+}
+
+impl Lines {
+    /// What ends the lines that are made of rows; no cell holds it.
+    #[cfg(feature = "parquet")]
+    pub(super) const RECORD_END: u8 = 0x1e;
+
+    /// Opens a file; `most` is the largest number of bytes that a packed file may unpack to.
+    pub(super) fn open(path: &Path, most: u64) -> Result<Self, LibraryError> {
+        let (file, length) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
+        if length == 0 {
+            return Err(LibraryError::file(path, EMPTY_FILE));
+        }
+        Self::of(file, most).map_err(|problem| LibraryError::file(path, problem))
+    }
+
+    #[cfg(feature = "parquet")]
+    fn of(mut file: File, most: u64) -> Result<Self, String> {
+        let mut start = [0; 4];
+        let read = fully(&mut file, &mut start).and_then(|_| io::Seek::rewind(&mut file));
+        read.map_err(|error| error.to_string())?;
+        match start == super::parquet::MAGIC {
+            true => super::parquet::lines(file, most),
+            false => Self::new(Box::new(file), most),
+        }
+    }
+
+    #[cfg(not(feature = "parquet"))]
+    fn of(file: File, most: u64) -> Result<Self, String> {
+        Self::new(Box::new(file), most)
+    }
+
+    /// Lines that are made of rows, of a known layout.
+    #[cfg(feature = "parquet")]
+    pub(super) fn records(from: Box<dyn Read>, layout: Layout) -> Self {
+        Self {
+            from,
+            buffer: Vec::new(),
+            start: 0,
+            end: 0,
+            is_over: false,
+            line_end: Self::RECORD_END,
+            number: 0,
+            layout: Some(layout),
+        }
+    }
+
+    pub(crate) fn new(from: Box<dyn Read>, most: u64) -> Result<Self, String> {
+        let said = |error: io::Error| error.to_string();
+        let (mut head, mut from) = peeked(from).map_err(said)?;
+        if head.starts_with(b"\x1f\x8b") {
+            let unpacked = Limited { from: MultiGzDecoder::new(from), left: most };
+            (head, from) = peeked(Box::new(unpacked)).map_err(said)?;
+        }
+        if let Some((_, what)) = OTHERS.iter().find(|(magic, _)| head.starts_with(magic)) {
+            return Err((*what).to_string());
+        }
+        let wide = match &head[..] {
+            [0xff, 0xfe, ..] => Some(u16::from_le_bytes as fn([u8; 2]) -> u16),
+            [0xfe, 0xff, ..] => Some(u16::from_be_bytes as fn([u8; 2]) -> u16),
+            _ if mostly_zero(&head, 1) => Some(u16::from_le_bytes as fn([u8; 2]) -> u16),
+            _ if mostly_zero(&head, 0) => Some(u16::from_be_bytes as fn([u8; 2]) -> u16),
+            _ => None,
+        };
+        if let Some(decode) = wide {
+            let text = Utf16 { from, decode, bytes: Vec::new(), text: Vec::new(), at: 0 };
+            (head, from) = peeked(Box::new(text)).map_err(said)?;
+        }
+        let only_returns = head.contains(&b'\r') && !head.contains(&b'\n');
+        let mut lines = Self {
+            from,
+            buffer: vec![0; BLOCK],
+            start: 0,
+            end: 0,
+            is_over: false,
+            line_end: if only_returns { b'\r' } else { b'\n' },
+            number: 0,
+            layout: None,
+        };
+        lines.fill()?;
+        if lines.buffer[..lines.end].starts_with(b"\xef\xbb\xbf") {
+            lines.start = 3;
+        }
+        Ok(lines)
+    }
+
+    /// The next line without its end, and its number; `None` after the last.
+    pub(crate) fn next(&mut self) -> Result<Option<(u64, &[u8])>, String> {
+        let mut searched = self.start;
+        let to = loop {
+            if let Some(at) = memchr::memchr(self.line_end, &self.buffer[searched..self.end]) {
+                break searched + at;
+            }
+            if self.is_over {
+                if self.start == self.end {
+                    return Ok(None);
+                }
+                break self.end;
+            }
+            // `fill` moves the rest, which holds no end of a line, to the start of the buffer.
+            searched = self.end - self.start;
+            self.fill()?;
+        };
+        self.number += 1;
+        let from = std::mem::replace(&mut self.start, (to + 1).min(self.end));
+        let line = &self.buffer[from..to];
+        Ok(Some((self.number, line.strip_suffix(b"\r").unwrap_or(line))))
+    }
+
+    /// Moves the rest of the buffer to its start, and reads more behind it.
+    fn fill(&mut self) -> Result<(), String> {
+        self.buffer.copy_within(self.start..self.end, 0);
+        (self.start, self.end) = (0, self.end - self.start);
+        if self.end > MOST_LINE {
+            let line = self.number + 1;
+            return Err(format!("line {line} is longer than a MiB; expected a line a sample"));
+        }
+        if self.buffer.len() < self.end + BLOCK / 2 {
+            self.buffer.resize(self.end + BLOCK, 0);
+        }
+        let read = fully(&mut self.from, &mut self.buffer[self.end..]);
+        let read = read.map_err(|error| match self.number {
+            0 => error.to_string(),
+            line => format!("after line {line}: {error}"),
+        })?;
+        self.is_over = read == 0;
+        self.end += read;
+        Ok(())
+    }
+}
+
+/// Reads until the buffer is full or the data end.
+fn fully(from: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
+    let mut filled = 0;
+    while filled < buffer.len() {
+        match from.read(&mut buffer[filled..]) {
+            Ok(0) => break,
+            Ok(read) => filled += read,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(filled)
+}
+
+/// The first bytes, and a reader that still gives them.
+fn peeked(mut from: Box<dyn Read>) -> io::Result<(Vec<u8>, Box<dyn Read>)> {
+    let mut head = vec![0; HEAD];
+    let length = fully(&mut from, &mut head)?;
+    head.truncate(length);
+    Ok((head.clone(), Box::new(Cursor::new(head).chain(from))))
+}
+
+/// Whether every second byte, from `first` on, is 0 in most of a text: it is UTF-16 without a mark.
+fn mostly_zero(head: &[u8], first: usize) -> bool {
+    let zeros = head.iter().skip(first).step_by(2).filter(|&&byte| byte == 0).count();
+    let others = head.iter().skip(1 - first).step_by(2).filter(|&&byte| byte == 0).count();
+    zeros * 5 > head.len() * 2 && others * 10 < head.len()
+}
+
+/// A reader that fails after `left` bytes, so that a packed file cannot fill the disk.
+pub(crate) struct Limited<R> {
+    pub from: R,
+    pub left: u64,
+}
+
+impl<R: Read> Read for Limited<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.from.read(buffer)?;
+        self.left = self.left.checked_sub(read as u64).ok_or_else(|| {
+            io::Error::other(
+                "it unpacks to more than --max-gb allows; check the file, or allow more",
+            )
+        })?;
+        Ok(read)
+    }
+}
+
+/// UTF-16 as UTF-8.
+struct Utf16 {
+    from: Box<dyn Read>,
+    decode: fn([u8; 2]) -> u16,
+    /// Bytes that are not decoded yet.
+    bytes: Vec<u8>,
+    text: Vec<u8>,
+    at: usize,
+}
+
+impl Read for Utf16 {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.at == self.text.len() {
+            let kept = self.bytes.len();
+            self.bytes.resize(kept + BLOCK, 0);
+            let read = fully(&mut self.from, &mut self.bytes[kept..])?;
+            self.bytes.truncate(kept + read);
+            let mut units: Vec<u16> =
+                self.bytes.chunks_exact(2).map(|two| (self.decode)([two[0], two[1]])).collect();
+            // The first half of a pair waits for its second half.
+            if read > 0 && units.last().is_some_and(|unit| (0xd800..0xdc00).contains(unit)) {
+                units.pop();
+            }
+            self.bytes.drain(..2 * units.len());
+            self.text = String::from_utf16_lossy(&units).into_bytes();
+            self.at = 0;
+        }
+        let length = (self.text.len() - self.at).min(buffer.len());
+        buffer[..length].copy_from_slice(&self.text[self.at..self.at + length]);
+        self.at += length;
+        Ok(length)
+    }
+}
+
+/// Bytes as text: UTF-8, or else Latin-1.
+pub(crate) fn shown(bytes: &[u8]) -> Cow<'_, str> {
+    match std::str::from_utf8(bytes) {
+        Ok(text) => Cow::Borrowed(text),
+        Err(_) => bytes.iter().map(|&byte| char::from(byte)).collect::<String>().into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lines(bytes: &[u8]) -> Result<Vec<String>, String> {
+        let mut lines = Lines::new(Box::new(Cursor::new(bytes.to_vec())), 1 << 20)?;
+        let mut all = Vec::new();
+        while let Some((_, line)) = lines.next()? {
+            all.push(shown(line).into_owned());
+        }
+        Ok(all)
+    }
+
+    #[test]
+    fn every_coding_and_line_end_gives_the_same_lines() {
+        let text = "Zeit µs\n1;2\n\n3;4";
+        let wide = |of: fn(u16) -> [u8; 2]| text.encode_utf16().flat_map(of).collect::<Vec<u8>>();
+        let marked = |mark: &[u8], rest: &[u8]| [mark, rest].concat();
+        for bytes in [
+            text.as_bytes().to_vec(),
+            marked(b"\xef\xbb\xbf", text.as_bytes()),
+            text.replace('\n', "\r\n").into_bytes(),
+            text.replace('\n', "\r").into_bytes(),
+            wide(u16::to_le_bytes),
+            wide(u16::to_be_bytes),
+            marked(b"\xff\xfe", &wide(u16::to_le_bytes)),
+            marked(b"\xfe\xff", &wide(u16::to_be_bytes)),
+            text.chars().map(|c| c as u8).collect(),
+        ] {
+            assert_eq!(lines(&bytes).unwrap(), ["Zeit µs", "1;2", "", "3;4"], "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn long_texts_are_read_in_blocks_and_endless_lines_are_refused() {
+        let text: String = (0..200_000).map(|i| format!("{i}\n")).collect();
+        assert_eq!(lines(text.as_bytes()).unwrap().len(), 200_000);
+        let wide: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+        assert_eq!(lines(&wide).unwrap()[199_999], "199999");
+        assert!(lines(&vec![b'1'; 2 << 20]).unwrap_err().contains("line 1 is longer"));
+    }
+
+    #[test]
+    fn what_unpacks_to_too_much_and_what_is_no_text_is_refused() {
+        let packed = |bytes: &[u8]| {
+            let mut packer = flate2::write::GzEncoder::new(Vec::new(), Default::default());
+            io::Write::write_all(&mut packer, bytes).unwrap();
+            packer.finish().unwrap()
+        };
+        assert_eq!(lines(&packed(b"1,2\n3,4\n")).unwrap(), ["1,2", "3,4"]);
+        let bomb = packed(&b"1,2\n".repeat(1 << 20));
+        assert!(lines(&bomb).unwrap_err().contains("--max-gb"));
+        assert!(lines(b"PK\x03\x04").unwrap_err().contains("Excel"));
+    }
+}

@@ -1,0 +1,172 @@
+//! The result of a stress run.
+
+use std::fmt::Write as _;
+
+use serde::{Deserialize, Serialize};
+
+/// A method counts as failing if it loses at least this much accuracy, as a fraction.
+const LOSS: f64 = 0.05;
+
+/// Results of one method under one disturbance at one level of severity. Shares are from 0 to 1.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StressCell {
+    pub accuracy: f64,
+    /// The 95 % Wilson interval of the accuracy, over queries.
+    #[serde(default)]
+    pub accuracy_interval: Option<(f64, f64)>,
+    /// Share of queries of known surfaces that would be called unknown.
+    pub known_rejected: f64,
+    /// Share of queries of unknown surfaces that would be called unknown, if there are any.
+    pub unknown_rejected: Option<f64>,
+    #[serde(default)]
+    pub unknown_interval: Option<(f64, f64)>,
+    /// Expected calibration error of the stated probability, for methods that state one.
+    pub calibration_error: Option<f64>,
+    /// Number of queries that could not be compared at all; they count as named wrong.
+    pub refused: usize,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DisturbanceLevel {
+    pub level: f64,
+    #[serde(flatten)]
+    pub cell: StressCell,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DisturbanceSeries {
+    pub name: String,
+    /// The quantity and unit of the severity, such as `SNR, dB`.
+    pub axis: String,
+    pub levels: Vec<DisturbanceLevel>,
+    /// The first level that costs 5 percentage points of accuracy or more; `None` if no level does.
+    pub loses_5_points_at: Option<f64>,
+}
+
+impl DisturbanceSeries {
+    /// Results at all levels of a disturbance, compared with the undisturbed accuracy `clean`.
+    pub fn new(name: &str, axis: &str, levels: Vec<DisturbanceLevel>, clean: f64) -> Self {
+        let lost = |level: &&DisturbanceLevel| level.cell.accuracy <= clean - LOSS + 1e-9;
+        let loses_5_points_at = levels.iter().find(lost).map(|level| level.level);
+        Self { name: name.into(), axis: axis.into(), levels, loses_5_points_at }
+    }
+
+    /// Index of the first level that costs 5 percentage points of accuracy.
+    fn breaks_at(&self) -> Option<usize> {
+        self.levels.iter().position(|level| Some(level.level) == self.loses_5_points_at)
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MethodReport {
+    pub method: String,
+    pub clean: StressCell,
+    pub disturbances: Vec<DisturbanceSeries>,
+}
+
+impl MethodReport {
+    /// The disturbances that cost 5 points of accuracy earliest, counting from the mildest level.
+    pub fn fails_first(&self) -> Vec<&str> {
+        let Some(first) = self.disturbances.iter().filter_map(DisturbanceSeries::breaks_at).min()
+        else {
+            return Vec::new();
+        };
+        let there = |series: &&DisturbanceSeries| series.breaks_at() == Some(first);
+        self.disturbances.iter().filter(there).map(|series| series.name.as_str()).collect()
+    }
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StressReport {
+    pub data: String,
+    pub synthetic: bool,
+    pub protocol: String,
+    /// Which trials are left out, and what that leaves untold.
+    #[serde(default)]
+    pub left_out: String,
+    pub sources: Vec<String>,
+    pub queries: usize,
+    /// Number of queries that were also compared with a library without their surface.
+    pub unknown_queries: usize,
+    pub methods: Vec<MethodReport>,
+}
+
+impl StressReport {
+    /// A table in Markdown: for each disturbance and method the first level that costs 5 points,
+    /// and for each method the disturbances at which it fails first.
+    pub fn markdown(&self) -> String {
+        let mut text = String::new();
+        if self.synthetic {
+            text += "SYNTHETIC data\n\n";
+        }
+        let mut line = |cells: Vec<String>| {
+            // Writing to a String cannot fail.
+            let _ = writeln!(text, "| {} |", cells.join(" | "));
+        };
+        let of_methods = |cell: &dyn Fn(&MethodReport) -> String| {
+            self.methods.iter().map(cell).collect::<Vec<_>>()
+        };
+        let row = |head: &str, cell: &dyn Fn(&MethodReport) -> String| {
+            [vec![head.to_string()], of_methods(cell)].concat()
+        };
+        line(row("loses 5 points at", &|m| format!("`{}`", m.method)));
+        line(vec!["---".into(); self.methods.len() + 1]);
+        let undisturbed =
+            format!("undisturbed, %, of n = {} queries (95 % interval)", self.queries);
+        line(row(&undisturbed, &|m| {
+            let interval = m
+                .clean
+                .accuracy_interval
+                .map(|(low, high)| format!(" ({:.0} to {:.0})", 100.0 * low, 100.0 * high));
+            format!("{:.1}{}", 100.0 * m.clean.accuracy, interval.unwrap_or_default())
+        }));
+        let first = self.methods.first().map_or(&[][..], |m| &m.disturbances);
+        for (at, series) in first.iter().enumerate() {
+            line(row(&format!("{} ({})", series.name, series.axis), &|m| {
+                let lost = m.disturbances.get(at).and_then(|s| s.loses_5_points_at);
+                lost.map_or("–".into(), |level| level.to_string())
+            }));
+        }
+        line(row("unknown surfaces rejected, %", &|m| {
+            m.clean.unknown_rejected.map_or("–".into(), |share| format!("{:.0}", 100.0 * share))
+        }));
+        line(row("**fails first**", &|m| match m.fails_first().as_slice() {
+            [] => "nowhere".into(),
+            names => names.join(", "),
+        }));
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn series(name: &str, accuracies: &[f64]) -> DisturbanceSeries {
+        let level = |(i, &accuracy): (usize, &f64)| DisturbanceLevel {
+            level: i as f64,
+            cell: StressCell { accuracy, ..StressCell::default() },
+        };
+        let levels = accuracies.iter().enumerate().map(level).collect();
+        DisturbanceSeries::new(name, "unit", levels, 0.9)
+    }
+
+    #[test]
+    fn a_method_fails_first_where_the_mildest_level_costs_five_points() {
+        let disturbances = vec![
+            series("a", &[0.9, 0.86, 0.2]),
+            series("b", &[0.9, 0.85, 0.9]),
+            series("c", &[0.9, 0.9, 0.88]),
+        ];
+        assert_eq!(disturbances[0].loses_5_points_at, Some(2.0));
+        assert_eq!(disturbances[2].loses_5_points_at, None);
+        let clean = disturbances[0].levels[0].cell.clone();
+        let method = MethodReport { method: "joint".into(), clean, disturbances };
+        assert_eq!(method.fails_first(), ["b"]);
+        let table = StressReport { methods: vec![method], ..StressReport::default() }.markdown();
+        assert!(
+            table.contains("| b (unit) | 1 |") && table.contains("| c (unit) | – |"),
+            "{table}"
+        );
+    }
+}

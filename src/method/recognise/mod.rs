@@ -1,0 +1,70 @@
+//! Names the surface of a trial.
+//!
+//! ```text
+//! MethodSpec ─► Method: prepare ─► Prepared (cached beside the library) ─► fit ─► Model
+//!               query ─► Model: prepare ─► rank ─► Ranking ─► decide
+//! ```
+//!
+//! A [`Method`] is a way of comparing trials. It prepares each trial of a library once and fits a
+//! [`Model`] to the prepared trials. The model prepares a query and ranks the library's surfaces by
+//! likeness. [`Reference`] is the paper's method, exactly; [`Embedding`] is the default; the others of
+//! [`MethodName`] are the paper's comparison classifiers.
+
+pub(crate) mod classify;
+mod compare;
+mod decide;
+pub(crate) mod embedding;
+mod error;
+#[doc(hidden)]
+pub mod features;
+mod follow;
+mod method;
+mod model_file;
+mod prepared;
+mod rank;
+mod ready_model;
+#[doc(hidden)]
+pub mod reference;
+mod shape;
+mod spec;
+
+pub use decide::LeftOutBy;
+pub use decide::conformal::{Rejection, RejectionError};
+pub use decide::interval::wilson_interval;
+pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfall};
+pub use decide::settle::{SettleRule, Settling};
+pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Follower, QueryVector};
+pub use error::RecogniseError;
+pub(crate) use error::if_enough;
+pub use follow::{FollowOptions, FreshFrames, GuessSoFar};
+pub use method::{Evidence, Method, Model, SourceEvidence};
+pub use model_file::{ModelFile, ModelFileError};
+pub use prepared::Prepared;
+pub use rank::{Candidate, RankedSurface, Ranking};
+pub use ready_model::{PreparedLibrary, ReadyModel, prepare_library, ready_model};
+pub use reference::{PositionMode, Reference, ReferenceOptions, SumPrecision};
+pub use shape::{LibraryShape, SourceShape};
+pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};
+
+#[doc(hidden)] // For the project's own tests and tools.
+pub use decide::dead_sensor::without_flawed;
+#[doc(hidden)]
+pub use embedding::TrialFrames;
+#[doc(hidden)]
+pub use features::hsv;
+#[doc(hidden)]
+pub use follow::LOOK_S;
+#[doc(hidden)]
+pub use reference::{
+    DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, image_grid, score_samples,
+};
+
+#[doc(hidden)]
+pub use compare::{Comparison, TestOptions, compare};
+pub(crate) use decide::interval::{reaches, wilson_of_groups};
+#[doc(hidden)]
+pub use decide::sticky::StickyFilter;
+#[doc(hidden)]
+pub use rank::{log_discrepancy, medians, stated_probabilities};
+#[doc(hidden)]
+pub use spec::MOST_COUNT;

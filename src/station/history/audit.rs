@@ -1,0 +1,258 @@
+//! The audit log: who changed what, with one line of JSON for each change. It lies beside the log of
+//! answers as `audit.jsonl`. Lines are only ever added, and none is removed to make room for scans.
+//!
+//! ```text
+//! {"unix_ms": 1790000012000, "person": "anna", "role": "operator", "action": "correct",
+//!  "subject": "20260921-143000.001-01", "before": null, "after": "ash"}
+//! ```
+
+use std::collections::VecDeque;
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::{MutexGuard, PoisonError};
+use std::time::SystemTime;
+
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use super::log::Log;
+use super::{History, HistoryError, MOST_IN_MEMORY};
+use crate::printable::json_text;
+use crate::record::unix_ms;
+
+const FILE: &str = "audit.jsonl";
+/// Longest text of a record, in characters, so that a record takes at most some 10 kB.
+const LONGEST_TEXT: usize = 400;
+/// Usual length of a line, in bytes. More is read where lines are longer.
+const USUAL_LINE: u64 = 256;
+
+/// What a client may do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Sees everything, begins and ends scans, and corrects them.
+    Operator,
+    Administrator,
+}
+
+/// Who asks for a change.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Actor {
+    pub role: Role,
+    /// The name that the client gave; `None` if it gave none.
+    pub person: Option<String>,
+}
+
+/// One change.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AuditRecord {
+    unix_ms: u64,
+    person: Option<String>,
+    role: Role,
+    action: &'static str,
+    /// The id of the scan, or the surface or trial, that was changed.
+    subject: Option<String>,
+    before: Option<String>,
+    after: Option<String>,
+}
+
+impl AuditRecord {
+    /// A change that was made just now. Texts of more than 400 characters are cut short.
+    pub fn now(
+        actor: &Actor,
+        action: &'static str,
+        subject: Option<&str>,
+        (before, after): (Option<&str>, Option<&str>),
+    ) -> Self {
+        let Actor { role, person } = actor.clone();
+        let [subject, before, after] = [subject, before, after].map(|text| text.map(short));
+        let unix_ms = unix_ms(SystemTime::now());
+        Self { unix_ms, person, role, action, subject, before, after }
+    }
+}
+
+fn short(text: &str) -> String {
+    match text.char_indices().nth(LONGEST_TEXT) {
+        Some((at, _)) => format!("{}…", &text[..at]),
+        None => text.into(),
+    }
+}
+
+/// A record as it was written, perhaps by another version, with its `id`.
+type Row = Map<String, Value>;
+
+/// The records, on disk or, by default, the last 1000 in memory.
+#[derive(Debug, Default)]
+pub(super) struct AuditLog {
+    log: Option<Log>,
+    in_memory: VecDeque<Row>,
+    /// Number of the records that were in memory so far, by which those have their ids.
+    count: u64,
+    /// Lines that the disk did not take. They are tried again with the next record.
+    unwritten: VecDeque<String>,
+}
+
+impl AuditLog {
+    pub(super) fn open(folder: &Path) -> Result<Self, HistoryError> {
+        Ok(Self { log: Some(Log::open(&folder.join(FILE), false)?), ..Self::default() })
+    }
+
+    fn add(&mut self, record: &AuditRecord) -> Result<(), HistoryError> {
+        let text = json_text(record);
+        let Some(log) = &mut self.log else {
+            self.in_memory.extend(row(text.as_bytes(), self.count));
+            self.count += 1;
+            if self.in_memory.len() > MOST_IN_MEMORY {
+                self.in_memory.pop_front();
+            }
+            return Ok(());
+        };
+        self.unwritten.push_back(text);
+        if self.unwritten.len() > MOST_IN_MEMORY {
+            self.unwritten.pop_front();
+        }
+        while let Some(line) = self.unwritten.front() {
+            log.append(line)?;
+            self.unwritten.pop_front();
+        }
+        Ok(())
+    }
+
+    fn newest(&self, before: u64, most: usize) -> Result<Vec<Row>, HistoryError> {
+        let Some(log) = &self.log else {
+            let older = self.in_memory.iter().rev().filter(|row| row["id"].as_u64() < Some(before));
+            return Ok(older.take(most).cloned().collect());
+        };
+        let end = before.min(log.bytes);
+        let mut span = USUAL_LINE.saturating_mul(most as u64);
+        loop {
+            let begin = end.saturating_sub(span);
+            let mut rows = Vec::new();
+            log.each(begin..end, |line, at| {
+                rows.extend(row(line, at.offset));
+                Ok(())
+            })?;
+            if rows.len() >= most || begin == 0 {
+                return Ok(rows.into_iter().rev().take(most).collect());
+            }
+            span = span.saturating_mul(4);
+        }
+    }
+}
+
+/// The record of a line. Its id is its place in the file, so that later records have greater ids.
+fn row(line: &[u8], id: u64) -> Option<Row> {
+    let mut row: Row = serde_json::from_slice(line).ok()?;
+    row.insert("id".into(), id.into());
+    Some(row)
+}
+
+impl History {
+    fn audit(&self) -> MutexGuard<'_, AuditLog> {
+        // A record is added whole or not at all, so the log is usable even after a panic of a thread.
+        self.audit.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds records of changes that were made. What the disk does not take is tried again with the
+    /// next record.
+    pub fn note_changes(&self, records: impl IntoIterator<Item = AuditRecord>) {
+        let mut log = self.audit();
+        for record in records {
+            if let Err(error) = log.add(&record) {
+                tracing::warn!("a change is not yet in the audit log: {error}");
+            }
+        }
+    }
+
+    /// At most `most` records of changes, the newest first. With `before`, all are older than the
+    /// record with that id.
+    pub fn changes(&self, before: Option<u64>, most: usize) -> Result<Vec<Row>, HistoryError> {
+        self.audit().newest(before.unwrap_or(u64::MAX), most)
+    }
+
+    /// Writes all records of changes, the oldest first, with a line of JSON for each.
+    pub fn write_changes(&self, mut out: impl Write) -> io::Result<()> {
+        let (log, in_memory) = {
+            let audit = self.audit();
+            (audit.log.as_ref().map(Log::share).transpose()?, audit.in_memory.clone())
+        };
+        for row in in_memory {
+            writeln!(out, "{}", json_text(&row))?;
+        }
+        if let Some(log) = log {
+            log.each(0..log.bytes, |line, at| match row(line, at.offset) {
+                Some(row) => writeln!(out, "{}", json_text(&row)),
+                None => Ok(()),
+            })?;
+        }
+        out.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    fn note(history: &History, subject: &str) {
+        let anna = Actor { role: Role::Operator, person: Some("anna".into()) };
+        let change = (None, Some("ash"));
+        history.note_changes([AuditRecord::now(&anna, "correct", Some(subject), change)]);
+    }
+
+    fn subjects(rows: &[Row]) -> Vec<&str> {
+        rows.iter().map(|row| row["subject"].as_str().unwrap()).collect()
+    }
+
+    #[test]
+    fn changes_are_there_after_a_restart_and_a_line_that_was_cut_short_spoils_no_other() {
+        let dir = tempfile::tempdir().unwrap();
+        {
+            let history = History::open(dir.path(), 1 << 20).unwrap();
+            ["a", "b"].iter().for_each(|subject| note(&history, subject));
+        }
+        let path = dir.path().join(FILE);
+        fs::write(&path, fs::read_to_string(&path).unwrap() + "{\"unix_ms\": 1, \"per").unwrap();
+        let history = History::open(dir.path(), 1 << 20).unwrap();
+        note(&history, "c");
+        let rows = history.changes(None, 10).unwrap();
+        assert_eq!(subjects(&rows), ["c", "b", "a"]);
+        let first = &rows[2];
+        assert_eq!((&first["role"], &first["person"]), (&"operator".into(), &"anna".into()));
+        assert_eq!((&first["before"], &first["after"]), (&Value::Null, &"ash".into()));
+        let mut text = Vec::new();
+        history.write_changes(&mut text).unwrap();
+        let text = String::from_utf8(text).unwrap();
+        let all: Vec<Row> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        assert_eq!(subjects(&all), ["a", "b", "c"]);
+    }
+
+    #[test]
+    fn changes_are_listed_by_page_without_a_gap_on_disk_and_in_memory() {
+        let dir = tempfile::tempdir().unwrap();
+        for history in [History::open(dir.path(), 1 << 20).unwrap(), History::default()] {
+            let names: Vec<String> = (0..40).map(|n| format!("{n}").repeat(1 + n)).collect();
+            names.iter().for_each(|name| note(&history, name));
+            let (mut before, mut found) = (None, Vec::<String>::new());
+            loop {
+                let rows = history.changes(before, 7).unwrap();
+                let Some(last) = rows.last() else { break };
+                before = last["id"].as_u64();
+                found.extend(rows.into_iter().map(|row| row["subject"].as_str().unwrap().into()));
+            }
+            found.reverse();
+            assert_eq!(names, found);
+        }
+    }
+
+    #[test]
+    fn a_record_is_bounded_and_memory_holds_the_newest() {
+        let history = History::default();
+        note(&history, &"é".repeat(LONGEST_TEXT + 1));
+        let rows = history.changes(None, 1).unwrap();
+        assert_eq!(rows[0]["subject"], format!("{}…", "é".repeat(LONGEST_TEXT)));
+        (0..MOST_IN_MEMORY + 5).for_each(|n| note(&history, &n.to_string()));
+        assert_eq!(history.changes(None, usize::MAX).unwrap().len(), MOST_IN_MEMORY);
+    }
+}

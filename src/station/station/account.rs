@@ -1,0 +1,124 @@
+//! The account of a scan, which is its doubts: how they are written as JSON, and which of them a list
+//! for people holds.
+
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
+
+use super::certainty::reasons;
+use crate::scene::SourceId;
+use crate::trial::{Doubt, lines};
+
+/// A fault of one sensor, or lost data, as JSON has it.
+#[derive(Serialize)]
+struct Damage<'a> {
+    /// The source; `None` for damage of the whole scan.
+    source: Option<&'a SourceId>,
+    text: String,
+}
+
+/// The damage of a scan: everything that spoils it, and the worst fault of each sensor.
+pub fn damage(doubts: &[Doubt]) -> Vec<&Doubt> {
+    let mut damage: Vec<&Doubt> = doubts.iter().filter(|doubt| doubt.spoils()).collect();
+    let spoiled = damage.len();
+    for doubt in doubts.iter().filter(|doubt| doubt.is_sensor_fault()) {
+        match damage[spoiled..].iter_mut().find(|other| other.source() == doubt.source()) {
+            Some(worst) if doubt.severity() > worst.severity() => *worst = doubt,
+            Some(_) => {}
+            None => damage.push(doubt),
+        }
+    }
+    damage
+}
+
+fn damage_entries(doubts: &[Doubt]) -> Vec<Damage<'_>> {
+    fn entry(doubt: &Doubt) -> Damage<'_> {
+        match doubt.is_sensor_fault() {
+            true => Damage { source: doubt.source(), text: doubt.text() },
+            false => Damage { source: None, text: doubt.to_string() },
+        }
+    }
+    damage(doubts).into_iter().map(entry).collect()
+}
+
+/// The doubts that are a remark on an answer: faults of sensors, and a short drag.
+fn remarks(doubts: &[Doubt]) -> Vec<String> {
+    lines(doubts.iter().filter(|doubt| doubt.is_remark()))
+}
+
+/// The doubts that a list for people holds: of each sensor, only the worst fault.
+pub fn told(doubts: &[Doubt]) -> impl Iterator<Item = &Doubt> {
+    let worst = damage(doubts);
+    let is_worst = move |doubt: &Doubt| worst.iter().any(|other| std::ptr::eq(*other, doubt));
+    doubts.iter().filter(move |doubt| !doubt.is_sensor_fault() || is_worst(doubt))
+}
+
+/// Writes the doubts of an answer.
+pub(super) fn of_answer<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
+    let mut map = to.serialize_map(None)?;
+    map.serialize_entry("reasons", &lines(reasons(doubts)))?;
+    map.serialize_entry("spoiled", &lines(doubts.iter().filter(|doubt| doubt.spoils())))?;
+    map.serialize_entry("damage", &damage_entries(doubts))?;
+    map.serialize_entry("remarks", &remarks(doubts))?;
+    map.serialize_entry("doubts", doubts)?;
+    map.end()
+}
+
+/// Writes the doubts about a scan in progress.
+pub(super) fn of_guess<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
+    let mut map = to.serialize_map(None)?;
+    map.serialize_entry("damage", &damage_entries(doubts))?;
+    map.serialize_entry("doubts", doubts)?;
+    map.end()
+}
+
+/// Writes the doubts about a scan that was to be kept. The field `nearest` says what it is near to.
+pub(super) fn of_enrolled<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
+    let others = told(doubts).filter(|doubt| !matches!(doubt, Doubt::NearSurface { .. }));
+    listed("remarks", lines(others), doubts, to)
+}
+
+/// Writes why a scan was refused.
+pub(super) fn of_refused<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
+    listed("reasons", lines(told(doubts)), doubts, to)
+}
+
+/// Writes why sources were not compared.
+pub(super) fn of_left_out<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
+    listed("left_out", lines(doubts), doubts, to)
+}
+
+fn listed<S: Serializer>(
+    name: &'static str,
+    lines: Vec<String>,
+    doubts: &[Doubt],
+    to: S,
+) -> Result<S::Ok, S::Error> {
+    let mut map = to.serialize_map(None)?;
+    map.serialize_entry(name, &lines)?;
+    map.serialize_entry("doubts", doubts)?;
+    map.end()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn damage_is_what_spoils_a_scan_and_the_worst_fault_of_each_sensor() {
+        let source = |id: &str| SourceId::new(id).unwrap();
+        let clipped =
+            |channel, share| Doubt::Clipped { source: source("ac"), channel, value: 1.0, share };
+        let stuck =
+            |id: &str, share| Doubt::Stuck { source: source(id), channel: 3, value: 0.0, share };
+        let doubts = [
+            Doubt::EndedEarly,
+            clipped(1, 0.9),
+            stuck("ac", 0.6),
+            clipped(2, 0.2),
+            stuck("ir", 1.0),
+            Doubt::UnknownNotDetected,
+        ];
+        assert_eq!(damage(&doubts), [&doubts[0], &doubts[2], &doubts[4]]);
+        assert_eq!(damage(&[clipped(1, 0.1), clipped(2, 0.4)]), [&clipped(2, 0.4)]);
+    }
+}
