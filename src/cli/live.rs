@@ -403,11 +403,12 @@ pub(super) fn run(args: &Args) -> Done {
     let answering = (&args.answers, &args.accuracy);
     let (by, store, check, scan_s) = match &args.model {
         Some(path) => {
-            let OpenedModel { by, query_s, .. } = OpenedModel::open(path, answering, Some(&given))?;
+            let OpenedModel { ready, query_s, .. } =
+                OpenedModel::open(path, answering, Some(&given))?;
             if config.is_continuous {
-                naming::has_scan_time(&by).map_err(Failure::Failed)?;
+                naming::has_scan_time(&ready.by).map_err(Failure::Failed)?;
             }
-            (NamedBy::Model(Arc::new(by)), kept_beside(path), None, query_s)
+            (NamedBy::Model(Arc::new(ready.by)), kept_beside(path), None, query_s)
         }
         None => {
             let library = existing_library(args, &config)?;

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::naming::Lasting;
 use super::show::joined;
 use super::{Done, Failure, Named, SourceArgs, one_of, parsed, share, show};
 use crate::evaluate::plan::Plan;
@@ -212,13 +213,13 @@ impl Comparing {
         self.cache.then(|| folder.to_path_buf())
     }
 
-    /// How long scans must last, in seconds, and a line with the reason. The time comes from the
+    /// How long scans must last. The time comes from the
     /// plan if it has one, and otherwise from the model of the library.
     pub(super) fn lasting(
         &self,
         accuracy: &AccuracyArgs,
         model: &Arc<dyn Model>,
-    ) -> Result<(Option<f64>, Option<String>), Failure> {
+    ) -> Result<Lasting, Failure> {
         if let Some(scan_s) = self.plan.as_ref().and_then(|plan| plan.scan_s) {
             return Ok((Some(scan_s), Some(format!("drag for {scan_s:.1} s, as the plan says"))));
         }
@@ -291,21 +292,22 @@ fn share_or_none(text: &str) -> Result<f64, String> {
 }
 
 impl AnswerArgs {
-    /// Applies these options to a recogniser. Returns whether it also guesses while a scan is in
-    /// progress, and lines of text that say what its answers are based on.
-    pub(super) fn apply(&self, by: &mut Recogniser) -> Result<(bool, Vec<String>), RejectionError> {
-        let mut remarks = Vec::new();
+    /// Applies these options to a recogniser, whose remarks then say what its answers are based on.
+    /// Returns whether it also guesses while a scan is in progress.
+    pub(super) fn apply(&self, by: &mut Recogniser) -> Result<bool, RejectionError> {
         if self.false_rejections != Some(0.0) {
             match by.reject_unknown(self.false_rejections) {
-                Ok(rejections) => remarks.extend(on_unknown(&rejections)),
+                Ok(rejections) => by.library.remarks.extend(on_unknown(&rejections)),
                 Err(error) if self.false_rejections.is_some() => return Err(error),
-                Err(error) => remarks.push(format!("unknown surfaces are not detected: {error}")),
+                Err(error) => {
+                    let why = format!("unknown surfaces are not detected: {error}");
+                    by.library.remarks.push(why);
+                }
             }
         }
         let settling = by.calibrate(self.settle_loss);
-        remarks.extend(on_settling(&settling));
-        by.library.remarks.extend_from_slice(&remarks);
-        Ok((!settling.is_empty(), remarks))
+        by.library.remarks.extend(on_settling(&settling));
+        Ok(!settling.is_empty())
     }
 }
 

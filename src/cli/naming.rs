@@ -8,25 +8,54 @@ use super::choose::within;
 use super::condition::WhereArgs;
 use super::method::{AccuracyArgs, AnswerArgs, Comparing};
 use super::show::{listed, summary};
-use super::{Failure, bad_files};
+use super::{Failure, bad_files, say};
 use crate::library::{Entry, Library};
-use crate::recognise::{Model, ModelFile, ScanTime, ready_model};
+use crate::recognise::{Model, ModelFile, RejectionError, ScanTime, ready_model};
 use crate::record::edit::LibraryLock;
 use crate::record::reference::references;
 use crate::scene::{Scene, SourceId};
 use crate::serve::Audit;
 use crate::station::{LibraryState, Load, Recogniser};
 
-/// A model file, ready to name scans.
-pub(super) struct OpenedModel {
+/// How long scans must last, in seconds, and a line with the reason.
+pub(super) type Lasting = (Option<f64>, Option<String>);
+
+/// A recogniser, ready to name scans.
+pub(super) struct Ready {
     pub by: Recogniser,
     /// Whether it follows scans in progress.
     pub follows: bool,
+    lasting: Option<String>,
+}
+
+impl Ready {
+    /// Makes a recogniser answer as these options say. Its remarks then say what its answers are based on.
+    pub(super) fn new(
+        mut by: Recogniser,
+        answers: &AnswerArgs,
+        (needed_s, lasting): Lasting,
+    ) -> Result<Self, RejectionError> {
+        by.needed_s = needed_s;
+        let follows = answers.apply(&mut by)?;
+        by.library.remarks.extend(lasting.clone());
+        Ok(Self { by, follows, lasting })
+    }
+
+    /// Prints how long scans must last; with `--verbose`, all that the answers are based on.
+    pub(super) fn say(&self) {
+        match say::is_verbose() {
+            true => self.by.library.remarks.iter().for_each(|remark| say!("{remark}")),
+            false => self.lasting.iter().for_each(|line| say!("{line}")),
+        }
+    }
+}
+
+/// A model file, ready to name scans.
+pub(super) struct OpenedModel {
+    pub ready: Ready,
     pub name: String,
     pub scene: Scene,
     pub is_synthetic: bool,
-    /// The scan time in words.
-    pub lasting: Option<String>,
     /// Seconds of each drag that a replay uses, if the model follows a plan.
     pub query_s: Option<f64>,
 }
@@ -49,7 +78,7 @@ impl OpenedModel {
                 embedding.ready_for(given);
             }
         }
-        let (needed_s, lasting) = match accuracy.is_given() {
+        let lasting = match accuracy.is_given() {
             true => {
                 let found = accuracy.scan_time(&file.model)?;
                 (found.as_ref().and_then(ScanTime::scan_s), found.map(|answer| answer.line()))
@@ -63,17 +92,12 @@ impl OpenedModel {
             synthetic: file.is_synthetic,
             ..LibraryState::default()
         };
-        let mut by = Recogniser::new(file.model, file.scene.clone(), state);
-        by.needed_s = needed_s;
-        let (follows, _) = answers.apply(&mut by)?;
-        by.library.remarks.extend(lasting.clone());
+        let by = Recogniser::new(file.model, file.scene.clone(), state);
         Ok(Self {
-            by,
-            follows,
+            ready: Ready::new(by, answers, lasting)?,
             name: file.library,
             scene: file.scene,
             is_synthetic: file.is_synthetic,
-            lasting,
             query_s: file.query_s,
         })
     }
@@ -133,10 +157,8 @@ pub(super) fn load(
             embedding.ready_for(given);
         }
         let lasting = how.lasting(&accuracy, &model).map_err(Failure::text)?;
-        let mut by = Recogniser::new(model, scene, state).with_trials(&entries);
-        by.needed_s = lasting.0;
-        answers.apply(&mut by).map_err(|error| error.to_string())?;
-        by.library.remarks.extend(lasting.1);
+        let by = Recogniser::new(model, scene, state).with_trials(&entries);
+        let mut by = Ready::new(by, &answers, lasting).map_err(|error| error.to_string())?.by;
         by.library.remarks.extend(bad_files::skipped());
         Ok(Arc::new(by))
     })

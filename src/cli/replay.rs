@@ -9,7 +9,7 @@ use super::condition::WhereArgs;
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
 use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs, NOT_WITH_MODEL};
-use super::naming::{self, OpenedModel};
+use super::naming::{self, OpenedModel, Ready};
 use super::serve::{Page, ServeArgs};
 use super::show::{self, quoted};
 use super::tally::Tally;
@@ -90,8 +90,8 @@ pub(super) struct ReplayStage {
     pub synthetic: bool,
     /// The folder with the cache of prepared trials; `None` without a cache.
     pub cache: Option<PathBuf>,
-    /// The recogniser, if it comes from a model file, and whether it follows scans in progress.
-    pub ready: Option<(Recogniser, bool)>,
+    /// The recogniser, if it comes from a model file.
+    pub ready: Option<Ready>,
 }
 
 pub(super) fn run(args: &Args) -> Done {
@@ -185,21 +185,16 @@ fn by_model(
     model: &Path,
 ) -> Result<ReplayStage, Failure> {
     let opened = OpenedModel::open(model, (&args.answers, &args.accuracy), None)?;
-    let OpenedModel { mut by, follows, name, scene, is_synthetic, lasting, query_s } = opened;
-    if say::is_verbose() {
-        by.library.remarks.iter().for_each(|remark| say!("{remark}"));
-    } else {
-        lasting.iter().for_each(|line| say!("{line}"));
-    }
+    let OpenedModel { mut ready, name, scene, is_synthetic, query_s } = opened;
+    ready.say();
     how.query_seconds = how.query_seconds.or(query_s);
     let data = played(args, data)?;
     let synthetic = data.synthetic || is_synthetic;
-    by.library.synthetic = synthetic;
+    ready.by.library.synthetic = synthetic;
     let entries = within(&data, &scene)?;
     let queries = (0..entries.len()).collect();
     let folds = vec![Fold { name: "model".into(), library: Vec::new(), queries }];
-    let ready = Some((by, follows));
-    Ok(ReplayStage { name, scene, entries, folds, synthetic, cache: None, ready })
+    Ok(ReplayStage { name, scene, entries, folds, synthetic, cache: None, ready: Some(ready) })
 }
 
 fn against(
@@ -296,16 +291,16 @@ fn play(
     let (mut station, server) = args.serve.start(station, settings, &page)?;
     // The page can be seen while the models are made; a signal then ends the program at once.
     station.emit(&StationEvent::Reading);
-    let (recogniser, follows) = match stage.ready.take() {
+    let ready = match stage.ready.take() {
         Some(ready) => ready,
         None => made(args, how, &mut stage)?,
     };
     drop(reading);
     if station.continuous.is_some() {
-        naming::has_scan_time(&recogniser).map_err(Failure::Failed)?;
+        naming::has_scan_time(&ready.by).map_err(Failure::Failed)?;
     }
-    station.recogniser = Some(Arc::new(recogniser));
-    if follows {
+    station.recogniser = Some(Arc::new(ready.by));
+    if ready.follows {
         station.options.progress_every_s = Some(LOOK_S);
     }
     let signals = match &server {
@@ -326,11 +321,7 @@ fn play(
 }
 
 /// Makes the recogniser, without recordings that cannot be read.
-fn made(
-    args: &Args,
-    how: &Comparing,
-    stage: &mut ReplayStage,
-) -> Result<(Recogniser, bool), Failure> {
+fn made(args: &Args, how: &Comparing, stage: &mut ReplayStage) -> Result<Ready, Failure> {
     match (recogniser(args, how, stage), &args.library) {
         (Err(error), Some(folder)) => {
             if bad_files::leave_out(folder, &mut stage.entries)? {
@@ -347,16 +338,12 @@ fn made(
 }
 
 /// Makes the recogniser, which names each query by the library of its fold, and prints what its
-/// answers are based on. The flag tells whether the recogniser follows scans in progress.
-fn recogniser(
-    args: &Args,
-    how: &Comparing,
-    stage: &ReplayStage,
-) -> Result<(Recogniser, bool), Failure> {
+/// answers are based on.
+fn recogniser(args: &Args, how: &Comparing, stage: &ReplayStage) -> Result<Ready, Failure> {
     let method = how.method.build(&stage.scene);
     let models = models(&*method, stage)?;
     // The scan time is that of all trials together, although a query is named by only some of them.
-    let (needed_s, lasting) = match &models[..] {
+    let lasting = match &models[..] {
         [_, _, ..] if how.method.name() == MethodName::Embedding => {
             let all = (0..stage.entries.len()).collect();
             let cache = stage.cache.as_deref();
@@ -372,16 +359,11 @@ fn recogniser(
     if let Some(path) = &args.library {
         library.reference = references(path)?;
     }
-    let mut recogniser = Recogniser::with_folds(models, fold_of, stage.scene.clone(), library)
+    let by = Recogniser::with_folds(models, fold_of, stage.scene.clone(), library)
         .with_trials(&compared);
-    recogniser.needed_s = needed_s;
-    let (follows, remarks) = args.answers.apply(&mut recogniser)?;
-    recogniser.library.remarks.extend(lasting.clone());
-    if say::is_verbose() {
-        remarks.iter().for_each(|remark| say!("{remark}"));
-    }
-    lasting.iter().for_each(|line| say!("{line}"));
-    Ok((recogniser, follows))
+    let ready = Ready::new(by, &args.answers, lasting)?;
+    ready.say();
+    Ok(ready)
 }
 
 impl ReplayStage {
