@@ -4,7 +4,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::naming::Lasting;
 use super::show::joined;
 use super::{Done, Failure, Named, SourceArgs, one_of, parsed, share, show};
 use crate::evaluate::plan::Plan;
@@ -206,6 +205,9 @@ pub(super) struct Comparing {
     /// Seconds of each drag that are used; `None` for the whole drag.
     pub query_seconds: Option<f64>,
 }
+
+/// How long scans must last, in seconds, and a line with the reason.
+pub(super) type Lasting = (Option<f64>, Option<String>);
 
 impl Comparing {
     /// The folder in which prepared trials are cached, which is `folder`; `None` with `--no-cache`.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::choose::within;
 use super::condition::WhereArgs;
-use super::method::{AccuracyArgs, AnswerArgs, Comparing};
+use super::method::{AccuracyArgs, AnswerArgs, Comparing, Lasting};
 use super::show::{listed, summary};
 use super::{Failure, bad_files, say};
 use crate::library::{Entry, Library};
@@ -16,9 +16,6 @@ use crate::record::reference::references;
 use crate::scene::{Scene, SourceId};
 use crate::serve::Audit;
 use crate::station::{LibraryState, Load, Recogniser};
-
-/// How long scans must last, in seconds, and a line with the reason.
-pub(super) type Lasting = (Option<f64>, Option<String>);
 
 /// A recogniser, ready to name scans.
 pub(super) struct Ready {

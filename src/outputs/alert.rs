@@ -14,10 +14,9 @@ use tokio_modbus::slave::Slave;
 
 use super::{BackOff, OutputHealth, Said};
 use crate::history::{History, news};
-use crate::record::unix_ms;
 use crate::station::config::{AlertCause, AlertConfig, CoilAddress};
 use crate::station::{Answer, AnswerState};
-use crate::trial::Doubt;
+use crate::trial::{Doubt, unix_ms};
 
 /// How long one attempt to switch a coil may take.
 const ATTEMPT: Duration = Duration::from_secs(3);

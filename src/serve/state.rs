@@ -7,16 +7,16 @@ use std::time::SystemTime;
 use serde::Serialize;
 
 use crate::device::{DeviceState, Warning, WarningKind};
-use crate::record;
 use crate::scene::Phase;
 use crate::station::{Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent, damage};
+use crate::trial;
 
 const MOST_WARNINGS: usize = 50;
 /// How many devices are listed, at most. Hardware chooses their names, so there could be many.
 const DEVICES: usize = 64;
 
 pub(crate) fn unix_ms() -> u64 {
-    record::unix_ms(SystemTime::now())
+    trial::unix_ms(SystemTime::now())
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

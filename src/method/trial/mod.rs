@@ -4,6 +4,7 @@ mod channel_flaws;
 mod doubt;
 mod label;
 mod level;
+mod moment;
 
 pub use channel_flaws::SeriesFlaws;
 #[doc(hidden)]
@@ -15,6 +16,8 @@ pub use doubt::lines;
 pub use label::{checked_label, checked_session, normal};
 #[doc(hidden)]
 pub use level::channel_levels_db;
+#[doc(hidden)]
+pub use moment::{unix_ms, utc};
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -18,7 +18,7 @@ use serde_json::{Map, Value};
 use super::log::Log;
 use super::{History, HistoryError, MOST_IN_MEMORY};
 use crate::printable::json_text;
-use crate::record::unix_ms;
+use crate::trial::unix_ms;
 
 const FILE: &str = "audit.jsonl";
 /// Longest text of a record, in characters, so that a record takes at most some 10 kB.

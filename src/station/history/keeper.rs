@@ -14,10 +14,10 @@ use super::{History, HistoryError, SCANS};
 use crate::jpeg;
 use crate::library::About;
 use crate::printable::json_text;
-use crate::record::{TrialOptions, utc, write_trial};
+use crate::record::{TrialOptions, write_trial};
 use crate::scene::Scene;
 use crate::station::{AnsweredScan, End, Listener, StationEvent, Why};
-use crate::trial::{Signal, Trial, TrialKey, lines};
+use crate::trial::{Signal, Trial, TrialKey, lines, utc};
 
 /// How many scans may wait in the queue of each thread. Scans of ten seconds then take some 50 MB.
 const QUEUE: usize = 16;

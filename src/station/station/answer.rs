@@ -8,10 +8,9 @@ use serde::{Deserialize, Serialize, Serializer};
 use super::account;
 use super::certainty::reasons;
 use crate::recognise::RankedSurface;
-use crate::record::{unix_ms, utc};
 use crate::scan::Scan;
 use crate::scene::SourceId;
-use crate::trial::{Doubt, Signal, channel_levels_db, lines};
+use crate::trial::{Doubt, Signal, channel_levels_db, lines, unix_ms, utc};
 
 /// The answer to a scan that has ended; as JSON, it takes one line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

@@ -32,10 +32,9 @@ use super::certainty::EVEN;
 use super::event::{AnsweredScan, Guess, SurfaceProbability};
 use super::recogniser::{FlawsBySource, Recogniser};
 use crate::recognise::{RankedSurface, Ranking, Rejection, StickyFilter, stated_probabilities};
-use crate::record::unix_ms;
 use crate::scan::{Fresh, Progress, Scan};
 use crate::scene::SourceId;
-use crate::trial::{Series, Signal, TrialKey};
+use crate::trial::{Series, Signal, TrialKey, unix_ms};
 
 /// How many surfaces a guess names, at most.
 const NAMED: usize = 5;

@@ -18,10 +18,10 @@ use super::orders::Enrolment;
 use super::recogniser::Recogniser;
 use super::trial_need::faults;
 use crate::library::{About, LibraryError};
-use crate::record::{TrialOptions, append_trial, edit, number_by_names, utc};
+use crate::record::{TrialOptions, append_trial, edit, number_by_names};
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, Trial, TrialKey, lines, normal};
+use crate::trial::{Doubt, Trial, TrialKey, lines, normal, utc};
 
 const RETRY: Duration = Duration::from_secs(2);
 /// How many scans may wait to be written. Scans of 10 s then take 200 MB.

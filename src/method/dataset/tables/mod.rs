@@ -40,9 +40,8 @@ use text::{Lines, shown};
 
 use crate::library::files::number_in;
 use crate::library::{About, LibraryError};
-use crate::record::utc;
 use crate::scene::SourceId;
-use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, checked_session, normal};
+use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, checked_session, normal, utc};
 
 /// Lines and bytes that decide how a table is understood.
 const HEAD_LINES: usize = 2000;

@@ -19,9 +19,9 @@ use super::{REMOVED, disk};
 use crate::library::{LibraryError, files};
 use crate::printable::json_text;
 use crate::record::folder_name::is_plain;
-use crate::record::{failed, replace_file, utc};
+use crate::record::{failed, replace_file};
 use crate::system::{self, Locked};
-use crate::trial::TrialKey;
+use crate::trial::{TrialKey, utc};
 
 /// Name of the file that lists the steps, in the folder of removed trials.
 pub(super) const STEPS: &str = "steps.jsonl";
