@@ -41,7 +41,7 @@ pub mod serve;
 pub use surfaced_method::{
     dataset, evaluate, independence, kernel, library, recognise, record, scene, trial,
 };
-use surfaced_method::{draw, jpeg, printable, system};
+use surfaced_method::{draw, jpeg, printable};
 #[doc(hidden)] // For the project's own tests and tools.
 pub use surfaced_method::{replication, seed, spectrum};
 pub use surfaced_station::{device, history, ring, scan, station};

@@ -16,7 +16,7 @@ use sd_notify::NotifyState;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
-use crate::system::open_at_once;
+use surfaced_method::system::open_at_once;
 
 /// Whether `out` takes data without blocking; true if `out` cannot be polled. Waits at most `wait`,
 /// which must be less than a second.

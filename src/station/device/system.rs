@@ -1,6 +1,8 @@
 //! What drivers ask the operating system. Errors are its own.
 
-use std::fs::{self, File};
+#[cfg(unix)]
+use std::fs;
+use std::fs::File;
 use std::io;
 use std::net::UdpSocket;
 #[cfg(unix)]
