@@ -139,8 +139,8 @@ fn lesser(a: f32, b: f32) -> f32 {
     if b < a { b } else { a }
 }
 
-/// ln x of a positive, finite and normal number, with an error of 1e-15 or of as much of ln x. Unlike
-/// `f64::ln`, it is no function call.
+/// ln x of a positive normal number, with an error of 1e-15 or of as much of ln x; NaN of what is not
+/// finite. Unlike `f64::ln`, it is no function call.
 #[inline(always)]
 pub(super) fn ln(x: f64) -> f64 {
     const ROOT_HALF: u64 = std::f64::consts::FRAC_1_SQRT_2.to_bits();
@@ -157,7 +157,9 @@ pub(super) fn ln(x: f64) -> f64 {
                     + z * (1.0 / 11.0
                         + z * (1.0 / 13.0
                             + z * (1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0))))))));
-    f64::from(exponent) * std::f64::consts::LN_2 + 2.0 * (s + s * z * odd)
+    // 0, or NaN
+    let not_finite = x - x;
+    f64::from(exponent) * std::f64::consts::LN_2 + 2.0 * (s + s * z * odd) + not_finite
 }
 
 #[cfg(test)]
@@ -172,5 +174,6 @@ mod tests {
             let error = (ln(x) - x.ln()).abs();
             assert!(error <= 1e-15 * x.ln().abs().max(1.0), "{x}: {error}");
         }
+        assert!(ln(f64::NAN).is_nan() && ln(f64::INFINITY).is_nan());
     }
 }

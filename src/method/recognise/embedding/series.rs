@@ -5,6 +5,7 @@
 
 use std::borrow::Cow;
 
+use multiversion::multiversion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +13,7 @@ use super::band_sums::{BandSums, Counts, ViewEmbedder, median};
 use super::eigen::{EigenPairs, push_upper};
 use super::frames::{SeriesFrames, SourceViews};
 use super::growing::Piece;
+use super::lanes::ln;
 use super::moments::{LOUDNESS, MOMENTS, MOST_LAGGED, Moments, Statistics};
 use super::packed::PackedFrames;
 use super::quantiles::QUANTILES;
@@ -189,13 +191,30 @@ impl SeriesEmbedder {
         }
         let log = EigenPairs::new(matrix, size, RIDGE).map(|x| (x.max(0.0) + RIDGE).ln());
         push_upper(&log, size, vector);
+        let mut correlations = Vec::with_capacity(channels * channels / 2);
         for i in 0..channels {
             for j in i + 1..channels {
                 let scale = stats.deviations[i] * stats.deviations[j];
-                let correlation = stats.covariances[0][i * channels + j] / scale;
-                vector.push(correlation.clamp(-MOST_CORRELATED, MOST_CORRELATED).atanh() as f32);
+                correlations.push(stats.covariances[0][i * channels + j] / scale);
             }
         }
+        push_atanh(&correlations, vector);
+    }
+}
+
+/// Appends the atanh of correlations, at most that of [`MOST_CORRELATED`].
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+fn push_atanh(correlations: &[f64], vector: &mut Vec<f32>) {
+    let first = vector.len();
+    vector.resize(first + correlations.len(), 0.0);
+    let out = &mut vector[first..];
+    for i in 0..out.len().min(correlations.len()) {
+        let x = correlations[i].clamp(-MOST_CORRELATED, MOST_CORRELATED);
+        out[i] = (0.5 * ln((1.0 + x) / (1.0 - x))) as f32;
     }
 }
 
