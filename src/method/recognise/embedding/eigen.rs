@@ -91,8 +91,8 @@ fn tridiagonal(mut a: Vec<f64>, n: usize) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
             continue;
         }
         let scale = 2.0 / square;
-        for i in from..n {
-            p[i] = scale * inner(&a[i * n + from..(i + 1) * n], &v);
+        for (p, row) in p[from..].iter_mut().zip(a.chunks_exact(n).skip(from)) {
+            *p = scale * inner(&row[from..], &v);
         }
         let half = 0.5 * scale * inner(&p[from..], &v);
         add(&mut p[from..], -half, &v);
@@ -198,8 +198,8 @@ fn inner(a: &[f64], b: &[f64]) -> f64 {
         }
     }
     let mut total = 0.0;
-    for lane in 0..LANES {
-        total += sums[lane];
+    for sum in sums {
+        total += sum;
     }
     for i in 0..rest_a.len().min(rest_b.len()) {
         total += rest_a[i] * rest_b[i];

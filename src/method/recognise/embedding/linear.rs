@@ -225,8 +225,8 @@ fn subtract(x: &mut [f64], factor: f64, y: &[f64]) {
 
 #[inline(always)]
 fn divide(x: &mut [f64], by: f64) {
-    for i in 0..x.len() {
-        x[i] /= by;
+    for x in x {
+        *x /= by;
     }
 }
 
