@@ -158,7 +158,7 @@ pub(super) fn ln(x: f64) -> f64 {
                         + z * (1.0 / 13.0
                             + z * (1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0))))))));
     // 0, or NaN
-    let not_finite = x - x;
+    let not_finite = 0.0 * x;
     f64::from(exponent) * std::f64::consts::LN_2 + 2.0 * (s + s * z * odd) + not_finite
 }
 
