@@ -11,6 +11,8 @@
 //! than the rest and say nothing about the surface. Which frames are left out depends on the median
 //! loudness, which is known only at the end. So each class of loudness has its own histograms.
 
+use std::borrow::Cow;
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -19,7 +21,7 @@ use multiversion::multiversion;
 use serde::{Deserialize, Serialize};
 
 use super::fourier::{BAND_FEATURES, BandScale, LANES, add_up};
-use super::lanes::extremes;
+use super::lanes::{extremes, ln, total};
 use crate::recognise::features::windowed_frames::sum;
 
 /// Number of bins in one unit of ln power.
@@ -56,6 +58,25 @@ impl Counts {
         Self { channels, width, frames: 0, first: 0, bins: 0, counts: Vec::new() }
     }
 
+    /// The frames of a whole series, shape (frames, width), that are on the surface: what
+    /// [`BandSums::on_surface`] gives for them, without histograms of each class of loudness. The sums
+    /// are the same to the last bit, since packed frames are shared out in whole parts of 1/64.
+    pub(super) fn on_surface(channels: usize, width: usize, values: &[f32]) -> Self {
+        let rows = || values.chunks_exact(width);
+        let classes: Vec<i32> = rows().map(loudness).collect();
+        let mut sorted = classes.clone();
+        sorted.sort_unstable();
+        let least = sorted.get(sorted.len() / 2).map_or(0, |median| median - QUIETER);
+        let loud =
+            || rows().zip(&classes).filter(|(_, class)| **class >= least).map(|(row, _)| row);
+        let mut counts = Self::new(channels, width);
+        if let Some((first, last)) = loud().map(reached).reduce(wider) {
+            counts.reach(first, last);
+        }
+        loud().for_each(|row| counts.add(row));
+        counts
+    }
+
     /// Makes room for bins from `first` to `last`.
     fn reach(&mut self, first: i32, last: i32) {
         if self.bins > 0 && self.first <= first && last < self.first + self.bins as i32 {
@@ -67,7 +88,7 @@ impl Counts {
         };
         // Rounded up to whole vector registers.
         let bins = ((end - first) as usize).next_multiple_of(LANES);
-        let mut counts = vec![0.0; self.width * bins];
+        let mut counts = zeros(self.width * bins);
         let from = (self.first - first) as usize;
         for (new, old) in counts.chunks_exact_mut(bins).zip(self.counts.chunks(self.bins.max(1))) {
             new[from..from + old.len()].copy_from_slice(old);
@@ -90,7 +111,11 @@ impl Counts {
         let pairs =
             self.counts.chunks_exact_mut(self.bins).zip(other.counts.chunks_exact(other.bins));
         for (own, others) in pairs {
-            own[from..].iter_mut().zip(others).for_each(|(sum, x)| *sum += x);
+            match self.frames {
+                // Fresh memory is not read, which would cost as much as writing it.
+                0 => own[from..from + others.len()].copy_from_slice(others),
+                _ => own[from..].iter_mut().zip(others).for_each(|(sum, x)| *sum += x),
+            }
         }
         self.frames += other.frames;
     }
@@ -122,9 +147,7 @@ impl Counts {
         let power: Vec<f64> = self.powers().collect();
         let of_channel = |counts: &[f32]| {
             let mut of_bins = vec![0f32; self.bins];
-            for band in counts.chunks_exact(self.bins.max(1)) {
-                of_bins.iter_mut().zip(band).for_each(|(sum, n)| *sum += n);
-            }
+            add_histograms(counts, &mut of_bins);
             let sum: f64 = of_bins.iter().zip(&power).map(|(n, p)| f64::from(*n) * p).sum();
             (sum / (self.frames.max(1) * self.bands()) as f64).max(f64::MIN_POSITIVE).ln()
         };
@@ -136,11 +159,13 @@ impl Counts {
 
     /// ln(P/P̄ + 1e-4) of each bin; `ln_mean` gives ln P̄ of each channel. Shape (channels, bins).
     fn relative(&self, ln_mean: &[f64]) -> Vec<f32> {
-        let relative = |mean: &f64| {
+        let powers: Vec<f64> = self.powers().collect();
+        let mut relative = vec![0.0; ln_mean.len() * self.bins];
+        for (of_channel, mean) in relative.chunks_exact_mut(self.bins.max(1)).zip(ln_mean) {
             let scale = (-mean).exp();
-            self.powers().map(move |power| ((power * scale).min(MOST) + FLOOR).ln() as f32)
-        };
-        ln_mean.iter().flat_map(relative).collect()
+            ln_relative(&powers, scale, of_channel);
+        }
+        relative
     }
 
     /// For each band: the sum over frames of the values in `table`, and the sum of their squares.
@@ -156,6 +181,31 @@ impl Counts {
     }
 }
 
+thread_local! {
+    /// The largest buffer of earlier histograms of the thread. Fresh memory costs more time than
+    /// counting in it.
+    static SPARE: Cell<Vec<f32>> = const { Cell::new(Vec::new()) };
+}
+
+/// `count` zeros, in the spare buffer.
+fn zeros(count: usize) -> Vec<f32> {
+    let mut spare = SPARE.take();
+    spare.clear();
+    spare.reserve_exact(count);
+    spare.resize(count, 0.0);
+    spare
+}
+
+impl Drop for Counts {
+    fn drop(&mut self) {
+        // A thread that ends has no spare buffer any more.
+        let _ = SPARE.try_with(|spare| {
+            let (kept, own) = (spare.take(), std::mem::take(&mut self.counts));
+            spare.set(if own.capacity() > kept.capacity() { own } else { kept });
+        });
+    }
+}
+
 /// Adds one value to the histogram of each band; every histogram has `bins` bins.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn count(row: &[f32], first: i32, bins: usize, counts: &mut [f32]) {
@@ -166,6 +216,45 @@ fn count(row: &[f32], first: i32, bins: usize, counts: &mut [f32]) {
         counts[bin] += 1.0 - part;
         counts[bin + 1] += part;
     }
+}
+
+/// Adds the histograms of some bands to `sums`, bin by bin.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn add_histograms(counts: &[f32], sums: &mut [f32]) {
+    for band in counts.chunks_exact(sums.len().max(1)) {
+        for i in 0..sums.len() {
+            sums[i] += band[i];
+        }
+    }
+}
+
+/// ln(P·scale + [`FLOOR`]) of each power P.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+fn ln_relative(powers: &[f64], scale: f64, relative: &mut [f32]) {
+    for i in 0..powers.len().min(relative.len()) {
+        let power = powers[i] * scale;
+        relative[i] = ln(if power < MOST { power } else { MOST } + FLOOR) as f32;
+    }
+}
+
+/// The class of loudness of a frame.
+fn loudness(row: &[f32]) -> i32 {
+    floor(sum(row) as f32 / row.len() as f32 / LOUDNESS)
+}
+
+/// The first and the last bin that a frame counts in.
+fn reached(row: &[f32]) -> (i32, i32) {
+    let (least, most) = extremes(row);
+    (floor(least * BINS), floor(most * BINS) + 1)
+}
+
+/// The bins from the first to the last of two ranges.
+fn wider(a: (i32, i32), b: (i32, i32)) -> (i32, i32) {
+    (a.0.min(b.0), a.1.max(b.1))
 }
 
 /// Without SSE 4.1, `f32::floor` is a function call.
@@ -195,11 +284,9 @@ impl BandSums {
         // Room is made for all of them at once.
         let mut ranges: BTreeMap<i32, (i32, i32)> = BTreeMap::new();
         let class_of = |row: &[f32]| {
-            let mean = sum(row) as f32 / row.len() as f32;
-            let (class, (least, most)) = (floor(mean / LOUDNESS), extremes(row));
-            let (first, last) = (floor(least * BINS), floor(most * BINS) + 1);
+            let (class, (first, last)) = (loudness(row), reached(row));
             let range = ranges.entry(class).or_insert((first, last));
-            *range = (range.0.min(first), range.1.max(last));
+            *range = wider(*range, (first, last));
             class
         };
         let classes: Vec<i32> = rows.clone().map(class_of).collect();
@@ -214,26 +301,33 @@ impl BandSums {
         }
     }
 
-    /// Number of frames, on the surface or not.
-    pub(super) fn frames(&self) -> usize {
-        self.by_loudness.values().map(|counts| counts.frames).sum()
-    }
-
-    pub(super) fn on_surface(&self) -> Counts {
-        let (half, mut below) = (self.frames() / 2, 0);
-        let median = self.by_loudness.iter().find(|(_, counts)| {
-            below += counts.frames;
+    /// The histograms of the frames on the surface, among all that were added and those in `after`,
+    /// shape (frames, width).
+    pub(super) fn on_surface(&self, after: &[f32]) -> Cow<'_, Counts> {
+        let after: Vec<_> =
+            after.chunks_exact(self.width).map(|row| (loudness(row), row)).collect();
+        let mut frames: BTreeMap<i32, usize> =
+            self.by_loudness.iter().map(|(class, counts)| (*class, counts.frames)).collect();
+        after.iter().for_each(|(class, _)| *frames.entry(*class).or_default() += 1);
+        let (half, mut below) = (frames.values().sum::<usize>() / 2, 0);
+        let median = frames.iter().find(|(_, frames)| {
+            below += *frames;
             below > half
         });
-        let mut total = Counts::new(self.channels, self.width);
         let least = median.map_or(0, |(class, _)| class - QUIETER);
         let loud = || self.by_loudness.range(least..).map(|(_, counts)| counts);
-        let (first, end) = (loud().map(|of| of.first).min(), loud().map(Counts::end).max());
-        if let Some((first, end)) = first.zip(end) {
-            total.reach(first, end - 1);
+        let after = || after.iter().filter(|(class, _)| *class >= least).map(|(_, row)| *row);
+        if let (Some(counts), None, None) = (loud().next(), loud().nth(1), after().next()) {
+            return Cow::Borrowed(counts);
+        }
+        let mut total = Counts::new(self.channels, self.width);
+        let ranges = loud().map(|counts| (counts.first, counts.end() - 1));
+        if let Some((first, last)) = ranges.chain(after().map(reached)).reduce(wider) {
+            total.reach(first, last);
         }
         loud().for_each(|counts| total.join(counts));
-        total
+        after().for_each(|row| total.add(row));
+        Cow::Owned(total)
     }
 }
 
@@ -330,102 +424,10 @@ fn add_bands(
             }
         }
         for feature in 0..BAND_FEATURES {
-            for lane in &acc[feature] {
-                sums[feature * width + band] += f64::from(*lane);
-            }
+            sums[feature * width + band] += total(&acc[feature]);
         }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn frames_far_below_the_median_are_not_of_the_surface_whatever_the_gain() {
-        for gain in [0.0, -12.0, 7.5] {
-            let row = |x: f32| [x + gain, x + gain + 0.2];
-            let loud: Vec<f32> = (0..12).flat_map(|i| row(-0.1 * i as f32)).collect();
-            let quiet: Vec<f32> = (0..8).flat_map(|_| row(-20.0)).collect();
-            let mut sums = BandSums::new(1, 2);
-            sums.add(&loud[..10]);
-            sums.add(&quiet);
-            sums.add(&loud[10..]);
-            let kept = sums.on_surface();
-            assert_eq!((sums.frames(), kept.frames), (20, 12), "{gain}");
-            let power: f64 = loud.iter().map(|&x| f64::from(x).exp()).sum::<f64>() / 24.0;
-            assert!((kept.ln_mean_power()[0] - power.ln()).abs() < 3e-3, "{gain}");
-        }
-    }
-
-    #[test]
-    fn a_scan_that_is_silent_throughout_is_kept() {
-        let mut sums = BandSums::new(1, 1);
-        sums.add(&[-32.2; 7]);
-        assert_eq!(sums.on_surface().frames, 7);
-        assert_eq!(BandSums::new(1, 1).on_surface().frames, 0);
-    }
-
-    /// Frames of two channels with three bands each.
-    fn frames(n: usize, louder: f32) -> Vec<f32> {
-        (0..6 * n).map(|i| ((i * 7919) % 1000) as f32 / 250.0 - 5.0 + louder).collect()
-    }
-
-    fn counted(values: &[f32]) -> Counts {
-        let mut sums = BandSums::new(2, 6);
-        sums.add(values);
-        sums.on_surface()
-    }
-
-    #[test]
-    fn features_are_means_of_cosines_and_sines_of_each_band() {
-        let values = frames(300, 0.0);
-        let embedder = ViewEmbedder::new(&[counted(&values)]);
-        let mut vector = Vec::new();
-        embedder.push(&counted(&values), 0.0, &mut vector);
-        assert_eq!(vector.len(), embedder.dims());
-        // From the definition, in shape, for band 4, which belongs to the second channel.
-        let power = |c: usize| {
-            let of_channel = values.chunks_exact(6).flat_map(|row| &row[3 * c..3 * c + 3]);
-            of_channel.map(|&x| f64::from(x).exp()).sum::<f64>() / 900.0
-        };
-        let relative: Vec<f64> = (values.iter().skip(4).step_by(6))
-            .map(|&x| (f64::from(x).exp() / power(1) + FLOOR).ln())
-            .collect();
-        let mean = relative.iter().sum::<f64>() / 300.0;
-        let deviation =
-            (relative.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 300.0).sqrt() + 1e-3;
-        let z = |x: &f64| (x - mean) / deviation;
-        let cos = relative.iter().map(|x| (0.6 * z(x)).cos()).sum::<f64>() / 300.0;
-        let sin2 = relative.iter().map(|x| (1.2 * z(x)).sin()).sum::<f64>() / 300.0;
-        assert!((f64::from(vector[4]) - cos).abs() < 2e-3, "{} vs {cos}", vector[4]);
-        assert!((f64::from(vector[18 + 4]) - sin2).abs() < 2e-3, "{} vs {sin2}", vector[22]);
-    }
-
-    #[test]
-    fn a_gain_moves_the_level_and_not_the_shape() {
-        let embedder = ViewEmbedder::new(&[counted(&frames(200, 0.0)), counted(&frames(200, 1.0))]);
-        let vector = |values: &[f32], ln_gain: f64| {
-            let mut vector = Vec::new();
-            embedder.push(&counted(values), ln_gain, &mut vector);
-            vector
-        };
-        let (quiet, loud) = (vector(&frames(200, 0.0), 0.0), vector(&frames(200, 2.0), 0.0));
-        let played = vector(&frames(200, 0.0), 1.0);
-        let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-3);
-        assert!(near(&quiet[..24], &loud[..24]) && !near(&quiet[24..], &loud[24..]));
-        assert!(near(&played, &loud));
-    }
-
-    #[test]
-    fn counts_join_whatever_their_ranges() {
-        let (a, b) = (frames(40, 0.0), frames(40, 3.0));
-        let mut joined = counted(&b);
-        joined.join(&counted(&a));
-        let both = counted(&[a, b].concat());
-        for (x, y) in joined.ln_mean_power().iter().zip(both.ln_mean_power()) {
-            assert!((x - y).abs() < 1e-6);
-        }
-        assert_eq!(joined.frames, 80);
-    }
-}
+mod tests;

@@ -104,7 +104,9 @@ impl Discriminant {
         };
         let without = |group: usize| {
             let lost = left_out(&residuals, rows, group, &counts);
-            of(&scatter - &lower_gram(&lost.view()), Some(group))
+            let mut left = lower_gram(&lost.view());
+            left.zip_mut_with(&scatter, |left, all| *left = all - *left);
+            of(left, Some(group))
         };
         let without = (0..groups).map(without).collect();
         (of(scatter, None), without)

@@ -7,7 +7,7 @@
 //! features, and they do not all err alike. As the library grows, d grows to all features, or to what
 //! training can afford.
 
-use ndarray::{Array1, Array2, ArrayView2};
+use ndarray::{Array1, Array2, ArrayView1};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -103,7 +103,7 @@ impl Ensemble {
             .map(|number| {
                 let columns = drawn(columns, size, seed, number);
                 let groups = if number < members_without { rows.group_count } else { 0 };
-                let own = gathered(vectors.view(), &columns);
+                let own = gathered(vectors.rows().into_iter(), &columns);
                 let (all, without) = Discriminant::train(own, rows, groups);
                 let all = all.unwrap_or_else(|| Discriminant::indifferent(rows.classes, size));
                 let member = |discriminant| Member { columns: columns.clone(), discriminant };
@@ -136,20 +136,23 @@ impl Ensemble {
         self.members.iter().all(|member| member.discriminant.knows(class))
     }
 
-    /// The answers to vectors, shape (n, D).
-    pub(crate) fn answers(&self, vectors: ArrayView2<'_, f32>) -> Vec<Answer> {
+    /// The answers to vectors of D features.
+    pub(crate) fn answers(&self, vectors: &[ArrayView1<'_, f32>]) -> Vec<Answer> {
         let of_member = |member: &Member| {
-            member.discriminant.distances(gathered(vectors, &member.columns).view())
+            let own = gathered(vectors.iter().copied(), &member.columns);
+            member.discriminant.distances(own.view())
         };
         // The threads of a small task cost more than they save.
-        let work = vectors.nrows() * self.members.first().map_or(0, |m| m.discriminant.work());
+        let work = vectors.len() * self.members.first().map_or(0, |m| m.discriminant.work());
         let fewest = (WORTH_A_THREAD / work.max(1)).max(1);
         let members = self.members.par_iter().with_min_len(fewest);
         let mut all: Vec<_> = members.map(|member| of_member(member).into_iter()).collect();
         let features = self.members.first().map_or(0, |member| member.columns.len());
-        let answer =
-            |_| Answer { distances: all.iter_mut().filter_map(Iterator::next).collect(), features };
-        (0..vectors.nrows()).map(answer).collect()
+        let answer = |_: &_| Answer {
+            distances: all.iter_mut().filter_map(Iterator::next).collect(),
+            features,
+        };
+        vectors.iter().map(answer).collect()
     }
 
     /// Mean over members of w_c, shape (C, D), and of b_c; see [`Discriminant::weights`].
@@ -171,10 +174,13 @@ impl Ensemble {
     }
 }
 
-/// The given columns of a matrix. Faster than `select`, which goes through the matrix column by column.
-fn gathered(vectors: ArrayView2<'_, f32>, columns: &[usize]) -> Array2<f32> {
-    let mut own = Array2::zeros((vectors.nrows(), columns.len()));
-    for (mut own, row) in own.rows_mut().into_iter().zip(vectors.rows()) {
+/// The given columns of some rows. Faster than `select`, which goes through a matrix column by column.
+fn gathered<'v>(
+    rows: impl ExactSizeIterator<Item = ArrayView1<'v, f32>>,
+    columns: &[usize],
+) -> Array2<f32> {
+    let mut own = Array2::zeros((rows.len(), columns.len()));
+    for (mut own, row) in own.rows_mut().into_iter().zip(rows) {
         own.iter_mut().zip(columns).for_each(|(x, &column)| *x = row[column]);
     }
     own

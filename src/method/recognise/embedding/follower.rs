@@ -345,8 +345,6 @@ impl GrowingSeries {
     }
 
     fn vector(&self, embedder: &SeriesEmbedder) -> Vec<f32> {
-        let (mut frames, end) = (self.frames.clone(), self.growing.end());
-        frames.iter_mut().zip(&end.frames).for_each(|(sums, padded)| sums.add(&padded.values()));
-        embedder.vector(&frames, &end.moments, self.views.moments_hz(), 0.0)
+        embedder.growing(&self.frames, &self.growing.end(), self.views.moments_hz())
     }
 }

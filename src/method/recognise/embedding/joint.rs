@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 use super::band_sums::BandSums;
 use super::copies::{COPIES, Copy};
 use super::frames::{SeriesFrames, SourceFrames, TrialFrames, samples_by};
-use super::packed::PackedFrames;
 use super::picture::PictureEmbedder;
 use super::series::SeriesEmbedder;
 use crate::recognise::error::{RecogniseError, nothing_in_common};
@@ -350,12 +349,7 @@ fn beginnings(embedder: &SeriesEmbedder, series: &SeriesFrames, looks: &[usize])
             sums[v].add(&series.whole.frames[v].part(view.width(), taken[v]..end));
             taken[v] = end;
         }
-        if look.frames.iter().all(PackedFrames::is_empty) {
-            return Some(embedder.vector(&sums, &look.moments, moments_hz, 0.0));
-        }
-        let mut filled = sums.clone();
-        filled.iter_mut().zip(&look.frames).for_each(|(sums, frame)| sums.add(&frame.values()));
-        Some(embedder.vector(&filled, &look.moments, moments_hz, 0.0))
+        Some(embedder.growing(&sums, look, moments_hz))
     };
     looks.iter().map_while(of_look).collect()
 }

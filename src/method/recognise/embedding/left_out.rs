@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use ndarray::{ArrayView1, ArrayView2, Axis};
+use ndarray::ArrayView1;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -144,10 +144,7 @@ impl Trained {
             let own = (0..vectors.len()).filter(|&at| labels.group[vectors[at].0] == group);
             let own: Vec<usize> = own.collect();
             let views: Vec<ArrayView1<'_, f32>> = own.iter().map(|&at| vectors[at].1).collect();
-            // The vectors are equally long.
-            let matrix = ndarray::stack(Axis(0), &views).ok();
-            let answers =
-                matrix.zip(without.as_ref()).map(|(x, without)| without.answers(x.view()));
+            let answers = without.as_ref().map(|without| without.answers(&views));
             own.into_iter().zip(answers.unwrap_or_default()).collect::<Vec<_>>()
         };
         self.without.iter().enumerate().flat_map(of_group).collect()
@@ -159,9 +156,9 @@ impl Trained {
         without.is_some_and(|without| without.knows(labels.class[trial]))
     }
 
-    pub(super) fn p_value(&self, vector: ArrayView2<'_, f32>, scan_s: f64) -> Option<f64> {
+    pub(super) fn p_value(&self, vector: ArrayView1<'_, f32>, scan_s: f64) -> Option<f64> {
         let of_group = |without: &Option<Ensemble>| {
-            without.as_ref().map_or(f64::INFINITY, |w| w.answers(vector)[0].strangeness())
+            without.as_ref().map_or(f64::INFINITY, |w| w.answers(&[vector])[0].strangeness())
         };
         let scores: Vec<f64> = self.without.par_iter().map(of_group).collect();
         self.conformity.p_value(scan_s, |group| scores[group])

@@ -89,7 +89,9 @@ fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
         general_mat_mul(-1.0, &first, &l.slice(s![half.., ..half]).t(), 1.0, &mut second);
         return solve_from_right(&l.slice(s![half.., half..]), second);
     }
-    let upper = transposed(l);
+    // Rows are multiplied by 1/pivot, which waits for less than a division.
+    let mut upper = transposed(l);
+    upper.iter_mut().step_by(n + 1).for_each(|pivot| *pivot = 1.0 / *pivot);
     for mut row in b.rows_mut() {
         match row.as_slice_mut() {
             Some(row) => solve_row(&upper, row),
@@ -102,13 +104,13 @@ fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
     }
 }
 
-/// Solves x·U = b in place; U is upper triangular, row by row.
+/// Solves x·U = b in place; U is upper triangular, row by row, with the reciprocals of its diagonal.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn solve_row(upper: &[f64], b: &mut [f64]) {
     let n = b.len();
     for j in 0..n {
         let of_u = &upper[j * n..][..n];
-        let x = b[j] / of_u[j];
+        let x = b[j] * of_u[j];
         b[j] = x;
         for k in j + 1..n {
             b[k] -= x * of_u[k];
@@ -147,7 +149,7 @@ pub(crate) fn solve_lower(l: &Array2<f64>, b: &mut Array2<f64>) {
     solve_from_left(&l.view(), b.view_mut());
 }
 
-fn solve_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
+fn solve_from_left(l: &ArrayView2<'_, f64>, b: ArrayViewMut2<'_, f64>) {
     let n = l.nrows();
     if n > BLOCK {
         let half = half_of(n);
@@ -156,14 +158,8 @@ fn solve_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
         general_mat_mul(-1.0, &l.slice(s![half.., ..half]), &first, 1.0, &mut second);
         return solve_from_left(&l.slice(s![half.., half..]), second);
     }
-    for i in 0..n {
-        let (above, mut below) = b.view_mut().split_at(Axis(0), i);
-        let mut row = below.row_mut(0);
-        for (j, solved) in above.rows().into_iter().enumerate() {
-            row.scaled_add(-l[[i, j]], &solved);
-        }
-        row /= l[[i, i]];
-    }
+    let lower: Vec<f64> = l.iter().copied().collect();
+    solve_block(b, |columns, b| solve_rows(&lower, columns, b));
 }
 
 /// Solves Lᵀ·X = B in place; each column of `b` is a right-hand side.
@@ -171,7 +167,7 @@ pub(crate) fn solve_lower_transposed(l: &Array2<f64>, b: &mut Array2<f64>) {
     solve_transposed_from_left(&l.view(), b.view_mut());
 }
 
-fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
+fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, b: ArrayViewMut2<'_, f64>) {
     let n = l.nrows();
     if n > BLOCK {
         let half = half_of(n);
@@ -180,13 +176,57 @@ fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, 
         general_mat_mul(-1.0, &l.slice(s![half.., ..half]).t(), &second, 1.0, &mut first);
         return solve_transposed_from_left(&l.slice(s![..half, ..half]), first);
     }
-    for i in (0..n).rev() {
-        let (mut above, below) = b.view_mut().split_at(Axis(0), i + 1);
-        let mut row = above.row_mut(i);
-        for (j, solved) in below.rows().into_iter().enumerate() {
-            row.scaled_add(-l[[i + 1 + j, i]], &solved);
+    let upper = transposed(l);
+    solve_block(b, |columns, b| solve_rows_upwards(&upper, columns, b));
+}
+
+/// Calls `solve` with the number of columns of a block, and with its values, row by row.
+fn solve_block(mut b: ArrayViewMut2<'_, f64>, solve: impl Fn(usize, &mut [f64])) {
+    let mut own: Vec<f64> = b.iter().copied().collect();
+    solve(b.ncols(), &mut own);
+    b.iter_mut().zip(own).for_each(|(x, own)| *x = own);
+}
+
+/// Solves L·X = B in place; L and B are given row by row.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn solve_rows(lower: &[f64], columns: usize, b: &mut [f64]) {
+    let n = b.len() / columns.max(1);
+    for i in 0..n {
+        let (above, below) = b.split_at_mut(i * columns);
+        let row = &mut below[..columns];
+        for j in 0..i {
+            subtract(row, lower[i * n + j], &above[j * columns..]);
         }
-        row /= l[[i, i]];
+        divide(row, lower[i * n + i]);
+    }
+}
+
+/// Solves U·X = B in place; U is upper triangular, and given row by row, as is B.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn solve_rows_upwards(upper: &[f64], columns: usize, b: &mut [f64]) {
+    let n = b.len() / columns.max(1);
+    for i in (0..n).rev() {
+        let (above, below) = b.split_at_mut((i + 1) * columns);
+        let row = &mut above[i * columns..];
+        for j in i + 1..n {
+            subtract(row, upper[i * n + j], &below[(j - i - 1) * columns..]);
+        }
+        divide(row, upper[i * n + i]);
+    }
+}
+
+/// x ← x − factor·y
+#[inline(always)]
+fn subtract(x: &mut [f64], factor: f64, y: &[f64]) {
+    for i in 0..x.len().min(y.len()) {
+        x[i] -= factor * y[i];
+    }
+}
+
+#[inline(always)]
+fn divide(x: &mut [f64], by: f64) {
+    for x in x {
+        *x /= by;
     }
 }
 
@@ -203,212 +243,12 @@ pub(crate) fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
         for begin in (0..n).step_by(ROWS_A_SUM) {
             let rows = vectors.slice(s![begin..(begin + ROWS_A_SUM).min(n), from..]);
             let product = rows.t().dot(&rows.slice(s![.., ..to - from]));
-            below.zip_mut_with(&product, |sum, &x| *sum += f64::from(x));
+            for (mut sums, product) in below.rows_mut().into_iter().zip(product.rows()) {
+                sums.zip_mut_with(&product, |sum, &x| *sum += f64::from(x));
+            }
         }
     });
     gram
-}
-
-/// Eigenvalues and eigenvectors of a symmetric matrix.
-pub(crate) struct EigenPairs {
-    values: Vec<f64>,
-    /// One eigenvector a row, shape (n, n).
-    vectors: Array2<f64>,
-}
-
-impl EigenPairs {
-    /// Decomposes a matrix of shape (n, n), given row by row, whose eigenvalues count down to `least`:
-    /// Householder reflections make it tridiagonal, implicit QR steps diagonal (Golub & Van Loan, §8.3).
-    pub(crate) fn new(matrix: Vec<f64>, n: usize, least: f64) -> Self {
-        /// The errors of QR are about 1e-15 of the largest eigenvalue.
-        const RANGE: f64 = 1e7;
-        let largest = (0..n).map(|i| matrix[i * n + i]).fold(0.0, f64::max);
-        // False for NaN as well.
-        let is_narrow = largest <= RANGE * least;
-        if !is_narrow {
-            return Self::by_rotations(matrix, n);
-        }
-        let (mut values, mut beside, mut vectors) = tridiagonal(matrix, n);
-        diagonal(&mut values, &mut beside, &mut vectors);
-        Self::of(values, vectors)
-    }
-
-    fn of(values: Vec<f64>, vectors: Vec<f64>) -> Self {
-        let n = values.len();
-        // The buffer has n·n values.
-        Self { vectors: Array2::from_shape_vec((n, n), vectors).unwrap_or_default(), values }
-    }
-
-    /// Decomposes a matrix with cyclic Jacobi rotations (Golub & Van Loan, §8.5). They cost ten times as
-    /// much for 60 rows, but find small eigenvalues beside far larger ones.
-    fn by_rotations(mut a: Vec<f64>, n: usize) -> Self {
-        /// Sweeps converge quadratically; ten are plenty.
-        const SWEEPS: usize = 30;
-        let mut vectors = vec![0.0; n * n];
-        (0..n).for_each(|i| vectors[i * n + i] = 1.0);
-        let diagonal: f64 = (0..n).map(|i| a[i * n + i].powi(2)).sum();
-        for _ in 0..SWEEPS {
-            let off: f64 = (0..n)
-                .flat_map(|i| (0..i).map(move |j| (i, j)))
-                .map(|(i, j)| a[i * n + j].powi(2))
-                .sum();
-            if off <= 1e-24 * diagonal {
-                break;
-            }
-            for p in 0..n {
-                for q in p + 1..n {
-                    rotate(&mut a, &mut vectors, n, (p, q));
-                }
-            }
-        }
-        Self::of((0..n).map(|i| a[i * n + i]).collect(), vectors)
-    }
-
-    /// The matrix with the same eigenvectors and the eigenvalues `f`(λ), row by row.
-    pub(crate) fn map(&self, f: impl Fn(f64) -> f64) -> Vec<f64> {
-        let mut scaled = self.vectors.clone();
-        for (mut row, &value) in scaled.rows_mut().into_iter().zip(&self.values) {
-            row *= f(value);
-        }
-        self.vectors.t().dot(&scaled).into_iter().collect()
-    }
-}
-
-/// Makes a symmetric matrix A tridiagonal: T = Qᵀ·A·Q. Gives the diagonal of T, the values beside it,
-/// each before its own row, and Qᵀ.
-fn tridiagonal(mut a: Vec<f64>, n: usize) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
-    let mut q = vec![0.0; n * n];
-    (0..n).for_each(|i| q[i * n + i] = 1.0);
-    let (mut p, mut beside) = (vec![0.0; n], vec![0.0; n]);
-    for k in 0..n.saturating_sub(1) {
-        let from = k + 1;
-        // The reflection I − 2·v·vᵀ/|v|² that turns row k, right of the diagonal, into (−α, 0, …).
-        let mut v = a[k * n + from..(k + 1) * n].to_vec();
-        let alpha = inner(&v, &v).sqrt().copysign(v[0]);
-        beside[from] = -alpha;
-        v[0] += alpha;
-        let square = inner(&v, &v);
-        if square == 0.0 {
-            continue;
-        }
-        let scale = 2.0 / square;
-        for (p, row) in p[from..].iter_mut().zip(a.chunks_exact(n).skip(from)) {
-            *p = scale * inner(&row[from..], &v);
-        }
-        let half = 0.5 * scale * inner(&p[from..], &v);
-        p[from..].iter_mut().zip(&v).for_each(|(p, v)| *p -= half * v);
-        for (i, row) in a.chunks_exact_mut(n).skip(from).enumerate() {
-            let (own_v, own_p) = (v[i], p[from + i]);
-            for ((x, v), p) in row[from..].iter_mut().zip(&v).zip(&p[from..]) {
-                *x -= own_v * p + own_p * v;
-            }
-        }
-        // Qᵀ ← (I − 2·v·vᵀ/|v|²)·Qᵀ
-        p.fill(0.0);
-        for (v, row) in v.iter().zip(q.chunks_exact(n).skip(from)) {
-            p.iter_mut().zip(row).for_each(|(p, x)| *p += scale * v * x);
-        }
-        for (v, row) in v.iter().zip(q.chunks_exact_mut(n).skip(from)) {
-            row.iter_mut().zip(&p).for_each(|(x, p)| *x -= v * p);
-        }
-    }
-    ((0..n).map(|i| a[i * n + i]).collect(), beside, q)
-}
-
-/// Makes a tridiagonal matrix diagonal; turns the rows of `vectors` with it.
-fn diagonal(values: &mut [f64], beside: &mut [f64], vectors: &mut [f64]) {
-    /// Two or three steps an eigenvalue are usual.
-    const STEPS: usize = 60;
-    let n = values.len();
-    let mut last = n.saturating_sub(1);
-    for _ in 0..STEPS * n {
-        let joined = |at: usize, values: &[f64], beside: &[f64]| {
-            beside[at].abs() > f64::EPSILON * (values[at - 1].abs() + values[at].abs())
-        };
-        while last > 0 && !joined(last, values, beside) {
-            last -= 1;
-        }
-        if last == 0 {
-            return;
-        }
-        let mut first = last - 1;
-        while first > 0 && joined(first, values, beside) {
-            first -= 1;
-        }
-        // The eigenvalue of the last 2 × 2 block that is nearer to its last value (Wilkinson's shift).
-        let (off, half) = (beside[last], 0.5 * (values[last - 1] - values[last]));
-        let shift = values[last] - off * off / (half + half.hypot(off).copysign(half));
-        let (mut x, mut z) = (values[first] - shift, beside[first + 1]);
-        for k in first..last {
-            let length = x.hypot(z);
-            let (c, s) = if length == 0.0 { (1.0, 0.0) } else { (x / length, z / length) };
-            if k > first {
-                beside[k] = length;
-            }
-            let (a, b, d) = (values[k], beside[k + 1], values[k + 1]);
-            values[k] = c * c * a + 2.0 * c * s * b + s * s * d;
-            values[k + 1] = s * s * a - 2.0 * c * s * b + c * c * d;
-            beside[k + 1] = c * s * (d - a) + (c * c - s * s) * b;
-            x = beside[k + 1];
-            if k + 1 < last {
-                z = s * beside[k + 2];
-                beside[k + 2] *= c;
-            }
-            let (above, below) = vectors.split_at_mut((k + 1) * n);
-            for (u, w) in above[k * n..].iter_mut().zip(&mut below[..n]) {
-                (*u, *w) = (c * *u + s * *w, c * *w - s * *u);
-            }
-        }
-    }
-}
-
-/// Σ a·b, by four sums, so that no addition waits for the one before.
-fn inner(a: &[f64], b: &[f64]) -> f64 {
-    const LANES: usize = 4;
-    let ((a, rest_a), (b, rest_b)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
-    let mut sums = [0.0; LANES];
-    for (a, b) in a.iter().zip(b) {
-        for lane in 0..LANES {
-            sums[lane] += a[lane] * b[lane];
-        }
-    }
-    sums.iter().sum::<f64>() + rest_a.iter().zip(rest_b).map(|(a, b)| a * b).sum::<f64>()
-}
-
-/// Appends the upper triangle of a symmetric matrix of shape (n, n). Off-diagonal values are
-/// multiplied by √2, so that distances between such lists are Frobenius distances of matrices.
-pub(crate) fn push_upper(matrix: &[f64], n: usize, vector: &mut Vec<f32>) {
-    for row in 0..n {
-        for column in row..n {
-            let factor = if row == column { 1.0 } else { std::f64::consts::SQRT_2 };
-            vector.push((factor * matrix[row * n + column]) as f32);
-        }
-    }
-}
-
-/// One rotation that makes a_pq zero. Eigenvectors are the rows of `v`.
-fn rotate(a: &mut [f64], v: &mut [f64], n: usize, (p, q): (usize, usize)) {
-    let off = a[p * n + q];
-    if off == 0.0 {
-        return;
-    }
-    let tau = (a[q * n + q] - a[p * n + p]) / (2.0 * off);
-    let t = tau.signum() / (tau.abs() + (1.0 + tau * tau).sqrt());
-    let c = 1.0 / (1.0 + t * t).sqrt();
-    let s = t * c;
-    for k in 0..n {
-        let (x, y) = (a[k * n + p], a[k * n + q]);
-        a[k * n + p] = c * x - s * y;
-        a[k * n + q] = s * x + c * y;
-        let (x, y) = (v[p * n + k], v[q * n + k]);
-        v[p * n + k] = c * x - s * y;
-        v[q * n + k] = s * x + c * y;
-    }
-    for k in 0..n {
-        let (x, y) = (a[p * n + k], a[q * n + k]);
-        a[p * n + k] = c * x - s * y;
-        a[q * n + k] = s * x + c * y;
-    }
 }
 
 #[cfg(test)]
@@ -450,45 +290,5 @@ mod tests {
         for ((i, j), expected) in full.indexed_iter().filter(|((i, j), _)| j <= i) {
             assert!((lower[[i, j]] - expected).abs() < 1e-5 * full[[i, i]], "{i}, {j}");
         }
-    }
-
-    #[test]
-    fn eigenvectors_are_orthogonal_and_make_the_matrix_again() {
-        let twins = |n: usize| Array2::from_shape_fn((n, n), |(i, j)| f64::from(i % 2 == j % 2));
-        let matrices = [1, 2, 3, 21, 60].map(matrix).into_iter();
-        for a in matrices.chain([Array2::zeros((4, 4)), Array2::eye(5), twins(8)]) {
-            let n = a.nrows();
-            let list: Vec<f64> = a.iter().copied().collect();
-            let pairs = EigenPairs::new(list.clone(), n, f64::INFINITY);
-            let near = |got: &[f64], expected: &Array2<f64>| {
-                let size = expected.iter().fold(1.0, |most: f64, x| most.max(x.abs()));
-                got.iter().zip(expected).all(|(x, y)| (x - y).abs() < 1e-12 * size)
-            };
-            assert!(near(&pairs.map(|x| x), &a), "{n}: the matrix");
-            assert!(near(&pairs.map(|_| 1.0), &Array2::eye(n)), "{n}: orthogonal");
-            let slow = EigenPairs::by_rotations(list, n).map(|x| (x + 0.1).ln());
-            let slow = Array2::from_shape_vec((n, n), slow).unwrap();
-            assert!(near(&pairs.map(|x| (x + 0.1).ln()), &slow), "{n}: by rotations");
-        }
-    }
-
-    #[test]
-    fn the_logarithm_of_a_matrix_undoes_its_exponential() {
-        let n = 6;
-        let value = |i: usize, j: usize| ((i * j + i + j) as f64 * 0.7).sin() * 0.3;
-        let m = Array2::from_shape_fn((n, n), |(i, j)| value(i.min(j), i.max(j)));
-        // e^m by its series, which converges fast since m is small.
-        let (mut exponential, mut term) = (Array2::<f64>::eye(n), Array2::<f64>::eye(n));
-        for k in 1..40 {
-            term = term.dot(&m) / f64::from(k);
-            exponential += &term;
-        }
-        let log = EigenPairs::new(exponential.into_raw_vec_and_offset().0, n, 1.0).map(f64::ln);
-        for (got, expected) in log.iter().zip(m.iter()) {
-            assert!((got - expected).abs() < 1e-9, "{got} vs {expected}");
-        }
-        let mut upper = Vec::new();
-        push_upper(&[1.0, 2.0, 2.0, 5.0], 2, &mut upper);
-        assert_eq!(upper, [1.0, 2.0 * 2f32.sqrt(), 5.0]);
     }
 }

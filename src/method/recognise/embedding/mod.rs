@@ -17,6 +17,7 @@
 mod band_sums;
 mod copies;
 pub(crate) mod discriminant;
+mod eigen;
 mod ensemble;
 mod follower;
 mod fourier;

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use ndarray::{ArrayView1, Axis, s};
+use ndarray::{ArrayView1, s};
 use rayon::prelude::*;
 use serde::Deserialize;
 
@@ -146,10 +146,14 @@ impl EmbeddingModel {
 
     pub(super) fn posterior(&self, vector: &[f32], present: &Present, scan_s: f64) -> Posterior {
         let trained = self.trained(present);
-        let vector = ArrayView1::from(vector).insert_axis(Axis(0));
+        let vector = ArrayView1::from(vector);
         let p_value = trained.p_value(vector, scan_s);
         // One vector has one answer.
-        self.posterior_of(&trained.all.answers(vector)[0], trained.temperature.at(scan_s), p_value)
+        self.posterior_of(
+            &trained.all.answers(&[vector])[0],
+            trained.temperature.at(scan_s),
+            p_value,
+        )
     }
 
     fn stretches<'a>(&'a self, present: &'a Present) -> impl Iterator<Item = &'a Stretch> {

@@ -27,10 +27,6 @@ impl PackedFrames {
         self.values.extend_from_slice(&other.values);
     }
 
-    pub(super) fn is_empty(&self) -> bool {
-        self.values.is_empty()
-    }
-
     /// All values, as ln power.
     pub fn values(&self) -> Vec<f32> {
         self.part(self.values.len(), 0..1)

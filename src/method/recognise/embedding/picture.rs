@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::{Counts, ViewEmbedder};
-use super::linear::{EigenPairs, push_upper};
+use super::eigen::{EigenPairs, push_upper};
 use super::tiles::{CHANNELS, PictureTiles, STACKED};
 
 /// Added to the eigenvalues of a covariance after they are divided by their unit.

@@ -80,6 +80,14 @@ fn edge(bin: usize) -> f32 {
     if bin == 0 { 0.0 } else { f32::from_bits((FIRST + bin as u32) << SHIFT) }
 }
 
+/// Number of empty bins before the first that is not. Most are, so they are looked at in groups.
+fn empty(counts: &[u32]) -> usize {
+    let (groups, _) = counts.as_chunks::<16>();
+    let is_empty = |group: &&[u32; 16]| group.iter().fold(0, |all, n| all | n) == 0;
+    let from = 16 * groups.iter().take_while(is_empty).count();
+    from + counts[from..].iter().take_while(|n| **n == 0).count()
+}
+
 /// The quantiles of a histogram whose bin i begins at `edge(i)`; 0 where it is empty.
 fn quantiles(counts: &[u32], edge: impl Fn(usize) -> f32) -> [f32; QUANTILES] {
     let total = counts.iter().sum::<u32>() as f32;
@@ -90,9 +98,7 @@ fn quantiles(counts: &[u32], edge: impl Fn(usize) -> f32) -> [f32; QUANTILES] {
             below += counts[bin] as f32;
             bin += 1;
             if below <= wanted {
-                // Most bins are empty.
-                let empty = counts[bin..counts.len() - 1].iter().take_while(|n| **n == 0).count();
-                bin += empty;
+                bin += empty(&counts[bin..counts.len() - 1]);
             }
         }
         if total == 0.0 {

@@ -3,13 +3,17 @@
 //! shape (relative to the series' own level) and in level. The means of channels join them, except
 //! where a source is compared in only part of its spectrum ([`super::passed`]).
 
+use std::borrow::Cow;
+
+use multiversion::multiversion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::{BandSums, Counts, ViewEmbedder, median};
+use super::eigen::{EigenPairs, push_upper};
 use super::frames::{SeriesFrames, SourceViews};
 use super::growing::Piece;
-use super::linear::{EigenPairs, push_upper};
+use super::lanes::ln;
 use super::moments::{LOUDNESS, MOMENTS, MOST_LAGGED, Moments, Statistics};
 use super::packed::PackedFrames;
 use super::quantiles::QUANTILES;
@@ -52,7 +56,7 @@ impl SeriesEmbedder {
         let views = trials[0].views.clone();
         let embedder = |view: usize| {
             let counts: Vec<Counts> = (trials.par_iter())
-                .map(|trial| counted(&views.frames[view], &trial.whole.frames[view]).on_surface())
+                .map(|trial| counted(&views.frames[view], &trial.whole.frames[view]))
                 .collect();
             ViewEmbedder::new(&counts)
         };
@@ -108,21 +112,29 @@ impl SeriesEmbedder {
     /// The vector of a series or a copy, as if multiplied by a gain of e^`ln_gain`. `moments_hz` is
     /// [`SourceViews::moments_hz`].
     pub(super) fn embed(&self, piece: &Piece, moments_hz: f64, ln_gain: f64) -> Vec<f32> {
-        let sums = [0, 1].map(|view| counted(&self.views.frames[view], &piece.frames[view]));
-        self.vector(&sums, &piece.moments, moments_hz, ln_gain)
+        let counts =
+            |view: usize| Cow::Owned(counted(&self.views.frames[view], &piece.frames[view]));
+        self.vector(counts, &piece.moments, moments_hz, ln_gain)
     }
 
-    /// The vector of a series, or of a part of it, from its sums.
-    pub(super) fn vector(
+    /// The vector of the beginning of a series, from the sums of its complete frames. `end` holds the
+    /// frames after these.
+    pub(super) fn growing(&self, sums: &[BandSums; 2], end: &Piece, moments_hz: f64) -> Vec<f32> {
+        let counts = |view: usize| sums[view].on_surface(&end.frames[view].values());
+        self.vector(counts, &end.moments, moments_hz, 0.0)
+    }
+
+    /// The vector of a series, or of a part of it. `counts` gives the frames of a view on the surface.
+    fn vector<'c>(
         &self,
-        views: &[BandSums; 2],
+        counts: impl Fn(usize) -> Cow<'c, Counts>,
         moments: &Moments,
         moments_hz: f64,
         ln_gain: f64,
     ) -> Vec<f32> {
         let mut vector = Vec::with_capacity(self.dims());
-        for (embedder, sums) in self.frames.iter().zip(views) {
-            embedder.push(&sums.on_surface(), ln_gain, &mut vector);
+        for (view, embedder) in self.frames.iter().enumerate() {
+            embedder.push(&counts(view), ln_gain, &mut vector);
         }
         let stats = moments.statistics(moments_hz, ln_gain);
         if !self.views.passed {
@@ -179,18 +191,33 @@ impl SeriesEmbedder {
         }
         let log = EigenPairs::new(matrix, size, RIDGE).map(|x| (x.max(0.0) + RIDGE).ln());
         push_upper(&log, size, vector);
+        let mut correlations = Vec::with_capacity(channels * channels / 2);
         for i in 0..channels {
             for j in i + 1..channels {
                 let scale = stats.deviations[i] * stats.deviations[j];
-                let correlation = stats.covariances[0][i * channels + j] / scale;
-                vector.push(correlation.clamp(-MOST_CORRELATED, MOST_CORRELATED).atanh() as f32);
+                correlations.push(stats.covariances[0][i * channels + j] / scale);
             }
         }
+        push_atanh(&correlations, vector);
     }
 }
 
-pub(super) fn counted(view: &FrameView, frames: &PackedFrames) -> BandSums {
-    let mut sums = BandSums::new(view.channels, view.width());
-    sums.add(&frames.values());
-    sums
+/// Appends the atanh of correlations, at most that of [`MOST_CORRELATED`].
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+fn push_atanh(correlations: &[f64], vector: &mut Vec<f32>) {
+    let first = vector.len();
+    vector.resize(first + correlations.len(), 0.0);
+    let out = &mut vector[first..];
+    for i in 0..out.len().min(correlations.len()) {
+        let x = correlations[i].clamp(-MOST_CORRELATED, MOST_CORRELATED);
+        out[i] = (0.5 * ln((1.0 + x) / (1.0 - x))) as f32;
+    }
+}
+
+fn counted(view: &FrameView, frames: &PackedFrames) -> Counts {
+    Counts::on_surface(view.channels, view.width(), &frames.values())
 }

@@ -15,7 +15,7 @@ use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 use serde::{Deserialize, Serialize};
 
-use super::band_sums::{BandSums, Counts};
+use super::band_sums::Counts;
 use super::lanes::{chunks, dot, powers};
 use super::packed::PackedFrames;
 use crate::recognise::features::windowed_frames::sum;
@@ -94,14 +94,14 @@ impl PictureTiles {
     pub(super) fn counts(&self, quarter: Option<usize>) -> Counts {
         let part = quarter.map(pixels_of);
         let lies = |at: usize, within: &Range<usize>| within.start <= at && at + SIDE <= within.end;
-        let mut sums = BandSums::new(CHANNELS, Self::width());
+        let mut tiles = Vec::new();
         for (tile, row) in self.tiles.values().chunks_exact(Self::width()).enumerate() {
             let (top, left) = (tile / TILES[1] * HOP, tile % TILES[1] * HOP);
             if part.as_ref().is_none_or(|(rows, columns)| lies(top, rows) && lies(left, columns)) {
-                sums.add(row);
+                tiles.extend_from_slice(row);
             }
         }
-        sums.on_surface()
+        Counts::on_surface(CHANNELS, Self::width(), &tiles)
     }
 
     /// Statistics of all pixels, or of those of a quarter. Pairs of pixels across the borders of
