@@ -122,6 +122,11 @@ pub(crate) fn number_in(name: &str) -> Option<u32> {
     name[stem.len()..].parse().ok()
 }
 
+/// The extension of a file, in lower case.
+pub(super) fn extension(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
+}
+
 /// The items in a folder, sorted by name; links are followed. [`Listed::unusable`] is set for
 /// broken links, for names that are not UTF-8, and for items that are neither files nor folders.
 pub fn list(dir: &Path) -> Result<Vec<Listed>, LibraryError> {

@@ -323,7 +323,7 @@ impl Headers {
         let id = &spec.id;
         let fail = |problem| Err(LibraryError::file(path, problem));
         if spec.domain == Domain::Image {
-            let kind = series_file::extension(path).to_uppercase();
+            let kind = files::extension(path).to_uppercase();
             return fail(format!(
                 "a {kind} file, but source `{id}` is an image; expected {id}.png or {id}.jpg"
             ));

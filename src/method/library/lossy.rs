@@ -29,7 +29,7 @@ use symphonia_format_isomp4::IsoMp4Reader;
 use symphonia_format_ogg::OggReader;
 
 use super::files::{self, check_length};
-use super::{LibraryError, Outline, series_file};
+use super::{LibraryError, Outline};
 use crate::trial::Series;
 
 /// Takes a file apart without decoding it, which checks all but the content of its frames.
@@ -90,7 +90,7 @@ struct Sound {
 
 fn open(path: &Path) -> Result<Sound, LibraryError> {
     let bytes = files::read_bytes(path, files::MOST_TEXT)?;
-    let sound = match &*series_file::extension(path) {
+    let sound = match &*files::extension(path) {
         "mp3" => mp3(bytes),
         "m4a" => m4a(bytes),
         _ => ogg(bytes),

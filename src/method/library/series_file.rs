@@ -19,7 +19,7 @@ use crate::trial::Series;
 
 /// Reads the header of a file. For WAV, also checks that the file is as long as its header says.
 pub(crate) fn probe(path: &Path) -> Result<Outline, LibraryError> {
-    match &*extension(path) {
+    match &*files::extension(path) {
         "flac" => {
             guarded(|| open_flac(path).map(|(_, _, header)| header), |why| damaged(path, why))
         }
@@ -31,7 +31,7 @@ pub(crate) fn probe(path: &Path) -> Result<Outline, LibraryError> {
 
 /// Reads a whole file. Divides integer samples by 2^(bits − 1), so that they lie within ±1.
 pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
-    let (header, samples) = match &*extension(path) {
+    let (header, samples) = match &*files::extension(path) {
         "flac" => guarded(|| decode_flac(path), |why| damaged(path, why))?,
         #[cfg(feature = "lossy")]
         _ if is_lossy(path) => guarded(|| lossy::read(path), |why| lossy::damaged(path, why))?,
@@ -41,14 +41,9 @@ pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
     series.map_err(|error| LibraryError::file(path, error))
 }
 
-/// The extension of a file, in lower case.
-pub(super) fn extension(path: &Path) -> String {
-    path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
-}
-
 /// Whether a file's coding leaves out what people do not hear.
 pub(super) fn is_lossy(path: &Path) -> bool {
-    files::LOSSY.contains(&&*extension(path))
+    files::LOSSY.contains(&&*files::extension(path))
 }
 
 /// Runs a decoder. If it panics, as decoders may on damaged files, returns the error `failed`.

@@ -246,11 +246,7 @@ fn rotate(a: &mut [f64], v: &mut [f64], n: usize, (p, q): (usize, usize)) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn matrix(n: usize) -> Array2<f64> {
-        let b = Array2::from_shape_fn((n, n), |(i, j)| ((i * 31 + j * 17) as f64).sin());
-        b.t().dot(&b) + Array2::<f64>::eye(n) * 0.5
-    }
+    use crate::recognise::embedding::linear::tests::matrix;
 
     #[test]
     fn eigenvectors_are_orthogonal_and_make_the_matrix_again() {

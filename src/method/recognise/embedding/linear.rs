@@ -252,10 +252,11 @@ pub(crate) fn lower_gram(vectors: &ArrayView2<'_, f32>) -> Array2<f64> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn matrix(n: usize) -> Array2<f64> {
+    /// A symmetric matrix of positive eigenvalues.
+    pub(crate) fn matrix(n: usize) -> Array2<f64> {
         let b = Array2::from_shape_fn((n, n), |(i, j)| ((i * 31 + j * 17) as f64).sin());
         b.t().dot(&b) + Array2::<f64>::eye(n) * 0.5
     }
