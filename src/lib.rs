@@ -12,7 +12,7 @@
 //! ```
 //!
 //! No folder imports what stands above it. Whoever works with recordings alone needs only
-//! [`surfaced_method`], whose first page has examples.
+//! [`surfaced_method`], whose first page has an example.
 //!
 //! | to | use |
 //! |---|---|

@@ -2,7 +2,6 @@
 //! duplicates, one outlier. (The kernel's own sums on such samples: `score`.)
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use crate::common::id;
 use proptest::prelude::*;
@@ -68,10 +67,10 @@ fn ranking(
     }
     let draw =
         if identical { seed.wrapping_add(1).wrapping_mul(kinds[0] as u64 * 2 + 3) } else { !seed };
-    let query = Arc::new(trial("ash", 9, kinds[0], draw));
+    let query = trial("ash", 9, kinds[0], draw);
     let all = (0..library.len()).collect();
     let model = ready_model(method, &library, &all, None, &|_, _| ())?.model;
-    model.rank(&model.prepare(&Entry::in_memory(Arc::clone(&query)), &query)?)
+    model.rank_trial(query)
 }
 
 fn reference(scene: Scene, precision: SumPrecision) -> Reference {

@@ -120,7 +120,7 @@ fn trained(scene: &Scene, method: &Embedding, library: &[Trial]) -> EmbeddingMod
 }
 
 fn rank(model: &EmbeddingModel, query: &Trial) -> Result<Ranking, RecogniseError> {
-    model.rank(&model.prepare(&Entry::in_memory(query.clone()), query)?)
+    model.rank_trial(query.clone())
 }
 
 /// Coloured noise: each surface has a spectrum and a roughness of its own. About `seconds` long.

@@ -69,6 +69,15 @@ pub trait Model: Send + Sync {
     /// prepared for another method.
     fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError>;
 
+    /// Prepares a trial, and ranks the library's surfaces by it.
+    ///
+    /// # Errors
+    /// The errors of [`Model::prepare`] and [`Model::rank`].
+    fn rank_trial(&self, trial: Trial) -> Result<Ranking, RecogniseError> {
+        let trial = Arc::new(trial);
+        self.rank(&self.prepare(&Entry::in_memory(trial.clone()), &trial)?)
+    }
+
     /// The evidence of each source alone; `None` if the method cannot separate the sources.
     ///
     /// # Errors

@@ -1,11 +1,16 @@
 //! The methods that compare trials, with their settings, in one table.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
 use super::classify::{Classifier, OnFeatures};
 use super::embedding::{Embedding, EmbeddingOptions};
-use super::method::Method;
+use super::error::RecogniseError;
+use super::method::{Method, Model};
+use super::ready_model::ready_model;
 use super::reference::{Reference, ReferenceOptions};
+use crate::library::Library;
 use crate::scene::Scene;
 
 /// Upper limit of each count in the settings: samples, repetitions and neighbours.
@@ -63,6 +68,16 @@ macro_rules! methods {
 }
 
 impl MethodSpec {
+    /// Fits a model to all trials of a library; [`ready_model`] does so with caches and progress.
+    ///
+    /// # Errors
+    /// If a trial cannot be read or does not fit the scene, and the errors of [`Method::fit`].
+    pub fn fit(&self, library: &Library) -> Result<Arc<dyn Model>, RecogniseError> {
+        let all = (0..library.entries.len()).collect();
+        let method = self.build(&library.scene);
+        Ok(ready_model(&*method, &library.entries, &all, None, &|_, _| ())?.model)
+    }
+
     /// The same method with another seed; `None` if it draws nothing at random.
     pub fn seeded(&self, seed: u64) -> Option<Self> {
         match self {

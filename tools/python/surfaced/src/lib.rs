@@ -11,9 +11,7 @@ use surfaced_method::dataset;
 use surfaced_method::independence::{Question, report};
 use surfaced_method::kernel::{Dependence, Threshold, test_independence};
 use surfaced_method::library::{Entry, Library};
-use surfaced_method::recognise::{
-    EmbeddingOptions, MethodSpec, Model as Named, ready_model, score_samples,
-};
+use surfaced_method::recognise::{EmbeddingOptions, MethodSpec, Model as Named, score_samples};
 use surfaced_method::record::{TrialOptions, write_library_toml, write_trial};
 use surfaced_method::scene::{Scene, SourceId};
 use surfaced_method::seed;
@@ -68,19 +66,16 @@ impl Model {
     #[new]
     fn new(py: Python<'_>, x: Arrays<'_>, about: About, seed: u64) -> PyResult<Self> {
         let (source, library) = library(&x, &about)?;
-        let method = MethodSpec::Embedding(EmbeddingOptions { seed }).build(&library.scene);
-        let all = (0..library.entries.len()).collect();
-        let ready = py.detach(|| ready_model(&*method, &library.entries, &all, None, &|_, _| ()));
-        Ok(Self { model: ready.map_err(refused)?.model, source, rate_hz: about.rate_hz })
+        let method = MethodSpec::Embedding(EmbeddingOptions { seed });
+        let model = py.detach(|| method.fit(&library)).map_err(refused)?;
+        Ok(Self { model, source, rate_hz: about.rate_hz })
     }
 
     /// For each query, the surfaces and their probabilities, the most likely first.
     fn rank(&self, py: Python<'_>, x: Arrays<'_>) -> PyResult<Vec<Vec<(String, f64)>>> {
         let name = |(at, series)| {
             let trial = Trial::of_series(TrialKey::new("", "", 1), self.source.clone(), series);
-            let entry = Entry::in_memory(trial.clone());
-            let query = self.model.prepare(&entry, &trial);
-            let ranking = query.and_then(|query| self.model.rank(&query));
+            let ranking = self.model.rank_trial(trial);
             let ranking =
                 ranking.map_err(|why| format!("series {at} of X (counted from 0): {why}"))?;
             let probabilities = ranking.probabilities();
