@@ -98,10 +98,11 @@ struct MovingScan {
     recent: BTreeMap<SourceId, RecentFrames>,
     /// Scan time from which this library names it, in seconds.
     begin_s: f64,
-    /// Scan time of the last snapshot, of the end of the last gap, and up to which data have counted as
-    /// evidence, in seconds.
+    /// Scan time of the last snapshot, in seconds.
     heard_s: f64,
+    /// Scan time at which the last gap ended, in seconds.
     whole_from_s: f64,
+    /// Scan time up to which data have counted as evidence, in seconds.
     counted_s: f64,
     smoothed: Option<Smoothed>,
     stretch: Option<Stretch>,
