@@ -25,11 +25,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
-use serde::Serialize;
-
 use super::answer::{Answer, AnswerState};
 use super::certainty::EVEN;
-use super::event::{AnsweredScan, Guess, SurfaceProbability};
+use super::event::{AnsweredScan, Change, FoundSurface, Guess, SurfaceProbability};
 use super::recogniser::{FlawsBySource, Recogniser};
 use crate::recognise::{RankedSurface, Ranking, Rejection, StickyFilter, stated_probabilities};
 use crate::scan::{Fresh, Progress, Scan};
@@ -47,32 +45,6 @@ pub struct Continuous {
     pub hop_s: f64,
     /// How long the surface stays the same on average, in seconds; above `hop_s`.
     pub expected_stay_s: f64,
-}
-
-/// Another surface was found than before, or the first one of a scan.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Change {
-    /// When it was found, in milliseconds since 1970 (UTC).
-    pub unix_ms: u64,
-    pub scan: u32,
-    /// When it was found, in seconds since the begin of the scan.
-    pub at_s: f64,
-    /// Since when the surface has been there, as far as known when it was found, in seconds since the begin of
-    /// the scan.
-    pub since_s: f64,
-    /// The surface before; `None` at the begin of a scan.
-    pub from: Option<FoundSurface>,
-    pub to: FoundSurface,
-    /// Probability of the new surface, if it is one of the library's; `None` if it is unknown.
-    pub confidence: Option<f64>,
-}
-
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct FoundSurface {
-    /// Named, nearest or unknown.
-    pub state: AnswerState,
-    /// `None` if it is unknown.
-    pub surface: Option<String>,
 }
 
 /// What new data of a scan have shown.

@@ -11,12 +11,37 @@ use serde::Serialize;
 
 use super::account;
 use super::answer::{Answer, AnswerState};
-use super::continuous::Change;
 use super::recogniser::{LibraryState, Recogniser};
 use crate::device::{DeviceState, Warning};
 use crate::scan::{Scan, StreamMeter, Totals, Trace};
 use crate::scene::Phase;
 use crate::trial::Doubt;
+
+/// Another surface was found than before, or the first one of a scan.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Change {
+    /// When it was found, in milliseconds since 1970 (UTC).
+    pub unix_ms: u64,
+    pub scan: u32,
+    /// When it was found, in seconds since the begin of the scan.
+    pub at_s: f64,
+    /// Since when the surface has been there, as far as known when it was found, in seconds since the begin of
+    /// the scan.
+    pub since_s: f64,
+    /// The surface before; `None` at the begin of a scan.
+    pub from: Option<FoundSurface>,
+    pub to: FoundSurface,
+    /// Probability of the new surface, if it is one of the library's; `None` if it is unknown.
+    pub confidence: Option<f64>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FoundSurface {
+    /// Named, nearest or unknown.
+    pub state: AnswerState,
+    /// `None` if it is unknown.
+    pub surface: Option<String>,
+}
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SurfaceProbability {

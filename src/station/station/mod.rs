@@ -23,12 +23,12 @@ mod worker;
 pub use account::{damage, told};
 pub use answer::{Answer, AnswerState, ChannelLevel};
 pub use assemble::{Assembled, assemble};
-pub use continuous::{Change, Continuous, FoundSurface};
+pub use continuous::Continuous;
 #[doc(hidden)] // For the project's own tools.
 pub use continuous::{ContinuousNaming, Heard};
 pub use event::{
-    AnsweredScan, Command, End, Enrolled, EnrolledOutcome, Enrolling, Guess, Listener, RefusedScan,
-    StationEvent, SurfaceProbability,
+    AnsweredScan, Change, Command, End, Enrolled, EnrolledOutcome, Enrolling, FoundSurface, Guess,
+    Listener, RefusedScan, StationEvent, SurfaceProbability,
 };
 pub use orders::Keep;
 pub use recogniser::{LibraryState, Load, Recogniser, SourceSays, Why};
