@@ -1,12 +1,15 @@
-//! The account of a scan, which is its doubts: how they are written as JSON, and which of them a list
-//! for people holds.
+//! The account of a scan, which is its doubts: which of them decide its state, which of them a list for
+//! people holds, and how they are written as JSON.
 
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
-use super::certainty::reasons;
 use crate::scene::SourceId;
 use crate::trial::{Doubt, lines};
+
+/// The share of the needed drag that a scan must reach to raise no doubt. Between this share and the
+/// whole, the test has fewer samples than needed, so it is weaker but not wrong.
+const LONG_ENOUGH: f64 = 0.5;
 
 /// A fault of one sensor, or lost data, as JSON has it.
 #[derive(Serialize)]
@@ -28,6 +31,37 @@ pub fn damage(doubts: &[Doubt]) -> Vec<&Doubt> {
         }
     }
     damage
+}
+
+/// The doubts that are the reasons for the state of an answer.
+pub(super) fn reasons(doubts: &[Doubt]) -> Vec<&Doubt> {
+    let answers = |doubt: &&Doubt| {
+        matches!(doubt, Doubt::FitsNone { .. } | Doubt::NotNamed { .. } | Doubt::TooLittle)
+    };
+    if let Some(answer) = doubts.iter().find(answers) {
+        return vec![answer];
+    }
+    let mut reasons: Vec<&Doubt> = doubts.iter().filter(|doubt| decides(doubt, doubts)).collect();
+    if reasons.is_empty() {
+        reasons.extend(doubts.iter().find(|doubt| **doubt == Doubt::UnknownNotDetected));
+    }
+    reasons
+}
+
+/// Whether a doubt, one of `all`, makes an answer unsure.
+pub(super) fn decides(doubt: &Doubt, all: &[Doubt]) -> bool {
+    match doubt {
+        Doubt::NotCompared { .. } | Doubt::Untested { .. } | Doubt::Improbable { .. } => true,
+        // A settled answer does not need a longer scan.
+        Doubt::TooShort { scan_s, needed_s, settled } => {
+            !settled && *scan_s < LONG_ENOUGH * needed_s
+        }
+        // A fault of a sensor counts if its source was left out for it.
+        fault if fault.is_sensor_fault() => fault.source().is_some_and(|source| {
+            all.iter().any(|other| matches!(other, Doubt::NotCompared { source: s } if s == source))
+        }),
+        other => other.spoils(),
+    }
 }
 
 fn damage_entries(doubts: &[Doubt]) -> Vec<Damage<'_>> {

@@ -5,8 +5,7 @@ use std::time::SystemTime;
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
 
-use super::account;
-use super::certainty::reasons;
+use super::account::{self, reasons};
 use crate::recognise::RankedSurface;
 use crate::scan::Scan;
 use crate::scene::SourceId;

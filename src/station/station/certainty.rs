@@ -1,5 +1,6 @@
 //! Decides how certain an answer is: its state, and the doubts that follow from the whole answer.
 
+use super::account::{decides, reasons};
 use super::answer::{Answer, AnswerState};
 use crate::recognise::{LOOK_S, Rejection};
 use crate::scan::Scan;
@@ -7,10 +8,6 @@ use crate::trial::Doubt;
 
 /// Below this probability, the first surface is less likely than all others together.
 pub(super) const EVEN: f64 = 0.5;
-
-/// The share of the needed drag that a scan must reach to raise no doubt. Between this share and the
-/// whole, the test has fewer samples than needed, so it is weaker but not wrong.
-const LONG_ENOUGH: f64 = 0.5;
 
 /// The state of a scan in progress whose first surface has this probability; `None` as long as it
 /// cannot be told whether the surface is unknown.
@@ -89,37 +86,6 @@ fn state(doubts: &[Doubt]) -> AnswerState {
         [Doubt::NotNamed { .. } | Doubt::TooLittle] => AnswerState::Unnamed,
         [Doubt::UnknownNotDetected] => AnswerState::Nearest,
         _ => AnswerState::Unsure,
-    }
-}
-
-/// The doubts that are the reasons for the state of an answer.
-pub(super) fn reasons(doubts: &[Doubt]) -> Vec<&Doubt> {
-    let answers = |doubt: &&Doubt| {
-        matches!(doubt, Doubt::FitsNone { .. } | Doubt::NotNamed { .. } | Doubt::TooLittle)
-    };
-    if let Some(answer) = doubts.iter().find(answers) {
-        return vec![answer];
-    }
-    let mut reasons: Vec<&Doubt> = doubts.iter().filter(|doubt| decides(doubt, doubts)).collect();
-    if reasons.is_empty() {
-        reasons.extend(doubts.iter().find(|doubt| **doubt == Doubt::UnknownNotDetected));
-    }
-    reasons
-}
-
-/// Whether a doubt, one of `all`, makes an answer unsure.
-fn decides(doubt: &Doubt, all: &[Doubt]) -> bool {
-    match doubt {
-        Doubt::NotCompared { .. } | Doubt::Untested { .. } | Doubt::Improbable { .. } => true,
-        // A settled answer does not need a longer scan.
-        Doubt::TooShort { scan_s, needed_s, settled } => {
-            !settled && *scan_s < LONG_ENOUGH * needed_s
-        }
-        // A fault of a sensor counts if its source was left out for it.
-        fault if fault.is_sensor_fault() => fault.source().is_some_and(|source| {
-            all.iter().any(|other| matches!(other, Doubt::NotCompared { source: s } if s == source))
-        }),
-        other => other.spoils(),
     }
 }
 
