@@ -71,7 +71,9 @@ def many_are_corrected_and_undone(browser, station, shots):
     browser.click("#select-open")
     chosen = rows(browser)[:3]
     for one in chosen:
-        browser.run("document.querySelector(`#scans tr[data-id='${arguments[0]}'] input`).focus()", one)
+        focus = ("const box = document.querySelector(`#scans tr[data-id='${arguments[0]}'] input`);"
+                 "box?.focus(); return box !== null")
+        browser.wait("a box beside the scan", lambda: browser.run(focus, one))
         browser.keys(" ")
     assert browser.text("#selected") == "3 scans selected", browser.text("#selected")
     shots_of(browser, shots, "select")
