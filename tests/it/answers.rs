@@ -92,8 +92,7 @@ fn what_is_said_does_not_depend_on_the_pieces_and_is_what_the_beginning_of_the_s
         let until = scan.clone().first_seconds(guess.scan_s, |source| {
             scene.get(source.as_str()).unwrap().phase == Phase::Drag
         });
-        let query = model.prepare(&Entry::in_memory(until.clone()), &until).unwrap();
-        let ranking = model.rank(&query).unwrap();
+        let ranking = model.rank_trial(until).unwrap();
         assert_eq!(guess.named[0].0, ranking.surface());
         let probability = ranking.confidence.unwrap();
         assert!((guess.named[0].1 - probability).abs() < 1e-4, "at {} s", guess.scan_s);
@@ -165,8 +164,7 @@ fn a_scan_that_was_followed_is_named_as_a_scan_that_was_not() {
     let (scene, model, scan) = made();
     let whole = |trial: &Trial| {
         let (sound, _) = without_flawed(trial.clone(), &scene, |id| model.rests(id));
-        let query = model.prepare(&Entry::in_memory(sound.clone()), &sound).unwrap();
-        model.rank(&query).unwrap()
+        model.rank_trial(sound).unwrap()
     };
     let mut stuck = scan.clone();
     if let Some(Signal::Series(forces)) = stuck.signals.get_mut(&id("fr")) {

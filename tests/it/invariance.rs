@@ -48,8 +48,7 @@ fn name(method: &dyn Method, library: &[Entry], query: &Trial, threads: usize) -
             method.prepare(entry, &trial, &shape).unwrap()
         });
         let model = method.fit(prepared.collect(), &shape).unwrap();
-        let query = model.prepare(&Entry::in_memory(query.clone()), query).unwrap();
-        model.rank(&query).unwrap()
+        model.rank_trial(query.clone()).unwrap()
     };
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }

@@ -9,7 +9,6 @@ use crate::common::id;
 use crate::plan::{said, surfaced, text};
 use crate::run_serve::served;
 use serde_json::{Value, json};
-use surfaced::library::Entry;
 use surfaced::recognise::{ModelFile, ModelFileError};
 use surfaced::record::{TrialOptions, write_library_toml, write_trial};
 use surfaced::scene::Scene;
@@ -67,8 +66,7 @@ fn the_fixture_is_written_anew() {
 fn answers(file: &ModelFile) -> Vec<Value> {
     let answer = |surface: usize| {
         let scan = drag(surface, "bob", 9);
-        let query = file.model.prepare(&Entry::in_memory(scan.clone()), &scan).unwrap();
-        let found = file.model.rank(&query).unwrap();
+        let found = file.model.rank_trial(scan).unwrap();
         json!({ "surface": found.surface(), "confidence": found.confidence, "p_value": found.p_value })
     };
     (0..3).map(answer).collect()

@@ -56,8 +56,7 @@ fn said(ready: ReadyModel, scan: &Trial) -> String {
         signals: scan.signals.iter().filter(|(id, _)| id.as_str() != "mi2").map(owned).collect(),
         ..scan.clone()
     };
-    let query = model.prepare(&Entry::in_memory(fewer.clone()), &fewer).unwrap();
-    said += &format!("{:?}", model.rank(&query));
+    said += &format!("{:?}", model.rank_trial(fewer));
     for loss in [0.01, 0.2] {
         let options = FollowOptions { loss, rejection: rejection.clone().ok() };
         let mut follower = embedding.clone().follow(&options);
