@@ -22,6 +22,7 @@ use super::{
     Device, DeviceError, DeviceLink, DeviceState, Disconnected, LONGEST_RETRY, OpenError,
     StreamSpec, WarningKind, keep_connected,
 };
+use crate::printable::counted;
 use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
 
@@ -65,7 +66,7 @@ struct CameraWatch<'a> {
     cycle: Cycle,
     /// Time at which the last picture without flash was pushed; `None` before the first one.
     pushed: Option<Instant>,
-    damaged: u64,
+    damaged: usize,
     summed_up: Option<Instant>,
     /// Whether the camera's own light is to be on; the reader switches it.
     torch: Arc<AtomicBool>,
@@ -227,8 +228,8 @@ impl CameraWatch<'_> {
     fn damaged(&mut self, error: &str) {
         self.damaged += 1;
         if self.summed_up.is_none_or(|at| at.elapsed() >= SUM_UP) {
-            let count = self.damaged;
-            let text = format!("{count} frames were damaged; the last: {error}");
+            let frames = counted(self.damaged, "damaged frame");
+            let text = format!("{frames}; the last: {error}");
             self.link.warn(WarningKind::Damaged, text);
             (self.damaged, self.summed_up) = (0, Some(Instant::now()));
         }
