@@ -14,17 +14,19 @@ use surfaced::record::{TrialOptions, write_library_toml, write_trial};
 use surfaced::scene::Scene;
 use surfaced::trial::{Series, Signal, Trial, TrialKey};
 
-/// A file of the first version, of the drags of [`drag`] by two people, and its answers to three more. `cargo
+/// A file of this version, of the drags of [`drag`] by two people, and its answers to three more. `cargo
 /// test --test it model_file -- --ignored` writes both.
-const FIRST: &str = "tests/fixtures/models/1.surfaced";
-const ANSWERS: &str = "tests/fixtures/model-1-answers.json";
+const CURRENT: &str = "tests/fixtures/models/2.surfaced";
+const ANSWERS: &str = "tests/fixtures/model-2-answers.json";
+/// Files of earlier versions, which this program refuses by their version.
+const EARLIER: [&str; 1] = ["tests/fixtures/models/1.surfaced"];
 
 fn path(fixture: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(fixture)
 }
 
-fn first() -> Vec<u8> {
-    fs::read(path(FIRST)).unwrap()
+fn current() -> Vec<u8> {
+    fs::read(path(CURRENT)).unwrap()
 }
 
 /// Half a second of a vibration that differs between the surfaces 0, 1, …, and a little between trials.
@@ -54,9 +56,9 @@ fn the_fixture_is_written_anew() {
             write_trial(&lib, &drag(surface, user, number), &scene, &options).unwrap();
         }
     }
-    let output = surfaced(&["train", text(&lib), "--out", text(&path(FIRST))]);
+    let output = surfaced(&["train", text(&lib), "--out", text(&path(CURRENT))]);
     assert!(output.status.success(), "{}", said(&output));
-    let file = ModelFile::decode(&first()).unwrap();
+    let file = ModelFile::decode(&current()).unwrap();
     let recorded =
         json!({ "digest": file.digest, "scan_s": file.scan_s, "answers": answers(&file) });
     fs::write(path(ANSWERS), serde_json::to_string_pretty(&recorded).unwrap() + "\n").unwrap();
@@ -73,8 +75,8 @@ fn answers(file: &ModelFile) -> Vec<Value> {
 }
 
 #[test]
-fn a_file_of_the_first_version_opens_and_gives_its_recorded_answers() {
-    let file = ModelFile::read(&path(FIRST)).unwrap();
+fn a_file_of_this_version_opens_and_gives_its_recorded_answers_and_earlier_ones_are_refused() {
+    let file = ModelFile::read(&path(CURRENT)).unwrap();
     assert_eq!((file.library.as_str(), file.program.as_str()), ("two", "0.3.0"));
     assert_eq!(file.surfaces, [("cork".to_string(), 6), ("felt".to_string(), 6)]);
     let recorded: Value =
@@ -95,26 +97,31 @@ fn a_file_of_the_first_version_opens_and_gives_its_recorded_answers() {
             assert!(by.abs() < 1e-3, "{number}: {found}, but recorded {recorded}");
         }
     }
+    for file in EARLIER {
+        let error = ModelFile::read(&path(file)).map(drop).unwrap_err().to_string();
+        let version = path(file).file_stem().unwrap().to_str().unwrap().to_string();
+        assert!(error.contains(&format!("of version {version}, but")), "{error}");
+    }
 }
 
 #[test]
 fn a_file_cut_anywhere_or_with_any_byte_altered_is_refused() {
     let opened = |bytes: &[u8]| ModelFile::decode(bytes).map(drop);
-    let first = first();
-    opened(&first).unwrap();
-    for length in 0..first.len() {
-        let error = opened(&first[..length]).expect_err("cut");
+    let model = current();
+    opened(&model).unwrap();
+    for length in 0..model.len() {
+        let error = opened(&model[..length]).expect_err("cut");
         let is_right = match length {
             0 => matches!(error, ModelFileError::NotAModel),
             _ => matches!(error, ModelFileError::Length { found, .. } if found == length as u64),
         };
         assert!(is_right, "cut to {length}: {error}");
     }
-    let mut bytes = first.clone();
+    let mut bytes = model.clone();
     for at in 0..bytes.len() {
         bytes[at] ^= 1 << (at % 8);
         assert!(opened(&bytes).is_err(), "byte {at}");
-        bytes[at] = first[at];
+        bytes[at] = model[at];
     }
     bytes.push(0);
     assert!(matches!(opened(&bytes), Err(ModelFileError::Length { .. })));
@@ -124,15 +131,15 @@ fn a_file_cut_anywhere_or_with_any_byte_altered_is_refused() {
 fn a_file_that_cannot_be_opened_ends_a_command_with_code_1_and_what_to_do() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("model.surfaced");
-    let first = first();
-    let newer = [&first[..14], &[2, 0], &first[16..]].concat();
-    let claims = [&first[..16], &(4u64 << 30).to_le_bytes()[..], &first[24..]].concat();
-    let altered = [&first[..999], &[!first[999]], &first[1000..]].concat();
+    let model = current();
+    let newer = [&model[..14], &[3, 0], &model[16..]].concat();
+    let claims = [&model[..16], &(4u64 << 30).to_le_bytes()[..], &model[24..]].concat();
+    let altered = [&model[..999], &[!model[999]], &model[1000..]].concat();
     for (bytes, parts) in [
-        (&newer[..], ["of version 2, but this program reads version 1", "make it anew"]),
+        (&newer[..], ["of version 3, but this program reads version 2", "make it anew"]),
         (&claims, ["it should have 4294967324 bytes, but has", "copy it again"]),
         (&altered, ["its checksum is wrong", "make it anew"]),
-        (&first[..500], ["but has 500", "copy it again"]),
+        (&model[..500], ["but has 500", "copy it again"]),
         (b"a text", ["not a model of surfaced", "surfaced train LIB --out FILE"]),
     ] {
         fs::write(&path, bytes).unwrap();

@@ -26,7 +26,7 @@ use crate::system::{persist, read_exact_at};
 
 const MAGIC: &[u8; 14] = b"surfaced cache";
 /// Version of the file format. Increase it with each change to the content or encoding of records.
-const VERSION: u16 = 2;
+const VERSION: u16 = 3;
 const HEADER: usize = MAGIC.len() + 2 + 8;
 const CHECKSUM: u64 = 4;
 /// Longest name of a record, in bytes. A name consists of a surface, a user and a trial number.

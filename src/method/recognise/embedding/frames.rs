@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::copies::{self, COPIES, Copy, copies};
 use super::growing::{Growing, Piece};
 use super::packed::PackedFrames;
+use super::places::Places;
 use super::tiles::PictureTiles;
 use crate::recognise::error::{RecogniseError, of_known_sources};
 use crate::recognise::features::windowed_frames::FrameView;
@@ -46,6 +47,8 @@ pub struct SourceViews {
     /// Whether moments are taken from the part of the series within the band: the band leaves out more
     /// than a few of the frequencies.
     pub passed: bool,
+    /// How a short series is cut into places; none if it is limited to the band.
+    pub places: Option<Places>,
 }
 
 impl SourceViews {
@@ -68,10 +71,12 @@ impl SourceViews {
         let view = |points: usize, bands| {
             FrameView::of_points(at_rate(points), rate_hz, spec.channels, band_hz, bands)
         };
+        let passed = spec.domain.band_hz().is_some()
+            && band_hz.1 - band_hz.0 < NEARLY_ALL * 0.5 * library_hz;
         Self {
             frames: [view(long.max(FEWEST), BANDS[0]), view(short, BANDS[1])],
-            passed: spec.domain.band_hz().is_some()
-                && band_hz.1 - band_hz.0 < NEARLY_ALL * 0.5 * library_hz,
+            passed,
+            places: if passed { None } else { Places::new(median, library_hz, rate_hz) },
         }
     }
 

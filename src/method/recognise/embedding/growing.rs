@@ -9,6 +9,7 @@ use super::frames::SourceViews;
 use super::moments::{GrowingMoments, Moments};
 use super::packed::PackedFrames;
 use super::passed::{self, Passed};
+use super::places::GrowingPlaces;
 
 /// The frames and moments of a whole series, of a copy, or of a beginning. A series shorter than a frame
 /// of a view has one zero-padded frame of that view.
@@ -16,6 +17,8 @@ use super::passed::{self, Passed};
 pub struct Piece {
     pub frames: [PackedFrames; 2],
     pub moments: Moments,
+    /// The mean of each place that was reached, shape (places, channels); see [`super::places`].
+    pub places: Vec<f32>,
 }
 
 impl Piece {
@@ -45,6 +48,7 @@ pub(super) struct Growing {
     moments: GrowingMoments,
     /// The series that moments are taken from, where it is limited to the band.
     passed: Option<Passed>,
+    places: Option<GrowingPlaces>,
 }
 
 impl Growing {
@@ -54,6 +58,7 @@ impl Growing {
             begun: [false; 2],
             moments: GrowingMoments::new(views.channels(), views.block()),
             passed: views.passed.then(|| Passed::new(&views.frames[0])),
+            places: views.places.map(GrowingPlaces::new),
             views: views.clone(),
         }
     }
@@ -62,6 +67,9 @@ impl Growing {
     pub(super) fn add(&mut self, samples: &[f32]) -> [PackedFrames; 2] {
         if self.passed.is_none() {
             self.moments.extend(samples);
+        }
+        if let Some(places) = &mut self.places {
+            places.extend(samples, self.views.channels());
         }
         std::array::from_fn(|number| {
             let (view, pending) = (&self.views.frames[number], &mut self.pending[number]);
@@ -83,9 +91,9 @@ impl Growing {
 
     /// The whole series if it ends here; `frames` are those that were completed.
     pub(super) fn ended(&self, mut frames: [PackedFrames; 2]) -> Piece {
-        let Piece { frames: padded, moments } = self.end();
+        let Piece { frames: padded, moments, places } = self.end();
         frames.iter_mut().zip(&padded).for_each(|(frames, padded)| frames.extend(padded));
-        Piece { frames, moments }
+        Piece { frames, moments, places }
     }
 
     /// What a series that ends here has beside its complete frames: padded frames, and its moments.
@@ -106,6 +114,7 @@ impl Growing {
                 moments.so_far()
             }
         };
-        Piece { frames: [0, 1].map(padded), moments }
+        let places = self.places.as_ref().map(GrowingPlaces::means).unwrap_or_default();
+        Piece { frames: [0, 1].map(padded), moments, places }
     }
 }

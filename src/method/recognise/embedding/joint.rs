@@ -29,10 +29,12 @@ pub(super) enum SourceEmbedder {
 
 impl SourceEmbedder {
     /// Makes the embedder of a source from the `trials` of a library that have it, at least one.
-    fn new(trials: &[&SourceFrames]) -> Self {
-        let series: Vec<_> = trials.iter().filter_map(|source| source.series()).collect();
+    fn new(trials: &[(&str, &SourceFrames)]) -> Self {
+        let series =
+            trials.iter().filter_map(|(surface, source)| Some((*surface, source.series()?)));
+        let series: Vec<_> = series.collect();
         if series.is_empty() {
-            let picture = |source: &&SourceFrames| match source {
+            let picture = |(_, source): &(_, &SourceFrames)| match source {
                 SourceFrames::Picture(tiles) => Some(tiles.counts(None)),
                 SourceFrames::Series(_) => None,
             };
@@ -55,7 +57,10 @@ impl SourceEmbedder {
             (Self::Series(embedder), SourceFrames::Series(series)) => {
                 let copied = copy.and_then(|(i, copy)| Some((series.copies.get(i)?, copy.ln_gain)));
                 let (piece, ln_gain) = copied.unwrap_or((&series.whole, 0.0));
-                embedder.embed(piece, series.views.moments_hz(), ln_gain)
+                // An excerpt may lie anywhere, so it has the places of the whole.
+                let is_excerpt = copy.is_some_and(|(_, copy)| copy.place.is_some());
+                let places = if is_excerpt { &series.whole.places } else { &piece.places };
+                embedder.embed(piece, places, series.views.moments_hz(), ln_gain)
             }
             (Self::Picture(embedder), SourceFrames::Picture(tiles)) => {
                 let ln_gain = copy.map_or(0.0, |(_, copy)| copy.picture_ln_gain);
@@ -153,8 +158,10 @@ impl JointEmbedder {
         for spec in scene.sources() {
             let with = |trial: &&Arc<TrialFrames>| trial.sources.contains_key(&spec.id);
             let Some(first) = library.iter().find(with) else { continue };
-            let trials: Vec<_> = library.iter().filter_map(|t| t.sources.get(&spec.id)).collect();
-            let embedder = SourceEmbedder::new(&trials);
+            let trials = library.iter().filter_map(|trial| {
+                Some((trial.key.surface.as_str(), trial.sources.get(&spec.id)?))
+            });
+            let embedder = SourceEmbedder::new(&trials.collect::<Vec<_>>());
             stretches.push(Stretch {
                 spec: spec.clone(),
                 embedder,

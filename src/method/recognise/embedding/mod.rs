@@ -33,6 +33,7 @@ mod moments;
 mod packed;
 mod passed;
 mod picture;
+mod places;
 mod quantiles;
 mod series;
 mod temperature;

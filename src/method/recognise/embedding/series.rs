@@ -16,6 +16,7 @@ use super::growing::Piece;
 use super::lanes::ln;
 use super::moments::{LOUDNESS, MOMENTS, MOST_LAGGED, Moments, Statistics};
 use super::packed::PackedFrames;
+use super::places::PlaceEmbedder;
 use super::quantiles::QUANTILES;
 use crate::recognise::features::windowed_frames::FrameView;
 use crate::trial::usual_rests;
@@ -36,7 +37,7 @@ const RIDGE: f64 = 1e-3;
 const MOST_CORRELATED: f64 = 0.99;
 
 /// A channel with at most this standard deviation counts as constant.
-const STILL: f64 = 2e-9;
+pub(super) const STILL: f64 = 2e-9;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct SeriesEmbedder {
@@ -46,30 +47,39 @@ pub(super) struct SeriesEmbedder {
     deviations: Vec<f64>,
     /// Whether the library's median trial is long enough for quantiles.
     ranked: bool,
+    /// Where in a series something happens, if that says something about the surface.
+    places: Option<PlaceEmbedder>,
     /// Share of time that each channel rests in the library ([`usual_rests`]).
     pub rests: Vec<f32>,
 }
 
 impl SeriesEmbedder {
-    /// Takes means and deviations from `trials` of a library, at least one.
-    pub(super) fn new(trials: &[&SeriesFrames]) -> Self {
-        let views = trials[0].views.clone();
+    /// Takes means and deviations from `trials` of a library, at least one, with the surface of each.
+    pub(super) fn new(trials: &[(&str, &SeriesFrames)]) -> Self {
+        let views = trials[0].1.views.clone();
         let embedder = |view: usize| {
             let counts: Vec<Counts> = (trials.par_iter())
-                .map(|trial| counted(&views.frames[view], &trial.whole.frames[view]))
+                .map(|(_, trial)| counted(&views.frames[view], &trial.whole.frames[view]))
                 .collect();
             ViewEmbedder::new(&counts)
         };
         let frames = [embedder(0), embedder(1)];
-        let all: Vec<Vec<f64>> = (trials.iter())
-            .map(|trial| trial.whole.moments.statistics(views.moments_hz(), 0.0).deviations)
+        let all: Vec<Statistics> = (trials.iter())
+            .map(|(_, trial)| trial.whole.moments.statistics(views.moments_hz(), 0.0))
             .collect();
-        let deviation = |c: usize| median(all.iter().map(|of_trial| of_trial[c]).collect());
-        let length = median(trials.iter().map(|trial| trial.samples as f64).collect());
-        let rests: Vec<&[f32]> = trials.iter().map(|trial| trial.rests.as_slice()).collect();
+        let deviation = |c: usize| median(all.iter().map(|stats| stats.deviations[c]).collect());
+        let length = median(trials.iter().map(|(_, trial)| trial.samples as f64).collect());
+        let deviations = (0..views.channels()).map(deviation).collect();
+        let placed = trials.iter().zip(all);
+        let placed: Vec<_> = placed
+            .map(|((surface, trial), stats)| (*surface, trial.whole.places.as_slice(), stats))
+            .collect();
+        let embedder = |places| PlaceEmbedder::new(places, views.channels(), &placed);
+        let rests: Vec<&[f32]> = trials.iter().map(|(_, trial)| trial.rests.as_slice()).collect();
         Self {
             frames,
-            deviations: (0..views.channels()).map(deviation).collect(),
+            deviations,
+            places: views.places.and_then(embedder),
             ranked: length >= FEWEST_RANKED,
             rests: usual_rests(&rests),
             views,
@@ -105,23 +115,30 @@ impl SeriesEmbedder {
         self.frames[0].dims()
             + self.frames[1].dims()
             + of_channel * channels
+            + self.places.as_ref().map_or(0, PlaceEmbedder::dims)
             + stacked * (stacked + 1) / 2
             + channels * channels.saturating_sub(1) / 2
     }
 
-    /// The vector of a series or a copy, as if multiplied by a gain of e^`ln_gain`. `moments_hz` is
-    /// [`SourceViews::moments_hz`].
-    pub(super) fn embed(&self, piece: &Piece, moments_hz: f64, ln_gain: f64) -> Vec<f32> {
+    /// The vector of a series or a copy, as if multiplied by a gain of e^`ln_gain`. `places` are the
+    /// means of its places. `moments_hz` is [`SourceViews::moments_hz`].
+    pub(super) fn embed(
+        &self,
+        piece: &Piece,
+        places: &[f32],
+        moments_hz: f64,
+        ln_gain: f64,
+    ) -> Vec<f32> {
         let counts =
             |view: usize| Cow::Owned(counted(&self.views.frames[view], &piece.frames[view]));
-        self.vector(counts, &piece.moments, moments_hz, ln_gain)
+        self.vector(counts, &piece.moments, places, moments_hz, ln_gain)
     }
 
     /// The vector of the beginning of a series, from the sums of its complete frames. `end` holds the
     /// frames after these.
     pub(super) fn growing(&self, sums: &[BandSums; 2], end: &Piece, moments_hz: f64) -> Vec<f32> {
         let counts = |view: usize| sums[view].on_surface(&end.frames[view].values());
-        self.vector(counts, &end.moments, moments_hz, 0.0)
+        self.vector(counts, &end.moments, &end.places, moments_hz, 0.0)
     }
 
     /// The vector of a series, or of a part of it. `counts` gives the frames of a view on the surface.
@@ -129,6 +146,7 @@ impl SeriesEmbedder {
         &self,
         counts: impl Fn(usize) -> Cow<'c, Counts>,
         moments: &Moments,
+        places: &[f32],
         moments_hz: f64,
         ln_gain: f64,
     ) -> Vec<f32> {
@@ -153,6 +171,9 @@ impl SeriesEmbedder {
                 vector.extend(values.iter().map(|x| (x / deviation).asinh() as f32));
                 vector.extend(steps.iter().map(|x| (STEP_GAIN * x / deviation).asinh() as f32));
             }
+        }
+        if let Some(embedder) = &self.places {
+            embedder.push(places, &self.deviations, ln_gain.exp(), &mut vector);
         }
         self.push_covariance(&stats, &mut vector);
         // Statistics of samples far beyond full scale may overflow; such features are set to 0.
