@@ -218,18 +218,18 @@ impl ChannelSpread {
     }
 }
 
-/// Keeps at most `most` trials of each surface, picked at random.
+/// Keeps at most `most` trials of each surface, picked at random, in the order of the library.
 pub(crate) fn few(library: Vec<Entry>, most: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
-    let mut drawn: Vec<(f64, Entry)> =
-        library.into_iter().map(|entry| (uniform(rng), entry)).collect();
+    let mut drawn: Vec<(f64, usize)> = (0..library.len()).map(|at| (uniform(rng), at)).collect();
     drawn.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut kept: BTreeMap<String, usize> = BTreeMap::new();
-    drawn.retain(|(_, entry)| {
-        let count = kept.entry(entry.key.surface.clone()).or_insert(0);
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    drawn.retain(|&(_, at)| {
+        let count = counts.entry(&library[at].key.surface).or_default();
         *count += 1;
         *count as f64 <= most
     });
-    drawn.into_iter().map(|(_, entry)| entry).collect()
+    drawn.sort_by_key(|&(_, at)| at);
+    drawn.into_iter().map(|(_, at)| library[at].clone()).collect()
 }
 
 /// Gives about a `share` of the trials the name of another surface.
@@ -387,6 +387,9 @@ mod tests {
         let rng = || seed::rng(1, &[b"library"]);
         let few = super::few(library(), 2.0, &mut rng());
         assert_eq!(few.len(), 6);
+        let keys = |library: &[Entry]| library.iter().map(|e| e.key.clone()).collect::<Vec<_>>();
+        let all = super::few(library(), 10.0, &mut rng());
+        assert_eq!(keys(&all), keys(&library()), "a library that is small enough stays in order");
         let wrong = super::mislabelled(library(), 0.5, &mut rng());
         let moved =
             wrong.iter().zip(library()).filter(|(a, b)| a.key.surface != b.key.surface).count();
