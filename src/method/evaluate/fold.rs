@@ -269,12 +269,13 @@ fn by_group<'k, K, G: Ord + Copy>(
 
 /// One fold for each person and trial number; its library is the same person's other trials.
 fn by_trial(keys: &[TrialKey]) -> Vec<Fold> {
-    // Sorted by natural order of names; `user1` and `user01` are two people.
-    let mut groups: BTreeMap<(u32, (&str, u64), &str), Vec<usize>> = BTreeMap::new();
+    let mut groups: BTreeMap<(u32, &str), Vec<usize>> = BTreeMap::new();
     for (i, key) in keys.iter().enumerate() {
-        groups.entry((key.number, natural(&key.user), &key.user)).or_default().push(i);
+        groups.entry((key.number, &key.user)).or_default().push(i);
     }
-    let fold = |((number, _, user), queries): ((u32, (&str, u64), &str), Vec<usize>)| {
+    let mut groups: Vec<_> = groups.into_iter().collect();
+    groups.sort_by_key(|&((number, user), _)| (number, natural(user)));
+    let fold = |((number, user), queries): ((u32, &str), Vec<usize>)| {
         let others = |&i: &usize| keys[i].user == user && keys[i].number != number;
         let user = if user == EXPERT { String::new() } else { format!("{user} ") };
         let library = (0..keys.len()).filter(others).collect();

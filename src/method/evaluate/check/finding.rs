@@ -290,7 +290,7 @@ pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> 
     let finding = |(label, trials): (&str, Vec<String>)| Finding {
         kind: FaultKind::Mislabelled,
         source: None,
-        text: format!("{} mislabelled: left out, clearly named {label}", listed(&trials, "looks")),
+        text: format!("{} mislabelled: left out, clearly named {label}", look(&trials)),
         command: audited.command(&format!("move --to={}", quoted(label)), &trials),
         trials,
     };
@@ -298,12 +298,12 @@ pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> 
 }
 
 /// Text such as `a looks`, `2 trials (a, b) look` or `4 trials (a, b, c and 1 more) look`.
-fn listed(trials: &[String], verb: &str) -> String {
+fn look(trials: &[String]) -> String {
     let shown = trials.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
     match trials.len() {
-        1 => format!("{shown} {verb}"),
-        n if n <= SHOWN => format!("{n} trials ({shown}) {}", verb.trim_end_matches('s')),
-        n => format!("{n} trials ({shown} and {} more) {}", n - SHOWN, verb.trim_end_matches('s')),
+        1 => format!("{shown} looks"),
+        n if n <= SHOWN => format!("{n} trials ({shown}) look"),
+        n => format!("{n} trials ({shown} and {} more) look", n - SHOWN),
     }
 }
 
