@@ -225,7 +225,7 @@ fn a_figure_named_pdf_is_a_pdf_with_its_font_or_refused_before_the_work() {
 }
 
 #[test]
-fn an_unknown_surface_and_an_unknown_source_are_named() {
+fn an_unknown_surface_user_or_source_is_named() {
     let folder = tempfile::tempdir().unwrap();
     library(folder.path());
     let path = folder.path().to_str().unwrap();
@@ -234,6 +234,8 @@ fn an_unknown_surface_and_an_unknown_source_are_named() {
         code == 1 && stderr.contains("`oak`") && stderr.contains("foam, wire & mesh"),
         "{stderr}"
     );
+    let (code, _, stderr) = surfaced(&["duration", path, "--user", "nobody"]);
+    assert!(code == 1 && stderr.contains("user `nobody`; there are: expert"), "{stderr}");
     let (code, _, stderr) = surfaced(&["duration", path, "--source", "ca1"]);
     assert!(code == 1 && stderr.contains("image"), "{stderr}");
     let (code, _, stderr) = surfaced(&["duration", path, "--rule", "mean-ci", "--source", "mi2"]);

@@ -68,7 +68,7 @@ impl SettledOutcome {
                 let guess = follow(&mut follower, &trial, scene, scan_s)?;
                 let spent_s = processor_s().zip(start_s).map(|(end_s, start_s)| end_s - start_s);
                 busy_s = busy_s.zip(spent_s).map(|(busy_s, spent_s)| busy_s + spent_s);
-                let whole = if_enough(model.rank(&run.query_of(&model, trial, None)?.prepared))?;
+                let whole = if_enough(model.rank(&run.query_of(&model, trial)?.prepared))?;
                 let whole_is_right = whole.is_some_and(|whole| whole.surface() == truth);
                 // The whole scan names the query if the stop rule never settles.
                 let (is_right, at_s) = match guess.and_then(|guess| guess.settled) {
@@ -157,11 +157,11 @@ pub struct UnknownOutcome {
 }
 
 fn caught<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
-    Share::write(Some(*share), Some("unknown_queries"), "unknown_caught", to)
+    share.write(Some("unknown_queries"), "unknown_caught", to)
 }
 
 fn rejected<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
-    Share::write(Some(*share), Some("known_queries"), "false_rejections", to)
+    share.write(Some("known_queries"), "false_rejections", to)
 }
 
 impl UnknownOutcome {

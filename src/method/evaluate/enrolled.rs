@@ -55,7 +55,7 @@ pub struct EnrolmentOutcome {
 }
 
 fn without<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
-    Share::write(Some(*share), None, "accuracy_without", to)
+    share.write(None, "accuracy_without", to)
 }
 
 impl EnrolmentOutcome {

@@ -121,14 +121,6 @@ pub struct Measured {
 }
 
 impl Run<'_, '_> {
-    /// The prepared library trials with the given indices.
-    pub(crate) fn prepared<'i>(
-        &self,
-        trials: impl IntoIterator<Item = &'i usize>,
-    ) -> Vec<Prepared> {
-        trials.into_iter().filter_map(|&i| self.library.trials[i].clone()).collect()
-    }
-
     /// A model of the library trials with the given indices.
     ///
     /// # Errors
@@ -161,7 +153,7 @@ impl Run<'_, '_> {
     ) -> Result<Query, RecogniseError> {
         match self.on.trials {
             EvaluatedTrials::Recordings(entries) => {
-                self.query_of(model, entries[index].load()?, seconds)
+                self.query_of(model, cut(entries[index].load()?, self.on.scene, seconds))
             }
             EvaluatedTrials::Features(trials) => Ok(Query {
                 prepared: Prepared::Features(Arc::new(trials[index].clone())),
@@ -177,15 +169,9 @@ impl Run<'_, '_> {
         &self,
         model: &Arc<dyn Model>,
         trial: Trial,
-        seconds: Option<f64>,
     ) -> Result<Query, RecogniseError> {
-        let scene = self.on.scene;
-        let trial = match seconds {
-            Some(seconds) => cut(trial, scene, seconds),
-            None => trial,
-        };
         let embedding = model.clone().embedding();
-        let (trial, left_out) = without_flawed(trial, scene, |id| {
+        let (trial, left_out) = without_flawed(trial, self.on.scene, |id| {
             embedding.as_ref().map_or(&[], |embedding| embedding.rests(id))
         });
         let trial = Arc::new(trial);
@@ -249,17 +235,7 @@ impl Run<'_, '_> {
         remarks.extend(ranking.is_none().then_some(Doubt::TooLittle));
         let query_ms = query.started.elapsed().as_secs_f64() * 1e3;
         let key = self.on.trials.key(index).clone();
-        let nameless = Prediction {
-            key,
-            fold,
-            surface: String::new(),
-            margin: 0.0,
-            query_ms,
-            sources: Vec::new(),
-            confidence: None,
-            p_value: None,
-            probabilities: Vec::new(),
-        };
+        let nameless = Prediction { query_ms, ..Prediction::none(key, fold) };
         let Some(ranking) = ranking else { return Ok((nameless, remarks)) };
         let surface = ranking.surface().to_string();
         let stated = ranking.probabilities();
@@ -290,9 +266,8 @@ impl Run<'_, '_> {
 
 /// The entry, with its drag cut to the first `seconds` if they are given.
 pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
-    let Some(seconds) = seconds else { return entry.clone() };
-    let scene = scene.clone();
-    entry.clone().changed(move |trial| cut(trial, &scene, seconds))
+    let (entry, scene) = (entry.clone(), scene.clone());
+    if seconds.is_none() { entry } else { entry.changed(move |trial| cut(trial, &scene, seconds)) }
 }
 
 /// The entries that have sources of the scene, limited to these sources.
@@ -301,6 +276,9 @@ pub fn within(entries: &[Entry], scene: &Scene) -> Vec<Entry> {
     within.filter(|entry| !entry.sources.is_empty()).collect()
 }
 
-fn cut(trial: Trial, scene: &Scene, seconds: f64) -> Trial {
-    trial.first_seconds(seconds, |id| scene.is_dragged(id))
+fn cut(trial: Trial, scene: &Scene, seconds: Option<f64>) -> Trial {
+    match seconds {
+        Some(seconds) => trial.first_seconds(seconds, |id| scene.is_dragged(id)),
+        None => trial,
+    }
 }

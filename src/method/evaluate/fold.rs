@@ -48,7 +48,7 @@ impl Protocol {
         }
     }
 
-    /// What each fold leaves out, if that is more than trials.
+    /// People or sessions if each fold leaves one of them out; queries if it leaves out single trials.
     pub(crate) fn over(self) -> Over {
         match self {
             Self::ExpertVsUsers | Self::AllVsOneUser => Over::People,
@@ -269,21 +269,17 @@ fn by_group<'k, K, G: Ord + Copy>(
 
 /// One fold for each person and trial number; its library is the same person's other trials.
 fn by_trial(keys: &[TrialKey]) -> Vec<Fold> {
-    let mut groups: BTreeMap<(u32, (&str, u64)), Vec<usize>> = BTreeMap::new();
+    let mut groups: BTreeMap<(u32, &str), Vec<usize>> = BTreeMap::new();
     for (i, key) in keys.iter().enumerate() {
-        groups.entry((key.number, natural(&key.user))).or_default().push(i);
+        groups.entry((key.number, &key.user)).or_default().push(i);
     }
-    let fold = |((number, user), queries): ((u32, (&str, u64)), Vec<usize>)| {
-        let library = (0..keys.len())
-            .filter(|&i| natural(&keys[i].user) == user && keys[i].number != number)
-            .collect();
-        let user = &keys[queries[0]].user;
-        let name = if user == EXPERT {
-            format!("trial {number}")
-        } else {
-            format!("{user} trial {number}")
-        };
-        Fold { name, library, queries }
+    let mut groups: Vec<_> = groups.into_iter().collect();
+    groups.sort_by_key(|&((number, user), _)| (number, natural(user)));
+    let fold = |((number, user), queries): ((u32, &str), Vec<usize>)| {
+        let others = |&i: &usize| keys[i].user == user && keys[i].number != number;
+        let user = if user == EXPERT { String::new() } else { format!("{user} ") };
+        let library = (0..keys.len()).filter(others).collect();
+        Fold { name: format!("{user}trial {number}"), library, queries }
     };
     groups.into_iter().map(fold).collect()
 }
@@ -333,29 +329,19 @@ mod tests {
     }
 
     #[test]
+    fn people_whose_names_end_in_one_number_written_in_two_ways_are_two_people() {
+        let of = |user| ["a", "b"].map(|s| [1, 2].map(|n| TrialKey::new(s, user, n))).concat();
+        let keys = ["user1", "user01"].map(of).concat();
+        let folds = folds(Protocol::LeaveOneTrialOut, &keys).unwrap();
+        assert_eq!((folds.len(), &*folds[0].library), (4, &[5, 7][..]));
+    }
+
+    #[test]
     fn a_stray_trial_is_neither_a_class_nor_a_loss() {
         let mut keys = keys();
         keys.push(TrialKey::new("stray", "user1", 1));
         let folds = folds(Protocol::ExpertVsUsers, &keys).unwrap();
         assert!(folds.iter().all(|f| f.queries.len() == 2));
-    }
-
-    #[test]
-    fn the_protocol_that_fits_is_chosen_and_named_where_another_does_not() {
-        let natural = |keys: &[(&str, &str, u32)]| {
-            let key =
-                |&(surface, user, number): &(&str, &str, u32)| TrialKey::new(surface, user, number);
-            let keys: Vec<TrialKey> = keys.iter().map(key).collect();
-            (Protocol::fitting(&keys), folds(Protocol::ExpertVsUsers, &keys))
-        };
-        assert_eq!(Protocol::fitting(&keys()), Some(Protocol::AllVsOneUser));
-        let alone = [("a", EXPERT, 1), ("a", EXPERT, 2), ("b", EXPERT, 1), ("b", EXPERT, 2)];
-        let (protocol, refused) = natural(&alone);
-        assert_eq!(protocol, Some(Protocol::LeaveOneTrialOut));
-        let refused = refused.unwrap_err().to_string();
-        assert!(refused.ends_with("; leave-one-trial-out fits them"), "{refused}");
-        let users = [("a", "user1", 1), ("b", "user1", 1), ("a", "user2", 1), ("b", "user2", 1)];
-        assert_eq!(natural(&users).0, Some(Protocol::AllVsOneUser));
     }
 
     /// Two trials of `a` and of `b` in each of these sessions, by one person.
@@ -427,12 +413,14 @@ mod tests {
     }
 
     #[test]
-    fn too_little_data_says_what_was_needed_and_found() {
+    fn too_little_data_says_what_was_needed_and_found_and_which_protocol_fits() {
         let keys = [TrialKey::new("a", EXPERT, 1)];
         let error = folds(Protocol::LeaveOneTrialOut, &keys).unwrap_err().to_string();
         assert!(
             error.contains("at least two surfaces") && error.contains("1 trial(s) of 1"),
             "{error}"
         );
+        let error = folds(Protocol::ExpertVsUsers, &sessions(&[""])).unwrap_err().to_string();
+        assert!(error.ends_with("; leave-one-trial-out fits them"), "{error}");
     }
 }

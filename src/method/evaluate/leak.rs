@@ -143,7 +143,7 @@ impl Leaks {
         (!folds.is_empty()).then_some(folds)
     }
 
-    /// What was found, in a line, with trials named by `name`; `None` if nothing was.
+    /// The shared samples in a line of text, with trials named by `name`; `None` if there are none.
     pub fn text(&self, keys: &[TrialKey], name: impl Fn(usize) -> String) -> Option<String> {
         let is_of_two = |one: &&Shared| keys[one.trials[0]].surface != keys[one.trials[1]].surface;
         let of_two = self.shared.values().find(is_of_two);

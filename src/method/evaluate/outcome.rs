@@ -45,28 +45,28 @@ impl Share {
     }
 
     /// Writes a share as `key`, `key_low` and `key_high`. The number of queries comes first, under
-    /// the name `count`, if that is given. All values are null if there is no share.
+    /// the name `count`, if that is given.
     pub(crate) fn write<S: Serializer>(
-        share: Option<Self>,
+        self,
         count: Option<&str>,
         key: &str,
         to: S,
     ) -> Result<S::Ok, S::Error> {
-        let interval = share.map(Self::interval);
+        let (low, high) = self.interval();
         let mut map = to.serialize_map(None)?;
         if let Some(count) = count {
-            map.serialize_entry(count, &share.map(|share| share.of))?;
+            map.serialize_entry(count, &self.of)?;
         }
-        map.serialize_entry(key, &share.map(Self::value))?;
-        map.serialize_entry(&format!("{key}_low"), &interval.map(|(low, _)| low))?;
-        map.serialize_entry(&format!("{key}_high"), &interval.map(|(_, high)| high))?;
+        map.serialize_entry(key, &self.value())?;
+        map.serialize_entry(&format!("{key}_low"), &low)?;
+        map.serialize_entry(&format!("{key}_high"), &high)?;
         map.end()
     }
 }
 
 impl Serialize for Share {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        Self::write(Some(*self), None, "accuracy", to)
+        self.write(None, "accuracy", to)
     }
 }
 
@@ -91,6 +91,21 @@ pub struct Prediction {
 }
 
 impl Prediction {
+    /// The prediction for a query that could not be named.
+    pub(crate) fn none(key: TrialKey, fold: usize) -> Self {
+        Self {
+            key,
+            fold,
+            surface: String::new(),
+            margin: 0.0,
+            query_ms: 0.0,
+            sources: Vec::new(),
+            confidence: None,
+            p_value: None,
+            probabilities: Vec::new(),
+        }
+    }
+
     pub fn is_correct(&self) -> bool {
         self.surface == self.key.surface
     }
@@ -188,6 +203,7 @@ impl Outcome {
         let accuracies: Array1<f64> = folds.iter().map(|fold| fold.share.value()).collect();
         let confusion = Confusion::new(predictions, labels);
         let surfaces = confusion.surfaces();
+        let precisions = surfaces.iter().filter_map(|one| one.precision);
         let times = || predictions.iter().map(|p| p.query_ms).collect();
         let mut sources: Vec<_> = predictions.iter().flat_map(|p| p.sources.clone()).collect();
         sources.sort();
@@ -200,7 +216,7 @@ impl Outcome {
             interval: Interval::of(&folds, Over::Queries),
             accuracy_mean: accuracies.mean()?,
             accuracy_std: (folds.len() > 1).then(|| accuracies.std(1.0)),
-            precision_mean: precision_mean(&surfaces),
+            precision_mean: precisions.sum::<f64>() / surfaces.len() as f64,
             log_loss: log_loss(predictions, confusion.labels.len()),
             classes: confusion.labels.len(),
             never_queried: never_queried.cloned().collect(),
@@ -261,11 +277,6 @@ impl Confusion {
     }
 }
 
-fn precision_mean(surfaces: &[SurfaceAccuracy]) -> f64 {
-    let sum: f64 = surfaces.iter().filter_map(|one| one.precision).sum();
-    sum / surfaces.len() as f64
-}
-
 /// See [`Outcome::log_loss`]. A query without an answer gives each of the `classes` an equal share.
 fn log_loss(predictions: &[Prediction], classes: usize) -> Option<f64> {
     if predictions.iter().all(|p| p.probabilities.is_empty()) {
@@ -291,7 +302,7 @@ pub fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
 /// Fewest people or sessions for a confidence interval over them; with fewer, it is over queries.
 const LEAST_GROUPS: usize = 3;
 
-/// What a confidence interval is over: whose next accuracy it brackets.
+/// The units of a confidence interval: it brackets the accuracy of the next person, session and so on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Over {
@@ -336,15 +347,15 @@ impl Interval {
     /// The interval of the accuracy on all queries of some folds, which are groups of this kind.
     pub(crate) fn of(groups: &[FoldAccuracy], over: Over) -> Self {
         let over = over.counted(groups.len());
-        if over != Over::Queries {
-            let counts = groups.iter().map(|group| (group.share.right, group.share.of));
-            let (low, high) = wilson_of_groups(&counts.collect::<Vec<_>>());
-            return Self { low, high, over };
-        }
-        let mut all = Share::default();
-        groups.iter().for_each(|group| all.join(group.share));
-        let (low, high) = all.interval();
-        Self { low, high, over: Over::Queries }
+        let shares = groups.iter().map(|group| group.share);
+        let (low, high) = if over == Over::Queries {
+            let mut all = Share::default();
+            shares.for_each(|share| all.join(share));
+            all.interval()
+        } else {
+            wilson_of_groups(&shares.map(|share| (share.right, share.of)).collect::<Vec<_>>())
+        };
+        Self { low, high, over }
     }
 }
 
@@ -367,17 +378,8 @@ mod tests {
     }
 
     fn prediction(truth: &str, answer: &str, fold: usize) -> Prediction {
-        Prediction {
-            key: TrialKey::new(truth, "user1", 1),
-            fold,
-            surface: answer.into(),
-            margin: 0.0,
-            query_ms: 1.0,
-            sources: vec![],
-            confidence: None,
-            p_value: None,
-            probabilities: vec![],
-        }
+        let key = TrialKey::new(truth, "user1", 1);
+        Prediction { surface: answer.into(), ..Prediction::none(key, fold) }
     }
 
     fn outcome(predictions: &[Prediction]) -> Outcome {
@@ -388,6 +390,7 @@ mod tests {
 
     #[test]
     fn accuracy_is_a_mean_over_folds_and_precision_over_classes() {
+        assert_eq!(outcome(&[prediction("a", "a", 0)]).accuracy_std, None, "one fold");
         let outcome =
             outcome(&[prediction("a", "a", 0), prediction("b", "a", 0), prediction("c", "c", 1)]);
         assert_eq!(outcome.accuracy_mean, 0.75);
@@ -401,11 +404,6 @@ mod tests {
         };
         assert_eq!(of(0), (1, Some(1.0), Some(0.5), Some(2.0 / 3.0)));
         assert_eq!(of(1), (1, Some(0.0), None, Some(0.0)));
-    }
-
-    #[test]
-    fn one_fold_has_no_deviation() {
-        assert_eq!(outcome(&[prediction("a", "a", 0)]).accuracy_std, None);
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub struct Paired {
     pub methods: [String; 2],
     /// The number of queries that only the first, and that only the second of the methods names right.
     pub only_right: [usize; 2],
-    /// What the test counts: queries that only one of the two names right (McNemar's exact test), or
+    /// The units that the test counts: queries that only one of the two names right (McNemar's exact test), or
     /// people, sessions or groups in which one names more than the other does (the sign test).
     pub test_over: Over,
     pub p_value: f64,

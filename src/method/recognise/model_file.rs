@@ -114,7 +114,7 @@ pub struct ModelFile {
     pub model: Arc<dyn Model>,
 }
 
-/// What precedes the model in the body.
+/// The part of the body before the model.
 #[derive(Serialize, Deserialize)]
 struct About<'a> {
     program: Cow<'a, str>,

@@ -12,7 +12,7 @@ use crate::seed;
 /// The shape of each source of a library, except pictures.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LibraryShape {
-    sources: BTreeMap<SourceId, SourceShape>,
+    pub(super) sources: BTreeMap<SourceId, SourceShape>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,11 +53,5 @@ impl LibraryShape {
 
     pub fn key(&self) -> u64 {
         seed::stable_hash(&[format!("{:?}", self.sources).as_bytes()])
-    }
-}
-
-impl FromIterator<(SourceId, SourceShape)> for LibraryShape {
-    fn from_iter<I: IntoIterator<Item = (SourceId, SourceShape)>>(shapes: I) -> Self {
-        Self { sources: shapes.into_iter().collect() }
     }
 }

@@ -169,7 +169,8 @@ impl<'a> PaperRun<'a> {
         let method = Reference::new(scene.clone(), self.options.clone());
         let run = Evaluation::new(&scene, &own, &folds).prepare(&method)?;
         for fold in &folds {
-            let model = Arc::new(method.model(&run.prepared(&fold.library))?);
+            let prepared = fold.library.iter().filter_map(|&i| run.library.trials[i].clone());
+            let model = Arc::new(method.model(&prepared.collect::<Vec<_>>())?);
             let any: Arc<dyn Model> = model.clone();
             let library: Arc<[usize]> = fold.library.clone().into();
             for &query in &fold.queries {

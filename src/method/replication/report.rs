@@ -200,7 +200,7 @@ const SURFACES: usize = 108;
 const TABLES: [&str; 2] = [TABLE_1, TABLE_2];
 
 impl PaperReport {
-    /// What is missing to fill the paper's tables, in three lines; `None` if nothing is.
+    /// The data that are missing to fill the paper's tables, in three lines; `None` if none are.
     pub fn lacking(&self) -> Option<String> {
         let of_tables = || self.rows.iter().filter(|row| TABLES.contains(&row.row.place));
         let is_filled = |row: &&ReportRow| row.accuracy_mean.is_some() && row.missing.is_empty();
@@ -235,17 +235,8 @@ impl PaperReport {
 fn outcome(row: &RowPart, keys: &[TrialKey]) -> Option<Outcome> {
     let predictions: Vec<Prediction> = (row.answers.iter())
         .filter_map(|&(fold, query, answer)| {
-            Some(Prediction {
-                confidence: None,
-                p_value: None,
-                probabilities: Vec::new(),
-                key: keys.get(query)?.clone(),
-                fold,
-                surface: keys.get(answer)?.surface.clone(),
-                margin: 0.0,
-                query_ms: 0.0,
-                sources: Vec::new(),
-            })
+            let surface = keys.get(answer)?.surface.clone();
+            Some(Prediction { surface, ..Prediction::none(keys.get(query)?.clone(), fold) })
         })
         .collect();
     Outcome::new(&predictions, &row.folds, row.labels.clone(), row.library_trials, "reference")

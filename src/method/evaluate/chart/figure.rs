@@ -11,8 +11,7 @@ use crate::draw::{
     Area, Drawn, FigureError, GREY, Labels, Look, Panel, PixelBox, apart, axes, colour, draw_head,
     head_height, line, marker, put, svg, text_width,
 };
-use crate::evaluate::{FoldAccuracy, Interval, Outcome, Over};
-use crate::scene::SourceId;
+use crate::evaluate::{FoldAccuracy, Interval, Over};
 
 /// The measured accuracy and latency of one setting of one method.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -38,33 +37,6 @@ pub struct ChartPoint {
     pub peer: bool,
     /// Whether the point is a negative control, which shows how much room and session alone reveal.
     pub control: bool,
-}
-
-impl ChartPoint {
-    pub(crate) fn new(
-        outcome: &Outcome,
-        over: Over,
-        setting: &str,
-        query_seconds: Option<f64>,
-        control: bool,
-    ) -> Self {
-        let users = if over == Over::People { outcome.folds.clone() } else { Vec::new() };
-        let interval = Interval::of(&outcome.folds, over);
-        Self {
-            method: if control { "control".into() } else { outcome.method.clone() },
-            setting: setting.into(),
-            sources: outcome.sources.iter().map(SourceId::to_string).collect(),
-            query_seconds,
-            accuracy: outcome.share.value(),
-            interval,
-            users,
-            query_ms_p50: outcome.query_ms_p50,
-            query_ms_p99: outcome.query_ms_p99,
-            queries: outcome.queries,
-            control,
-            peer: false,
-        }
-    }
 }
 
 /// The points that no other point beats in both `cost` (smaller is better) and accuracy, by
@@ -111,7 +83,7 @@ impl Chart {
         self.points.iter().filter(|point| point.control)
     }
 
-    /// What interval the bars show.
+    /// The kind of interval that the bars show.
     pub fn bars(&self) -> String {
         let over = self.points.first().map_or(Over::Queries, |point| point.interval.over);
         format!("95 % interval over {}", over.plural())

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use crate::evaluate::loudness::level_of;
 use crate::evaluate::{
-    EvaluateError, EvaluatedTrials, Evaluation, LeftOutSources, Measured, Split,
+    EvaluateError, EvaluatedTrials, Evaluation, Interval, LeftOutSources, Measured, Over, Split,
 };
 use crate::library::Entry;
 use crate::recognise::features::{FeatureVector, SourceFeatures};
@@ -153,11 +153,27 @@ pub fn measure(
     }
     let method = charted.method.clone().unwrap_or(MethodName::Knn.into()).build(scene);
     let measured = on.prepare(&*method)?.measure_by(folds, &charted.seconds)?;
-    let point = |(seconds, measured): (&Option<f64>, &Measured)| {
-        ChartPoint::new(&measured.outcome, *over, name, *seconds, charted.control.is_some())
-    };
-    let points = charted.seconds.iter().zip(&measured).map(point).collect();
-    let left_out = measured.into_iter().flat_map(|measured| measured.left_out).collect();
+    let (mut points, mut left_out) = (Vec::new(), LeftOutSources::new());
+    for (&query_seconds, Measured { outcome, left_out: of_one, .. }) in
+        charted.seconds.iter().zip(measured)
+    {
+        let control = charted.control.is_some();
+        points.push(ChartPoint {
+            method: if control { "control".into() } else { outcome.method },
+            setting: name.into(),
+            sources: outcome.sources.iter().map(SourceId::to_string).collect(),
+            query_seconds,
+            accuracy: outcome.share.value(),
+            interval: Interval::of(&outcome.folds, *over),
+            users: if *over == Over::People { outcome.folds } else { Vec::new() },
+            query_ms_p50: outcome.query_ms_p50,
+            query_ms_p99: outcome.query_ms_p99,
+            queries: outcome.queries,
+            peer: false,
+            control,
+        });
+        left_out.extend(of_one);
+    }
     Ok((points, left_out))
 }
 

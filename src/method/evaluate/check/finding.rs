@@ -228,9 +228,7 @@ pub(super) fn of_signals(
 ) -> (Vec<Finding>, Vec<String>) {
     let mut faults = copies(inspected, leaks, audited);
     let usual = |id: &SourceId, surface: Option<&str>, of: fn(&Measured) -> f64| {
-        let is_of = |one: &&Inspected| surface.is_none_or(|name| one.entry.key.surface == name);
-        let those = inspected.iter().filter(is_of);
-        median(those.filter_map(|one| one.series.get(id).map(of)).collect())
+        usual(inspected.iter(), id, surface, of)
     };
     let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
     let of_source = |id| (id, (usual(id, None, |m| m.seconds), usual(id, None, |m| m.level)));
@@ -292,7 +290,7 @@ pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> 
     let finding = |(label, trials): (&str, Vec<String>)| Finding {
         kind: FaultKind::Mislabelled,
         source: None,
-        text: format!("{} mislabelled: left out, clearly named {label}", listed(&trials, "looks")),
+        text: format!("{} mislabelled: left out, clearly named {label}", look(&trials)),
         command: audited.command(&format!("move --to={}", quoted(label)), &trials),
         trials,
     };
@@ -300,12 +298,12 @@ pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> 
 }
 
 /// Text such as `a looks`, `2 trials (a, b) look` or `4 trials (a, b, c and 1 more) look`.
-fn listed(trials: &[String], verb: &str) -> String {
+fn look(trials: &[String]) -> String {
     let shown = trials.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
     match trials.len() {
-        1 => format!("{shown} {verb}"),
-        n if n <= SHOWN => format!("{n} trials ({shown}) {}", verb.trim_end_matches('s')),
-        n => format!("{n} trials ({shown} and {} more) {}", n - SHOWN, verb.trim_end_matches('s')),
+        1 => format!("{shown} looks"),
+        n if n <= SHOWN => format!("{n} trials ({shown}) look"),
+        n => format!("{n} trials ({shown} and {} more) look", n - SHOWN),
     }
 }
 
@@ -338,7 +336,8 @@ fn grouped(
         }
         let trials = if count == 1 { "trial" } else { "trials" };
         let text = format!("{subject} {what} in {count} {trials}: {each}");
-        if count >= FEWEST && count.saturating_mul(2) >= all {
+        // A copy says nothing about a sensor, however many there are.
+        if source.is_some() && count >= FEWEST && count.saturating_mul(2) >= all {
             advice.push(format!("{subject} {what} in {count} of {all} trials: check its sensor"));
             continue;
         }
@@ -407,8 +406,48 @@ fn forget_usual(inspected: &mut [Inspected]) {
     }
 }
 
+/// The median of a measurement of a source, over the trials of one surface if one is given.
+pub(super) fn usual<'i>(
+    trials: impl Iterator<Item = &'i Inspected>,
+    id: &SourceId,
+    surface: Option<&str>,
+    of: fn(&Measured) -> f64,
+) -> Option<f64> {
+    let those = trials.filter(|one| surface.is_none_or(|name| one.entry.key.surface == name));
+    median(those.filter_map(|one| one.series.get(id).map(of)).collect())
+}
+
 /// The median; `None` if there are fewer than [`FEWEST`] values.
 pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     (values.len() >= FEWEST).then(|| values[values.len() / 2])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recognise::{MethodName, MethodSpec};
+
+    #[test]
+    fn half_of_the_trials_blame_a_sensor_but_copies_are_to_be_removed_however_many() {
+        let scene = Scene::lmt108();
+        let method = &*MethodSpec::from(MethodName::Knn).build(&scene);
+        let root = std::path::Path::new("lib");
+        let audited = Audited { root, editable: true, scene: &scene, method, cache: None };
+        let three = |kind, source: Option<SourceId>, what| {
+            let fault = |n| Fault {
+                kind,
+                source: source.clone(),
+                what,
+                trial: format!("a/{n}"),
+                detail: String::new(),
+            };
+            grouped((1..=3).map(fault).collect(), 6, &audited)
+        };
+        let (findings, advice) = three(FaultKind::Stuck, SourceId::new("ir").ok(), "is stuck");
+        assert!(findings.is_empty() && advice[0].contains("3 of 6 trials: check its sensor"));
+        let (findings, advice) = three(FaultKind::Copy, None, "is a copy of another");
+        let command = findings[0].command.as_deref();
+        assert_eq!((command, advice), (Some("surfaced library remove lib a/1 a/2 a/3"), vec![]));
+    }
 }

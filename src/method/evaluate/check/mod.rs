@@ -194,18 +194,20 @@ fn hardest(keys: &[TrialKey]) -> (Option<Protocol>, &'static str) {
 }
 
 /// Makes the folds: those of the [`hardest`] protocol. Further folds leave out the remaining trials
-/// ([`by_parts`]), for example of a surface that only one person recorded.
-fn left_out(keys: &[TrialKey]) -> Vec<Fold> {
+/// ([`by_parts`]), for example of a surface that only one person recorded. Also tells what an interval
+/// is over: people or sessions only if there are enough of them, not counting the further folds.
+fn left_out(keys: &[TrialKey]) -> (Vec<Fold>, Over) {
     let (protocol, _) = hardest(keys);
     // A protocol that fits has folds.
     let mut folds = protocol.and_then(|one| folds(one, keys).ok()).unwrap_or_default();
+    let over = protocol.map_or(Over::Queries, |one| one.over().counted(folds.len()));
     let done: BTreeSet<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
     let rest = by_parts(keys).into_iter().map(|fold| {
         let queries = fold.queries.iter().copied().filter(|i| !done.contains(i)).collect();
         Fold { queries, ..fold }
     });
     folds.extend(rest.filter(|fold| !fold.queries.is_empty()));
-    folds
+    (folds, over)
 }
 
 /// Makes folds: fold k leaves out the k-th trial of every surface with several trials.
@@ -239,7 +241,7 @@ fn measure(
 ) -> Result<Measured, String> {
     let Audited { scene, method, cache, .. } = *audited;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let folds = left_out(&keys);
+    let (folds, over) = left_out(&keys);
     let folds = leaks.apart(&folds, &keys).unwrap_or(folds);
     let surfaces: BTreeSet<&str> = keys.iter().map(|key| key.surface.as_str()).collect();
     if surfaces.len() < 2 || folds.is_empty() {
@@ -249,7 +251,6 @@ fn measure(
     let evaluation = Evaluation { cache, progress, ..Evaluation::new(scene, entries, &folds) };
     let run = evaluation.prepare(method).map_err(|error| error.to_string())?;
     let mut measured = run.measure().map_err(|error| error.to_string())?;
-    let over = hardest(&keys).0.map_or(Over::Queries, Protocol::over);
     measured.outcome = measured.outcome.over(over);
     if let Some(advice) = advice
         && method.name() == MethodName::Embedding.as_str()
@@ -383,7 +384,7 @@ mod tests {
         let mut keys: Vec<TrialKey> = (1..=23).map(|n| TrialKey::new("a", "x", n)).collect();
         keys.extend((1..=3).map(|n| TrialKey::new("b", "x", n)));
         keys.push(TrialKey::new("c", "x", 1));
-        let folds = left_out(&keys);
+        let (folds, _) = left_out(&keys);
         assert_eq!(folds.len(), MOST_FOLDS);
         let mut left: Vec<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
         left.sort_unstable();
@@ -404,7 +405,8 @@ mod tests {
         }
         // Only anna has trials of c.
         keys.extend((1..=2).map(|n| TrialKey::new("c", "anna", n)));
-        let folds = left_out(&keys);
+        let (folds, over) = left_out(&keys);
+        assert_eq!(over, Over::Queries, "two people and two parts are no four people");
         let names: Vec<&str> = folds.iter().map(|fold| &*fold.name).collect();
         assert_eq!(names, ["anna", "ben", "part 1", "part 2"]);
         assert!(folds[0].queries == [0, 1] && folds[0].library == [2, 3]);

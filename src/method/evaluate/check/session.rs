@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::finding::{FaultKind, Finding, Inspected, Measured, median};
+use super::finding::{FaultKind, Finding, Inspected, Measured, median, usual};
 use super::{Audited, Suspects};
 use crate::evaluate::outcome::Prediction;
 use crate::scene::SourceId;
@@ -95,11 +95,7 @@ pub(super) fn differing(
 fn differences(own: &[&Inspected], others: &[&Inspected]) -> Vec<String> {
     let sources: BTreeSet<&SourceId> = own.iter().flat_map(|one| one.series.keys()).collect();
     let of_source = |id: &SourceId| {
-        let usual = |surface: Option<&str>, of: fn(&Measured) -> f64| {
-            let is_of =
-                |one: &&&Inspected| surface.is_none_or(|name| one.entry.key.surface == name);
-            median(others.iter().filter(is_of).filter_map(|o| o.series.get(id).map(of)).collect())
-        };
+        let usual = |surface: Option<&str>, of| usual(others.iter().copied(), id, surface, of);
         // The median over the session's trials, each compared with its surface elsewhere.
         let change = |of: fn(&Measured) -> f64| {
             let one = |one: &&Inspected| {
@@ -141,14 +137,8 @@ mod tests {
         let other = |key: &TrialKey| if key.surface == "a" { "b" } else { "a" };
         let of = |key: TrialKey| Prediction {
             surface: if wrong(&key) { other(&key).into() } else { key.surface.clone() },
-            key,
-            fold: 0,
             margin: 1.0,
-            query_ms: 1.0,
-            sources: Vec::new(),
-            confidence: None,
-            p_value: None,
-            probabilities: Vec::new(),
+            ..Prediction::none(key, 0)
         };
         keys.map(of).collect()
     }

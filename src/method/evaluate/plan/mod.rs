@@ -356,7 +356,7 @@ fn by_sources(
     model: &Arc<dyn Model>,
     trial: &Trial,
 ) -> Result<Option<QueryVector>, RecogniseError> {
-    let query = run.query_of(model, trial.clone(), None)?;
+    let query = run.query_of(model, trial.clone())?;
     let embedding = model.clone().embedding();
     let named = embedding.map(|model| if_enough(model.by_sources(&query.prepared))).transpose();
     Ok(named?.flatten())
@@ -371,7 +371,7 @@ fn time_alone(
 ) -> Option<f64> {
     let signal = trial.signals.get(id)?.clone();
     let alone = Trial { key: trial.key.clone(), signals: [(id.clone(), signal)].into() };
-    let query = run.query_of(model, alone, None).ok()?;
+    let query = run.query_of(model, alone).ok()?;
     model.rank(&query.prepared).ok()?;
     Some(query.started.elapsed().as_secs_f64() * 1e3)
 }

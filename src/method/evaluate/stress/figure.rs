@@ -31,20 +31,12 @@ impl Measure {
         }
     }
 
-    fn of(self, cell: &StressCell) -> Option<f64> {
+    /// The measured value, and the 95 % interval of a share of queries.
+    fn of(self, cell: &StressCell) -> Option<(f64, Option<(f64, f64)>)> {
         match self {
-            Self::Accuracy => Some(cell.accuracy),
-            Self::UnknownRejected => cell.unknown_rejected,
-            Self::CalibrationError => cell.calibration_error,
-        }
-    }
-
-    /// The 95 % interval of a share of queries.
-    fn interval(self, cell: &StressCell) -> Option<(f64, f64)> {
-        match self {
-            Self::Accuracy => cell.accuracy_interval,
-            Self::UnknownRejected => cell.unknown_interval,
-            Self::CalibrationError => None,
+            Self::Accuracy => Some((cell.accuracy, cell.accuracy_interval)),
+            Self::UnknownRejected => Some((cell.unknown_rejected?, cell.unknown_interval)),
+            Self::CalibrationError => Some((cell.calibration_error?, None)),
         }
     }
 
@@ -127,18 +119,15 @@ fn panel(area: &Area<'_>, shown: &[(usize, &MethodReport)], at: usize, measure: 
     for (row, (index, method)) in shown.iter().enumerate().rev() {
         let beside = (row as f64 - (shown.len() as f64 - 1.0) / 2.0) * 0.4 / shown.len() as f64;
         let cells = method.disturbances[at].levels.iter().map(|level| &level.cell);
-        let cells: Vec<(f64, &StressCell)> = std::iter::once(&method.clean)
-            .chain(cells)
-            .enumerate()
-            .map(|(place, cell)| (place as f64 + beside, cell))
-            .collect();
-        let points = cells.iter().filter_map(|(x, cell)| Some((*x, measure.of(cell)?)));
-        let points: Vec<(f64, f64)> = points.collect();
-        for (x, (low, high)) in
-            cells.iter().filter_map(|(x, cell)| Some((*x, measure.interval(cell)?)))
-        {
-            let bar = [(x, low), (x, high)];
-            chart.draw_series([PathElement::new(bar, colour(*index).mix(0.5).stroke_width(1))])?;
+        let mut points = Vec::new();
+        for (place, cell) in std::iter::once(&method.clean).chain(cells).enumerate() {
+            let (x, Some((y, interval))) = (place as f64 + beside, measure.of(cell)) else {
+                continue;
+            };
+            points.push((x, y));
+            let bar = interval.map(|(low, high)| [(x, low), (x, high)]);
+            let style = colour(*index).mix(0.5).stroke_width(1);
+            chart.draw_series(bar.map(|bar| PathElement::new(bar, style)))?;
         }
         line(&mut chart, points.clone(), *index)?;
         let (left, top) = area.get_base_pixel();

@@ -192,7 +192,7 @@ impl<'u> Models<'u> {
     ) -> Vec<StressAnswer> {
         let answer = |(query, raw): &(usize, Trial)| {
             // Both models expect the same rates and channels, so the query is prepared once.
-            let Ok(disturbed) = run.query_of(&self.all, change(raw), None) else {
+            let Ok(disturbed) = run.query_of(&self.all, change(raw)) else {
                 return StressAnswer::default();
             };
             let named = |ranking: Ranking| NamedQuery {
@@ -230,26 +230,19 @@ fn sum_up(
 
 fn cell(answers: &[StressAnswer], threshold: f64) -> StressCell {
     let known: Vec<NamedQuery> = answers.iter().filter_map(|a| a.known).collect();
-    let unknown: Vec<Option<NamedQuery>> = answers.iter().filter_map(|a| a.unknown).collect();
-    let rejected = |named: &NamedQuery| named.margin < threshold;
-    let share = |count: usize, of: usize| count as f64 / of.max(1) as f64;
-    // Queries that cannot be compared at all count as rejected.
-    let unknown_rejected =
-        unknown.iter().filter(|named| named.as_ref().is_none_or(rejected)).count();
-    let refused = answers.len() - known.len();
-    let right = known.iter().filter(|named| named.right).count();
-    let interval = |right, of| Share { right, of }.interval();
+    // Queries that cannot be compared at all count as named wrong, and as rejected.
+    let rejected = |named: Option<NamedQuery>| named.is_none_or(|named| named.margin < threshold);
+    let right = Share::count(answers.iter().map(|a| a.known.is_some_and(|named| named.right)));
+    let known_rejected = Share::count(answers.iter().map(|a| rejected(a.known)));
+    let unknown = Share::count(answers.iter().filter_map(|a| a.unknown).map(rejected));
     StressCell {
-        accuracy: share(right, answers.len()),
-        accuracy_interval: (!answers.is_empty()).then(|| interval(right, answers.len())),
-        known_rejected: share(
-            known.iter().filter(|n| rejected(n)).count() + refused,
-            answers.len(),
-        ),
-        unknown_rejected: (!unknown.is_empty()).then(|| share(unknown_rejected, unknown.len())),
-        unknown_interval: (!unknown.is_empty()).then(|| interval(unknown_rejected, unknown.len())),
+        accuracy: right.value(),
+        accuracy_interval: (right.of > 0).then(|| right.interval()),
+        known_rejected: known_rejected.value(),
+        unknown_rejected: (unknown.of > 0).then(|| unknown.value()),
+        unknown_interval: (unknown.of > 0).then(|| unknown.interval()),
         calibration_error: calibration_error(&known),
-        refused,
+        refused: answers.len() - known.len(),
     }
 }
 

@@ -2,7 +2,7 @@
 
 mod table;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::algorithm1::{Algorithm1Settings, CurvePoint, Estimate, Rule, Search, SearchOutcome};
 use super::pooled::{
@@ -205,6 +205,15 @@ pub fn report(
         return Err(ReportError::Nothing(format!(
             "no surface is called `{unknown}`; there are: {list}"
         )));
+    }
+    if let Some(user) = &question.user {
+        let users: BTreeSet<&str> = library.entries.iter().map(|e| e.key.user.as_str()).collect();
+        if !users.contains(user.as_str()) {
+            let list = users.into_iter().collect::<Vec<_>>().join(", ");
+            return Err(ReportError::Nothing(format!(
+                "no trial is by a user `{user}`; there are: {list}"
+            )));
+        }
     }
     let mut durations = Vec::new();
     // Sources that were not asked for are not read.

@@ -36,7 +36,7 @@ impl LeftOutBy {
         }
     }
 
-    /// For whom the figure holds, in a library of so many `people`.
+    /// For whom the figure holds; `people` is the number of people in the library.
     pub(crate) fn of_whom(self, people: usize) -> &'static str {
         match (self, people) {
             (Self::People, _) => "for other people, too: each was left out in turn",

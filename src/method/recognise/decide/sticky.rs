@@ -1,5 +1,5 @@
-//! A sticky hidden Markov model, filtered forward: smooths answers to windows that slide over a thing that
-//! stays as it is for a while, and then is another.
+//! A sticky hidden Markov model, filtered forward: smooths the answers of windows that slide over surfaces
+//! of which each stays the same for a while.
 //!
 //! In each step the state stays with one probability, and else changes to any other state alike
 //! (L. R. Rabiner, *A tutorial on hidden Markov models*, Proc. IEEE 77, 1989, Eqs. 19 and 20, with
@@ -11,9 +11,9 @@
 
 use std::collections::VecDeque;
 
-/// How many windows ago the begin of a state is remembered.
+/// The beginning of a state is remembered for this number of windows.
 const REMEMBERED: usize = 4;
-/// Changes are forgotten that are less probable than this share of a change from a state that is certain.
+/// A change is forgotten if it is less probable than this share of a change from a certain state.
 const FORGOTTEN: f64 = 0.01;
 
 /// The probability of each state and of when it began, given all that was observed so far.
@@ -61,8 +61,8 @@ impl StickyFilter {
         settled
     }
 
-    /// How many steps ago a state began if it is the present one: the median. `None` if it began before
-    /// that is remembered.
+    /// How many steps ago a state began if it is the present one: the median. `None` if it began too long
+    /// ago to be remembered.
     pub fn age(&self, state: usize) -> Option<usize> {
         let to_it = |changes: &Vec<Changed>| {
             changes.iter().filter(|changed| changed.to == state).map(|changed| changed.p).sum()
@@ -121,8 +121,8 @@ impl StickyFilter {
         self.aged.iter_mut().flatten().chain(&mut self.old).for_each(|p| *p *= self.stay);
     }
 
-    /// Takes an observation of the window that ends now, with this ln likelihood in each state, of which one
-    /// at least is finite. An observation that repeats earlier ones in part counts with a `weight` below 1,
+    /// Takes the observation of the window that ends now: its ln likelihood in each state, at least one of
+    /// which is finite. An observation that repeats earlier ones in part counts with a `weight` below 1,
     /// as the exponent of its likelihood.
     pub fn observe(&mut self, log_likelihood: &[f64], weight: f64) {
         let best = log_likelihood.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -190,7 +190,7 @@ mod tests {
     }
 
     proptest! {
-        // But for changes that are forgotten.
+        // The difference allowed is that of changes that are forgotten.
         #[test]
         fn the_filter_is_the_sum_over_all_paths(
             states in 2_usize..4,

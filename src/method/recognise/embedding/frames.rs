@@ -284,7 +284,7 @@ mod tests {
         let scene = Scene::lmt108();
         let spec = scene.get(id).unwrap();
         let shape = SourceShape { rate_hz, channels: spec.channels, median_frames };
-        let shape = LibraryShape::from_iter([(spec.id.clone(), shape)]);
+        let shape = LibraryShape { sources: [(spec.id.clone(), shape)].into() };
         SourceViews::new(spec, (at_hz, 100), &shape).frames
     }
 
