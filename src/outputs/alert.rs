@@ -25,7 +25,7 @@ const LATEST: Duration = Duration::from_secs(10);
 /// Interval at which the history is asked for drift.
 const DRIFT_EVERY: Duration = Duration::from_secs(1);
 
-/// What an alert says.
+/// An alert, as it is sent.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Alert {
     /// The name of its rule.
@@ -61,7 +61,7 @@ pub(super) struct Watch {
     rule: AlertConfig,
     /// Whether each of the last answers fits the rule, the newest last.
     heard: VecDeque<bool>,
-    /// What the last alert said of drift, as far as it has not ended since.
+    /// The drift that the last alert reported, as far as it has not ended since.
     drifted: Vec<Doubt>,
     quiet_until_ms: u64,
 }
