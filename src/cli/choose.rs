@@ -110,7 +110,7 @@ impl SplitArgs {
 fn groups(key: &str, trials: Splittable<'_>) -> Result<Vec<String>, Failure> {
     let Splittable::Recordings(data, entries) = trials else {
         let problem = "--group-by takes user or session here; feature tables have no [meta]";
-        return Err(Failure::Usage(problem.into()));
+        return Err(Failure::usage(problem));
     };
     let of = |entry: &Entry| match value_of(entry, &entry.about()?.meta, key) {
         Some(toml::Value::String(text)) => Ok(text),
@@ -257,7 +257,7 @@ impl Choice {
             .map(|(_, name)| (*name).to_string())
             .collect();
         if kept.len() < 2 {
-            return Err(Failure::Usage("a chart takes at least two surfaces".into()));
+            return Err(Failure::usage("a chart takes at least two surfaces"));
         }
         let is_kept = |i: &usize| kept.contains(&self.entries[*i].key.surface);
         for fold in &mut self.split.folds {

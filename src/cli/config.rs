@@ -94,7 +94,7 @@ fn sources<'a>(config: &StationConfig, streams: impl IntoIterator<Item = &'a Sou
     }))
 }
 
-/// What is configured besides devices.
+/// The settings besides devices: a name and a text each.
 fn other(config: &StationConfig) -> Vec<(&'static str, String)> {
     let groups = config.detection.groups.iter();
     let contact = groups.map(|group| listed(group.iter().map(|(stream, _)| stream)));

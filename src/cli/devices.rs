@@ -47,7 +47,7 @@ struct Watched {
     first_lines: Vec<String>,
     /// Share of the lines that are rows, from 0 to 1.
     fitting_share: f64,
-    /// What was found out and should be known.
+    /// Remarks for the user.
     remarks: Vec<String>,
     /// The reason why no configuration fits the sensor, and what to do.
     problem: Option<String>,

@@ -173,7 +173,7 @@ pub(super) fn run(args: &Args) -> Done {
 
 fn named(label: &str) -> Result<String, Failure> {
     match label.trim() {
-        "" => Err(Failure::Usage("an empty label; give it a name, such as oak".into())),
+        "" => Err(Failure::usage("an empty label; give it a name, such as oak")),
         label => Ok(normal(label)),
     }
 }

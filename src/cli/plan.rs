@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::choose::{protocols, within};
 use super::figure::write;
-use super::show::{Made, MadeBy, quoted};
+use super::show::{Made, quoted};
 use super::{Done, Failure, SourceArgs, bad_files, one_of, say, share, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Expected, Plan, PlanOptions, Planned, search};
@@ -64,7 +64,7 @@ pub(super) fn run(args: &Args) -> Done {
     say::results_aside(args.json);
     if args.json {
         // The search draws with the default seed.
-        show::json(&Made { of: &planned, made_by: MadeBy::this(1, digest) });
+        show::json(&Made::new(&planned, 1, digest));
     }
     print(&planned);
     if args.out.is_none() && say::is_verbose() {

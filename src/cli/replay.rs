@@ -254,7 +254,7 @@ fn play(
     {
         let problem = "joined recordings are named by one library, and each of these has another; name it \
                        by --library, or use --protocol expert-vs-users";
-        return Err(Failure::Usage(problem.into()));
+        return Err(Failure::usage(problem));
     }
     let mut tally = Tally::new(!args.json, queries.len());
     let is_shown = args.serve.is_wanted() && args.speed == Speed::RealTime(1.0);
