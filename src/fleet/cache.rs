@@ -166,8 +166,8 @@ impl Cache {
         before_ms: u64,
     ) -> impl DoubleEndedIterator<Item = Span> {
         let entries = self.entries.range(..(before_ms, String::new(), String::new()));
-        let is_wanted = move |key: &Key| station.is_none_or(|wanted| key.2 == wanted);
-        entries.filter(move |(key, _)| is_wanted(key)).map(|(_, entry)| entry.span)
+        let wanted = entries.filter(move |(key, _)| station.is_none_or(|name| key.2 == name));
+        wanted.map(|(_, entry)| entry.span)
     }
 }
 

@@ -57,6 +57,7 @@ impl Inner {
             if answer["id"].as_str().is_some_and(|id| self.cache.has(station, id)) {
                 return Ok(());
             }
+            // Only an object has this field, so that others can be set.
             answer["said_unix_ms"] = said.into();
             answer["unix_ms"] = now.into();
         }

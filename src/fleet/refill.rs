@@ -131,11 +131,9 @@ async fn read(
     for _ in 0..MOST_REQUESTS_A_STATION {
         let scans = request(&receiver, &before).await?;
         let is_last = scans.len() < A_REQUEST;
-        let oldest_ms = scans.last().and_then(|scan| scan["unix_ms"].as_u64()).unwrap_or(0);
-        before = format!(
-            "&before={}",
-            scans.last().and_then(|scan| scan["id"].as_str()).unwrap_or_default()
-        );
+        let oldest = scans.last().unwrap_or(&Value::Null);
+        let oldest_ms = oldest["unix_ms"].as_u64().unwrap_or(0);
+        before = format!("&before={}", oldest["id"].as_str().unwrap_or_default());
         for scan in scans {
             add(fleet, station, scan)?;
         }
