@@ -84,15 +84,8 @@ impl Publisher {
             QoS::AtLeastOnce,
             true,
         ));
-        Ok(Self {
-            pending,
-            options,
-            topics,
-            card,
-            history: history.clone(),
-            page: page.clone(),
-            back_off: BackOff::new(),
-        })
+        let (history, page, back_off) = (history.clone(), page.clone(), BackOff::new());
+        Ok(Self { pending, options, topics, card, history, page, back_off })
     }
 
     pub(super) async fn run(mut self, mut answers: mpsc::Receiver<Said>) {
