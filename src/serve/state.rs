@@ -248,18 +248,11 @@ impl State {
         if guess.enough {
             return say(AdviceKind::Lift, "lift");
         }
-        match guess.more_s() {
-            Some(more_s) => {
-                // The time is rounded up to tenths, so that it is long enough. The 1e-6 keeps
-                // rounding errors from turning 1.2 s into 1.3 s.
-                let more_s = ((more_s * 10.0 - 1e-6).ceil() / 10.0).max(0.1);
-                Advice {
-                    more_s: Some(more_s),
-                    ..say(AdviceKind::Drag, &format!("{more_s:.1} s more"))
-                }
-            }
-            None => say(AdviceKind::Drag, "drag"),
-        }
+        let Some(more_s) = guess.more_s() else { return say(AdviceKind::Drag, "drag") };
+        // The time is rounded up to tenths, so that it is long enough. The 1e-6 keeps rounding errors from
+        // turning 1.2 s into 1.3 s.
+        let more_s = ((more_s * 10.0 - 1e-6).ceil() / 10.0).max(0.1);
+        Advice { more_s: Some(more_s), ..say(AdviceKind::Drag, &format!("{more_s:.1} s more")) }
     }
 }
 
