@@ -34,7 +34,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
-    let (report, library) = audited(&args.library, &how, &args.only, &say::progress)?;
+    let (report, library) = audit(&args.library, &how, &args.only, &say::progress)?;
     let digest = if args.json { library.digest() } else { String::new() };
     let made = Made::new(report, how.seed, digest);
     show::result(args.json, &made, |made| print(&made.of));
@@ -44,16 +44,8 @@ pub(super) fn run(args: &Args) -> Done {
     }
 }
 
+/// Audits the library at a path. Returns the trials that were used, too.
 pub(super) fn audit(
-    library: &Path,
-    how: &Comparing,
-    only: &WhereArgs,
-    progress: ProgressFn<'_>,
-) -> Result<CheckReport, Failure> {
-    Ok(audited(library, how, only, progress)?.0)
-}
-
-fn audited(
     library: &Path,
     how: &Comparing,
     only: &WhereArgs,

@@ -97,13 +97,17 @@ impl SplitArgs {
             (_, Some(key), _) => return Ok(Split::by_key(key, &groups(key, trials)?, &keys)?),
             (.., named) => named,
         };
-        let fitting = || Protocol::fitting(&keys).unwrap_or(Protocol::LeaveOneTrialOut);
-        let split = Split::by_protocol(protocol.unwrap_or_else(fitting), &keys)?;
+        let split = Split::by_protocol(protocol.unwrap_or_else(|| hardest(&keys)), &keys)?;
         if protocol.is_none() {
             say!("protocol: {} ({})", split.name, split.left_out);
         }
         Ok(split)
     }
+}
+
+/// The hardest protocol that the trials allow.
+pub(super) fn hardest(keys: &[TrialKey]) -> Protocol {
+    Protocol::fitting(keys).unwrap_or(Protocol::LeaveOneTrialOut)
 }
 
 /// The value of a key of each trial.

@@ -316,7 +316,7 @@ fn list(args: &ListArgs) -> Done {
     let mut checked: BTreeMap<TrialKey, TrialCheck> = BTreeMap::new();
     if !args.quick && !args.removed {
         let how = args.comparing.resolve(None)?;
-        let report = check::audit(&args.library, &how, &WhereArgs::default(), &say::progress)?;
+        let (report, _) = check::audit(&args.library, &how, &WhereArgs::default(), &say::progress)?;
         checked.extend(report.each.into_iter().map(|trial| (trial.key.clone(), trial)));
     }
     drop(lock);

@@ -176,7 +176,9 @@ pub(super) fn check(path: &Path, how: &Comparing) -> Audit {
     let (path, how) = (path.to_path_buf(), how.clone());
     Arc::new(move || {
         let all = WhereArgs::default();
-        super::check::audit(&path, &how, &all, &|_, _, _| {}).map_err(Failure::text)
+        let (report, _) =
+            super::check::audit(&path, &how, &all, &|_, _, _| {}).map_err(Failure::text)?;
+        Ok(report)
     })
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::choose::{protocols, within};
+use super::choose::{hardest, protocols, within};
 use super::figure::write;
 use super::show::{Made, quoted};
 use super::{Done, Failure, SourceArgs, bad_files, one_of, say, share, show};
@@ -48,8 +48,7 @@ pub(super) fn run(args: &Args) -> Done {
         let scene = args.sources.narrow(library.scene.clone())?;
         let entries = within(library, &scene)?;
         let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-        let fitting = || Protocol::fitting(&keys).unwrap_or(Protocol::LeaveOneTrialOut);
-        let protocol = args.protocol.unwrap_or_else(fitting);
+        let protocol = args.protocol.unwrap_or_else(|| hardest(&keys));
         say!("protocol: {} ({})", protocol.name(), protocol.left_out());
         let target = args.target.unwrap_or(TARGET);
         let options = PlanOptions { target, accuracy: args.target, protocol };
