@@ -86,11 +86,16 @@ pub(super) fn leave_out(path: &Path, entries: &mut [Entry]) -> Result<bool, Fail
     Ok(all)
 }
 
-/// Warns, in one line, that recordings are not used.
+/// Warns, in one line, that recordings at `path` are not used; `surfaced check` names all of them.
 ///
 /// # Errors
 /// With `--strict`, if `bad` is not empty; the error names every recording.
 pub(super) fn skip(path: &Path, bad: Vec<LibraryError>) -> Done {
+    warn(path, bad, &format!("`surfaced check {}`", show::quoted(path)))
+}
+
+/// Like [`skip`], for files that `named_by` names, and not a check of the library at `path`.
+pub(super) fn warn(path: &Path, bad: Vec<LibraryError>, named_by: &str) -> Done {
     let lines: Vec<String> = bad.iter().map(ToString::to_string).collect();
     if STRICT.load(Ordering::Acquire)
         && let Some(all) = LibraryError::of_all(bad)
@@ -107,10 +112,7 @@ pub(super) fn skip(path: &Path, bad: Vec<LibraryError>) -> Done {
     if let Some(first) = fresh.first() {
         let all = match fresh.len() {
             1 => format!("not used: {first}"),
-            n => {
-                let check = show::quoted(path);
-                format!("{n} files are not used; `surfaced check {check}` names all: {first}")
-            }
+            n => format!("{n} files are not used; {named_by} names all: {first}"),
         };
         say!("warning: {all}");
     }

@@ -8,7 +8,7 @@ use super::choose::choose;
 use super::condition::WhereArgs;
 use super::figure::{FigureArgs, is_earlier};
 use super::method::{OneOrAll, at_least_one, options_of};
-use super::show::{Made, MadeBy, quoted};
+use super::show::{Made, quoted};
 use super::{Done, Failure, bad_files, one_of, show};
 use crate::evaluate::chart::{Chart, charted, drag_s, figure, measure};
 use crate::library::Library;
@@ -83,7 +83,7 @@ fn measured(args: &Args, library: &Library) -> Result<Made<Chart>, Failure> {
     };
     let all = charted(&choice.scene, chart.drag_s, &OneOrAll::list(&args.methods), args.brief);
     // Every method of a chart has its default seed.
-    let mut made = Made { of: chart, made_by: MadeBy::this(1, library.digest()) };
+    let mut made = Made::new(chart, 1, library.digest());
     let (start, mut warned) = (Instant::now(), BTreeSet::new());
     for (done, one) in all.iter().enumerate() {
         let so_far_s = start.elapsed().as_secs_f64();
@@ -120,14 +120,14 @@ mod tests {
     use clap::Parser;
 
     use super::*;
-    use crate::cli::method::MethodArgs;
+    use crate::cli::method::ComparingArgs;
     use crate::evaluate::chart::settings;
 
     /// Parses the options of a method alone, without a command.
     #[derive(clap::Parser)]
-    struct ParsedMethod {
+    struct Parsed {
         #[command(flatten)]
-        method: MethodArgs,
+        comparing: ComparingArgs,
     }
 
     #[test]
@@ -135,8 +135,8 @@ mod tests {
         for (method, ..) in settings() {
             let words = options_of(&method);
             let words = std::iter::once("surfaced").chain(words.split(' '));
-            let parsed = ParsedMethod::try_parse_from(words).unwrap();
-            assert_eq!(parsed.method.spec().ok(), Some(method));
+            let parsed = Parsed::try_parse_from(words).unwrap();
+            assert_eq!(parsed.comparing.resolve(None).ok().map(|how| how.method), Some(method));
         }
     }
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::condition::WhereArgs;
 use super::method::{Comparing, ComparingArgs};
-use super::show::{Made, MadeBy};
+use super::show::Made;
 use super::{Done, Failure, say, show};
 use crate::dataset;
 use crate::evaluate::{Audited, CheckReport, Finding, ProgressFn, check};
@@ -34,9 +34,9 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
-    let (report, library) = audited(&args.library, &how, &args.only, &say::progress)?;
-    let made_by = MadeBy::this(how.seed, if args.json { library.digest() } else { String::new() });
-    let made = Made { of: report, made_by };
+    let (report, library) = audit(&args.library, &how, &args.only, &say::progress)?;
+    let digest = if args.json { library.digest() } else { String::new() };
+    let made = Made::new(report, how.seed, digest);
     show::result(args.json, &made, |made| print(&made.of));
     match made.of.findings.len() {
         0 => Ok(()),
@@ -44,16 +44,8 @@ pub(super) fn run(args: &Args) -> Done {
     }
 }
 
+/// Audits the library at a path. Returns the trials that were used, too.
 pub(super) fn audit(
-    library: &Path,
-    how: &Comparing,
-    only: &WhereArgs,
-    progress: ProgressFn<'_>,
-) -> Result<CheckReport, Failure> {
-    Ok(audited(library, how, only, progress)?.0)
-}
-
-fn audited(
     library: &Path,
     how: &Comparing,
     only: &WhereArgs,

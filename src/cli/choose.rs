@@ -97,8 +97,7 @@ impl SplitArgs {
             (_, Some(key), _) => return Ok(Split::by_key(key, &groups(key, trials)?, &keys)?),
             (.., named) => named,
         };
-        let fitting = || Protocol::fitting(&keys).unwrap_or(Protocol::LeaveOneTrialOut);
-        let split = Split::by_protocol(protocol.unwrap_or_else(fitting), &keys)?;
+        let split = Split::by_protocol(protocol.unwrap_or_else(|| hardest(&keys)), &keys)?;
         if protocol.is_none() {
             say!("protocol: {} ({})", split.name, split.left_out);
         }
@@ -106,11 +105,16 @@ impl SplitArgs {
     }
 }
 
+/// The hardest protocol that the trials allow.
+pub(super) fn hardest(keys: &[TrialKey]) -> Protocol {
+    Protocol::fitting(keys).unwrap_or(Protocol::LeaveOneTrialOut)
+}
+
 /// The value of a key of each trial.
 fn groups(key: &str, trials: Splittable<'_>) -> Result<Vec<String>, Failure> {
     let Splittable::Recordings(data, entries) = trials else {
         let problem = "--group-by takes user or session here; feature tables have no [meta]";
-        return Err(Failure::Usage(problem.into()));
+        return Err(Failure::usage(problem));
     };
     let of = |entry: &Entry| match value_of(entry, &entry.about()?.meta, key) {
         Some(toml::Value::String(text)) => Ok(text),
@@ -257,7 +261,7 @@ impl Choice {
             .map(|(_, name)| (*name).to_string())
             .collect();
         if kept.len() < 2 {
-            return Err(Failure::Usage("a chart takes at least two surfaces".into()));
+            return Err(Failure::usage("a chart takes at least two surfaces"));
         }
         let is_kept = |i: &usize| kept.contains(&self.entries[*i].key.surface);
         for fold in &mut self.split.folds {

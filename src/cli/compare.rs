@@ -209,18 +209,17 @@ pub(super) fn dependence(args: &DependenceArgs) -> Done {
             Failure::Failed(format!("{files}: {error}"))
         },
     )?;
-    if args.json {
-        show::json(&result);
-        return Ok(());
-    }
-    result!("n = {}, σ_x = {:.6}, σ_y = {:.6}", result.n, result.sigma_x, result.sigma_y);
-    result!("HSIC_b = {:.6e}   κ = {:.6e}   p = {:.4}", result.hsic, result.kappa, result.p_value);
-    let verdict = if result.hsic > result.kappa {
-        "they depend on each other"
-    } else {
-        "no dependence was found; this does not prove independence"
-    };
-    result!("at level {}: {verdict}", args.alpha);
-    show::next("surfaced duration my-library says how far apart samples of a recording must lie");
+    show::result(args.json, &result, |test| {
+        result!("n = {}, σ_x = {:.6}, σ_y = {:.6}", test.n, test.sigma_x, test.sigma_y);
+        result!("HSIC_b = {:.6e}   κ = {:.6e}   p = {:.4}", test.hsic, test.kappa, test.p_value);
+        let verdict = match test.hsic > test.kappa {
+            true => "they depend on each other",
+            false => "no dependence was found; this does not prove independence",
+        };
+        result!("at level {}: {verdict}", args.alpha);
+        show::next(
+            "surfaced duration my-library says how far apart samples of a recording must lie",
+        );
+    });
     Ok(())
 }

@@ -60,13 +60,11 @@ impl Condition {
     /// # Errors
     /// If the two cannot be compared.
     fn holds(&self, there: &Value) -> Result<bool, String> {
-        let number = |there: f64| Some(self.value.parse::<f64>().ok()?.partial_cmp(&there));
+        let number = |there: f64| Some(there.partial_cmp(&self.value.parse().ok()?));
         let order = match there {
             Value::String(there) => Some(Some(normal(there).cmp(&self.value))),
-            Value::Integer(there) => {
-                number(*there as f64).map(|order| order.map(Ordering::reverse))
-            }
-            Value::Float(there) => number(*there).map(|order| order.map(Ordering::reverse)),
+            Value::Integer(there) => number(*there as f64),
+            Value::Float(there) => number(*there),
             Value::Boolean(there) => {
                 self.value.parse::<bool>().ok().map(|value| Some(there.cmp(&value)))
             }

@@ -26,17 +26,14 @@ enum ConfigCommand {
     ///
     /// No device is opened and nothing is sent. A mistake is reported with its line, and ends the
     /// command with code 2.
-    Check(CheckArgs),
-}
-
-#[derive(clap::Args)]
-struct CheckArgs {
-    /// The station's configuration
-    file: PathBuf,
+    Check {
+        /// The station's configuration
+        file: PathBuf,
+    },
 }
 
 pub(super) fn run(args: &Args) -> Done {
-    let ConfigCommand::Check(CheckArgs { file }) = &args.command;
+    let ConfigCommand::Check { file } = &args.command;
     let config = super::config(Some(file))?;
     outputs::check(&config.outputs)?;
     let devices = devices(&config);
@@ -94,7 +91,7 @@ fn sources<'a>(config: &StationConfig, streams: impl IntoIterator<Item = &'a Sou
     }))
 }
 
-/// What is configured besides devices.
+/// The settings besides devices: a name and a text each.
 fn other(config: &StationConfig) -> Vec<(&'static str, String)> {
     let groups = config.detection.groups.iter();
     let contact = groups.map(|group| listed(group.iter().map(|(stream, _)| stream)));

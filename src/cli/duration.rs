@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::condition::WhereArgs;
 use super::figure::{LookArgs, can_draw, draw};
 use super::method::{at_least_one, honoured};
-use super::show::{Made, MadeBy};
+use super::show::Made;
 use super::{Done, Failure, bad_files, say, share, show};
 use crate::independence::{
     AccuracyCurve, Algorithm1Settings, CORRELATION, DurationReport, Estimator, PooledSettings,
@@ -93,19 +93,17 @@ impl Args {
         let estimator = match self.rule {
             RuleName::Pooled => {
                 if self.algorithm1.is_some() {
-                    return Err(Failure::Usage(
+                    return Err(Failure::usage(
                         "an option of the published rules was given: name --rule mean-ci or \
-                         quantile, or leave it out; see --help"
-                            .into(),
+                         quantile, or leave it out; see --help",
                     ));
                 }
                 let dependence = self.dependence.unwrap_or(CORRELATION);
                 Estimator::Pooled(PooledSettings { dependence })
             }
             _ if self.dependence.is_some() => {
-                return Err(Failure::Usage(
-                    "--dependence belongs to the rule `pooled`: leave it out, or leave --rule out"
-                        .into(),
+                return Err(Failure::usage(
+                    "--dependence belongs to the rule `pooled`: leave it out, or leave --rule out",
                 ));
             }
             RuleName::Quantile => Estimator::Algorithm1(published.settings(Rule::Quantile)),
@@ -218,7 +216,7 @@ pub(super) fn run(args: &Args) -> Done {
     if args.json {
         let seed = args.algorithm1.as_ref().and_then(|published| published.seed).unwrap_or(1);
         let of = DurationDocument { report: &found, answer: &answer };
-        show::json(&Made { of, made_by: MadeBy::this(seed, digest) });
+        show::json(&Made::new(of, seed, digest));
         return refused;
     }
     if refused.is_ok() {

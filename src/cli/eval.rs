@@ -8,7 +8,7 @@ use super::choose::{SplitArgs, Splittable, kept_apart, leaks, within};
 use super::condition::WhereArgs;
 use super::eval_report::{EvalAnswer, EvalReport, EvalTable, Seeds, write_predictions};
 use super::method::{AnswerArgs, MethodOptions, OneOrAll};
-use super::show::{Made, MadeBy, listed, quoted};
+use super::show::{Made, listed, quoted};
 use super::{Done, Failure, SourceArgs, one_of, paper, parsed, say, show};
 use crate::dataset::feature_tables::{self, FeatureTables};
 use crate::evaluate::{
@@ -107,7 +107,7 @@ pub(super) fn run(args: &Args) -> Done {
         return paper::merge(args);
     }
     let Some(data) = &args.data else {
-        return Err(Failure::Usage("name the recordings".into()));
+        return Err(Failure::usage("name the recordings"));
     };
     let _lock = LibraryLock::for_reading(data);
     let (mut reports, digest) = match feature_tables::open(data)? {
@@ -140,15 +140,15 @@ pub(super) fn run(args: &Args) -> Done {
     if let Some(path) = &args.predictions {
         write_predictions(&reports, path)?;
     }
-    let made_by = MadeBy::this(args.options.seed, digest);
+    let seed = args.options.seed;
     if reports.len() > 1 {
-        let made = Made { of: EvalTable::new(reports), made_by };
+        let made = Made::new(EvalTable::new(reports), seed, digest);
         show::result(args.json, &made, |made| made.of.print());
         return Ok(());
     }
     // Without several methods, there is one report.
     let Some(report) = reports.pop() else { return Ok(()) };
-    show::result(args.json, &Made { of: report, made_by }, |Made { of: report, .. }| {
+    show::result(args.json, &Made::new(report, seed, digest), |Made { of: report, .. }| {
         report.print();
         let lib = quoted(data);
         show::next(&match report.outcome.method == MethodName::Embedding.as_str() {
@@ -165,7 +165,7 @@ pub(super) fn run(args: &Args) -> Done {
 fn on_tables(args: &Args, tables: &FeatureTables) -> Result<Vec<EvalReport>, Failure> {
     if args.paper || args.query_seconds.is_some() {
         let problem = "--paper and --query-seconds need recordings; these are feature tables";
-        return Err(Failure::Usage(problem.into()));
+        return Err(Failure::usage(problem));
     }
     let trials = vectors(tables, &args.sources.sources)?;
     let keys: Vec<TrialKey> = trials.iter().map(|trial| trial.key.clone()).collect();
@@ -316,9 +316,7 @@ fn not_asked(folds: &[Fold], keys: &[TrialKey]) -> BTreeMap<String, usize> {
 fn mended(error: EvaluateError) -> Failure {
     match error {
         EvaluateError::Follow { .. } => Failure::Failed(format!("{error}; use --method embedding")),
-        EvaluateError::Recognise(RecogniseError::NeedsRecordings(_)) => {
-            Failure::Usage(error.to_string())
-        }
+        EvaluateError::Recognise(RecogniseError::NeedsRecordings(_)) => Failure::usage(error),
         other => other.into(),
     }
 }

@@ -1,4 +1,4 @@
-//! What `surfaced eval` found, as JSON, as a table of all queries, and for people.
+//! The results of `surfaced eval`: as JSON, as a table of all queries, and as text.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -18,9 +18,9 @@ pub(super) struct EvalReport {
     #[serde(flatten)]
     pub(super) outcome: Outcome,
     pub(super) protocol: String,
-    /// Which trials are left out, and what that leaves untold.
+    /// Which trials are left out, and what the accuracy therefore does not tell.
     pub(super) left_out: String,
-    /// What each fold leaves out, if that is more than trials.
+    /// The groups that folds leave out, if these are more than trials.
     #[serde(skip)]
     pub(super) over: Over,
     pub(super) data: String,
@@ -145,7 +145,7 @@ fn p_value(p: f64) -> String {
     if p < 1e-4 { "< 0.0001".into() } else { format!("{p:.4}") }
 }
 
-/// What an interval is for, and how many groups it comes from.
+/// The scans that an interval is for, and how many groups it comes from.
 fn over_words(over: Over, folds: usize) -> String {
     let by = if over == Over::Queries { String::new() } else { format!(", by {folds}") };
     format!("{}{by}", show::over(over))
@@ -209,6 +209,22 @@ impl EvalAnswer {
             probabilities: of.probabilities.into_iter().collect(),
         }
     }
+
+    fn cells(&self, method: &str, surfaces: &BTreeSet<&str>) -> Vec<String> {
+        let number = |value: Option<f64>| value.map(|x| x.to_string()).unwrap_or_default();
+        let text = |text: &Option<String>| text.clone().unwrap_or_default();
+        let (trial, margin) = (self.trial.to_string(), self.margin.to_string());
+        let known = [text(&self.path), self.user.clone(), trial, text(&self.session)];
+        let named = [self.fold.clone(), self.truth.clone(), self.answer.clone(), margin];
+        let stated = [number(self.confidence), number(self.p_value)];
+        let of = surfaces.iter().map(|name| number(self.probabilities.get(*name).copied()));
+        std::iter::once(method.to_string())
+            .chain(known)
+            .chain(named)
+            .chain(stated)
+            .chain(of)
+            .collect()
+    }
 }
 
 impl EvalReport {
@@ -265,9 +281,7 @@ impl EvalReport {
         self.settled.iter().for_each(print_settled);
         self.unknown.iter().for_each(print_unknown);
     }
-}
 
-impl EvalReport {
     fn named(&self) -> Named<'_> {
         let right = |one: &EvalAnswer| one.answer == one.truth;
         self.predictions.iter().map(|one| (&*one.fold, right(one))).collect()
@@ -290,7 +304,7 @@ impl EvalReport {
         }
     }
 
-    /// What the answers say of themselves, beside what is true.
+    /// Prints the mean confidence that the answers state, and their log loss.
     fn print_stated(&self) {
         let stated = self.predictions.iter().filter_map(|one| one.confidence);
         let (sum, count) = stated.fold((0.0, 0), |(sum, count), p| (sum + p, count + 1));
@@ -310,24 +324,6 @@ impl EvalReport {
             vec![one.surface.clone(), one.queries.to_string(), recall, precision, f1]
         });
         show::table(&["surface", ">queries", ">recall", ">precision", ">F1"], rows);
-    }
-}
-
-impl EvalAnswer {
-    fn cells(&self, method: &str, surfaces: &BTreeSet<&str>) -> Vec<String> {
-        let number = |value: Option<f64>| value.map(|x| x.to_string()).unwrap_or_default();
-        let text = |text: &Option<String>| text.clone().unwrap_or_default();
-        let (trial, margin) = (self.trial.to_string(), self.margin.to_string());
-        let known = [text(&self.path), self.user.clone(), trial, text(&self.session)];
-        let named = [self.fold.clone(), self.truth.clone(), self.answer.clone(), margin];
-        let stated = [number(self.confidence), number(self.p_value)];
-        let of = surfaces.iter().map(|name| number(self.probabilities.get(*name).copied()));
-        std::iter::once(method.to_string())
-            .chain(known)
-            .chain(named)
-            .chain(stated)
-            .chain(of)
-            .collect()
     }
 }
 

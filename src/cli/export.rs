@@ -45,7 +45,7 @@ pub(super) fn import(args: &ImportArgs) -> Done {
     match (&args.then, &args.mcap, &args.library) {
         (Some(Then::Csv(args)), ..) => import_csv::run(args),
         (None, Some(mcap), Some(library)) => import_mcap(mcap, library),
-        _ => Err(super::Failure::Usage("name the file and the library to make".into())),
+        _ => Err(super::Failure::usage("name the file and the library to make")),
     }
 }
 
@@ -87,9 +87,8 @@ fn import_mcap(_: &Path, _: &Path) -> Done {
 
 #[cfg(not(feature = "mcap"))]
 fn left_out() -> super::Failure {
-    super::Failure::Usage(
+    super::Failure::usage(
         "this build cannot read or write MCAP; install surfaced from a release, or build it with \
-         `cargo install --locked --path . --features mcap`"
-            .into(),
+         `cargo install --locked --path . --features mcap`",
     )
 }

@@ -65,14 +65,14 @@ pub(super) fn run(args: &Args) -> Done {
     if let Some(path) = &args.password_file
         && !broker.set_password_file(path.clone())
     {
-        return Err(Failure::Usage(STRAY_PASSWORD_FILE.into()));
+        return Err(Failure::usage(STRAY_PASSWORD_FILE));
     }
     let client = args.certificate.clone().zip(args.key.clone());
     match &mut broker.tls {
         Some(tls) => *tls = TlsFiles { ca: args.ca.clone(), client },
         None if args.ca.is_some() || client.is_some() => {
             let problem = "certificates are for a broker with TLS; begin its address with mqtts://";
-            return Err(Failure::Usage(problem.into()));
+            return Err(Failure::usage(problem));
         }
         None => {}
     }
@@ -97,5 +97,5 @@ fn default_cache() -> Result<PathBuf, Failure> {
     let given = std::env::var_os("XDG_CACHE_HOME").filter(|folder| !folder.is_empty());
     let cache = given.map(PathBuf::from).or_else(|| Some(std::env::home_dir()?.join(".cache")));
     let found = cache.map(|cache| cache.join("surfaced/fleet"));
-    found.ok_or_else(|| Failure::Usage("there is no home folder; give --cache FOLDER".into()))
+    found.ok_or_else(|| Failure::usage("there is no home folder; give --cache FOLDER"))
 }

@@ -114,7 +114,7 @@ fn pattern(text: &str) -> Result<NamePattern, String> {
 }
 
 impl CsvArgs {
-    /// What names the session of a file's trials; `None` if a column does.
+    /// How the session of a file's trials is named; `None` if a column names it.
     fn session_of(&self) -> Option<SessionOf> {
         match self.session.as_deref() {
             None => Some(SessionOf::Names),
@@ -170,7 +170,8 @@ pub(super) fn run(args: &CsvArgs) -> Done {
     if args.session.is_none() && import.keys.iter().all(|key| key.session.is_none()) {
         import.summary.propose_sessions(tables.len());
     }
-    bad_files::skip(&args.out, bad)?;
+    // The tables are not in the library, so that a check of it does not name them.
+    bad_files::warn(&args.out, bad, "--strict")?;
     let Some(staging) = staging else {
         say!("nothing is written; leave --dry-run out to write {}", args.out.display());
         return Ok(());
@@ -213,38 +214,31 @@ fn understood(
     if let Some(path) = tables.first().filter(|path| array::is_array(path)) {
         return array_form(args, path, most_unpacked);
     }
-    let heads = tables.iter().map(|path| (path, Head::read(path, most_unpacked)));
     let mut unread = Vec::new();
-    let mut first = None;
-    for (path, head) in heads {
-        match head {
-            Ok(head) => {
-                first = Some((path, head));
-                break;
-            }
-            Err(error) => unread.push(error),
+    let first = tables.iter().find_map(|path| match Head::read(path, most_unpacked) {
+        Ok(head) => Some((path, head)),
+        Err(error) => {
+            unread.push(error);
+            None
         }
-    }
+    });
     let Some((path, head)) = first else {
         unread.append(bad);
         let none = || Failure::Failed("no table can be read".into());
         return Err(LibraryError::of_all(unread).map_or_else(none, Failure::from));
     };
     let fail = |problem: String| Failure::from(LibraryError::file(path, problem));
-    let session = args.session.as_ref().filter(|_| args.session_of().is_none());
-    let labels = [&args.surface, &args.user, &args.trial, &session.cloned()].map(Clone::clone);
+    let session = args.session.clone().filter(|_| args.session_of().is_none());
+    let labels = [args.surface.clone(), args.user.clone(), args.trial.clone(), session];
     let clock = match (args.rate, &args.time) {
         (Some(rate_hz), _) => Clock::Rate(rate_hz),
         (None, Some(column)) => Clock::Times { column: column.clone(), unit_s: args.time_unit },
         (None, None) => {
-            match columns::clock(&head, args.time_unit, args.from_1904).map_err(fail)? {
-                Some(column) => Clock::Times { column, unit_s: args.time_unit },
-                None => {
-                    return Err(Failure::Usage(
-                    "the rate is not known: give --rate HZ, or --time COLUMN for a column of times".into(),
-                ));
-                }
-            }
+            let found = columns::clock(&head, args.time_unit, args.from_1904).map_err(fail)?;
+            let unknown = "the rate is not known: give --rate HZ, or --time COLUMN for a column of \
+                           times";
+            let column = found.ok_or_else(|| Failure::usage(unknown))?;
+            Clock::Times { column, unit_s: args.time_unit }
         }
     };
     head.layout.notes.iter().for_each(|note| say!("{}: {note}", path.display()));
@@ -259,13 +253,12 @@ fn understood(
 
 /// How to read an array, whose channels are called 1, 2, …
 fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Result<Form, Failure> {
-    let Some(rate_hz) = args.rate else {
-        return Err(Failure::Usage("the rate is not known: give --rate HZ".into()));
-    };
+    let unknown = "the rate is not known: give --rate HZ";
+    let rate_hz = args.rate.ok_or_else(|| Failure::usage(unknown))?;
     if args.session_of().is_none() {
         let problem =
             "an array has no columns; give --session a pattern with {session}, file or none";
-        return Err(Failure::Usage(problem.into()));
+        return Err(Failure::usage(problem));
     }
     let mut sources = args.source.clone();
     if sources.is_empty() {
@@ -389,7 +382,7 @@ impl Staging {
     }
 }
 
-/// What people see of an import.
+/// The summary of an import that is printed.
 #[derive(Default)]
 struct Summary {
     rates: BTreeMap<SourceId, f64>,

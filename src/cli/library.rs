@@ -173,7 +173,7 @@ pub(super) fn run(args: &Args) -> Done {
 
 fn named(label: &str) -> Result<String, Failure> {
     match label.trim() {
-        "" => Err(Failure::Usage("an empty label; give it a name, such as oak".into())),
+        "" => Err(Failure::usage("an empty label; give it a name, such as oak")),
         label => Ok(normal(label)),
     }
 }
@@ -316,7 +316,7 @@ fn list(args: &ListArgs) -> Done {
     let mut checked: BTreeMap<TrialKey, TrialCheck> = BTreeMap::new();
     if !args.quick && !args.removed {
         let how = args.comparing.resolve(None)?;
-        let report = check::audit(&args.library, &how, &WhereArgs::default(), &say::progress)?;
+        let (report, _) = check::audit(&args.library, &how, &WhereArgs::default(), &say::progress)?;
         checked.extend(report.each.into_iter().map(|trial| (trial.key.clone(), trial)));
     }
     drop(lock);

@@ -133,7 +133,7 @@ fn surveyed(address: &LinesAddress) -> Result<StationConfig, Failure> {
 pub(super) fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
     config.library.clone().ok_or_else(|| {
         let text = "no library is named; give --library FOLDER, or `library` in the configuration";
-        Failure::Usage(text.into())
+        Failure::usage(text)
     })
 }
 
@@ -154,7 +154,7 @@ fn is_agreed(library: &Path) -> bool {
     is_read && matches!(answer.trim(), "y" | "Y" | "yes" | "Yes")
 }
 
-/// What names the scans of a station.
+/// How the scans of a station are named.
 pub(super) enum NamedBy {
     Nothing,
     /// The library that this function reads.
@@ -187,7 +187,7 @@ pub(super) fn work(
         for what in &assembled.left_out {
             say!("{what}");
         }
-        return Err(Failure::Usage("no device is configured that this build can use".into()));
+        return Err(Failure::usage("no device is configured that this build can use"));
     }
     let options = Options {
         detection: Some(config.detection.clone()),
@@ -301,11 +301,11 @@ pub(super) fn verdict(totals: &Totals) -> Done {
 }
 
 /// Reports the state of the station to systemd, if systemd runs it.
-pub(super) struct Supervisor(());
+struct Supervisor;
 
 impl Supervisor {
     /// Pings the station through `commands` as often as the watchdog of the systemd unit requires.
-    pub(super) fn new(commands: Sender<Command>) -> std::io::Result<Self> {
+    fn new(commands: Sender<Command>) -> io::Result<Self> {
         if let Some(limit) = system::watchdog() {
             // Pings three times as often as required, so that two pings may be late.
             let every = (limit / 3).max(Duration::from_millis(10));
@@ -316,7 +316,7 @@ impl Supervisor {
             };
             std::thread::Builder::new().name("watchdog".into()).spawn(ping)?;
         }
-        Ok(Self(()))
+        Ok(Self)
     }
 }
 

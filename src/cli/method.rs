@@ -40,15 +40,6 @@ impl OneOrAll {
     }
 }
 
-#[derive(Clone, Debug, clap::Args)]
-pub(super) struct MethodArgs {
-    /// How trials are compared (default: embedding, or the one whose options are given)
-    #[arg(long, value_name = "METHOD", value_parser = one_of(methods()))]
-    method: Option<MethodName>,
-    #[command(flatten)]
-    options: MethodOptions,
-}
-
 /// The settings of methods.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct MethodOptions {
@@ -81,12 +72,6 @@ pub(super) struct MethodOptions {
 pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
     let expected = format!("a whole number, 1 or more, at most {MOST_COUNT}");
     parsed(text, |number| (1..=MOST_COUNT).contains(number), expected)
-}
-
-impl MethodArgs {
-    pub(super) fn spec(&self) -> Result<MethodSpec, Failure> {
-        Ok(self.options.specs(self.method.as_slice())?.swap_remove(0))
-    }
 }
 
 impl MethodOptions {
@@ -166,8 +151,11 @@ pub(super) const NOT_WITH_MODEL: [&str; 12] = [
 pub(super) struct ComparingArgs {
     #[command(flatten)]
     sources: SourceArgs,
+    /// How trials are compared (default: embedding, or the one whose options are given)
+    #[arg(long, value_name = "METHOD", value_parser = one_of(methods()))]
+    method: Option<MethodName>,
     #[command(flatten)]
-    method: MethodArgs,
+    options: MethodOptions,
     /// Use the method, sources and scan time of this plan, a file written by `surfaced plan`
     #[arg(long, value_name = "FILE", conflicts_with_all = [
         "sources", "method", "n", "repetitions", "positions", "neighbours", "halving", "exact", "seed"
@@ -178,10 +166,10 @@ pub(super) struct ComparingArgs {
 impl ComparingArgs {
     /// Reads the plan if one is given, and prints its settings; without a plan, uses the options.
     pub(super) fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
-        let MethodOptions { seed, no_cache, .. } = self.method.options;
+        let MethodOptions { seed, no_cache, .. } = self.options;
         let (sources, cache) = (self.sources.clone(), !no_cache);
         let Some(path) = &self.plan else {
-            let method = self.method.spec()?;
+            let method = self.options.specs(self.method.as_slice())?.swap_remove(0);
             return Ok(Comparing { plan: None, sources, method, seed, cache, query_seconds });
         };
         let plan = Plan::read(path).map_err(Failure::usage)?;
@@ -215,8 +203,7 @@ impl Comparing {
         self.cache.then(|| folder.to_path_buf())
     }
 
-    /// How long scans must last. The time comes from the
-    /// plan if it has one, and otherwise from the model of the library.
+    /// How long scans must last: as the plan says, if it has a scan time, or else by the model.
     pub(super) fn lasting(
         &self,
         accuracy: &AccuracyArgs,
@@ -225,8 +212,7 @@ impl Comparing {
         if let Some(scan_s) = self.plan.as_ref().and_then(|plan| plan.scan_s) {
             return Ok((Some(scan_s), Some(format!("drag for {scan_s:.1} s, as the plan says"))));
         }
-        let found = accuracy.scan_time(model)?;
-        Ok((found.as_ref().and_then(ScanTime::scan_s), found.map(|answer| answer.line())))
+        accuracy.lasting(model)
     }
 
     /// The scene with only the sources that are compared.
@@ -265,19 +251,16 @@ impl AccuracyArgs {
         self.accuracy.is_some()
     }
 
-    /// How long scans must last with the model of a library; `None` if the method cannot tell.
-    pub(super) fn scan_time(&self, model: &Arc<dyn Model>) -> Result<Option<ScanTime>, Failure> {
-        let found = model.clone().scan_time(self.accuracy);
-        match &found {
-            Some(answer) if self.accuracy.is_some() => honoured(answer)?,
-            None if self.accuracy.is_some() => {
-                return Err(Failure::usage(
-                    "--accuracy goes with --method embedding, which follows scans",
-                ));
-            }
-            _ => {}
+    /// How long scans must last with this model; nothing if its method cannot tell.
+    pub(super) fn lasting(&self, model: &Arc<dyn Model>) -> Result<Lasting, Failure> {
+        let Some(answer) = model.clone().scan_time(self.accuracy) else {
+            let problem = "--accuracy goes with --method embedding, which follows scans";
+            return if self.is_given() { Err(Failure::usage(problem)) } else { Ok((None, None)) };
+        };
+        if self.is_given() {
+            honoured(&answer)?;
         }
-        Ok(found)
+        Ok((answer.scan_s(), Some(answer.line())))
     }
 }
 

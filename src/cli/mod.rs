@@ -294,6 +294,15 @@ mod tests {
         indented.map(plain).filter(|line| line.starts_with("surfaced "))
     }
 
+    #[track_caller]
+    fn assert_typed(command: &str) {
+        // A shell would take redirections and quotes away, so they are removed here.
+        let plain = command.split(" > ").next().unwrap_or_default();
+        let words = plain.split_whitespace().map(|word| word.trim_matches('\''));
+        let parsed = Cli::try_parse_from(words);
+        assert!(parsed.is_ok(), "{command}: {}", parsed.err().unwrap());
+    }
+
     #[test]
     fn every_command_of_the_pages_can_be_typed() {
         let pages = [
@@ -305,11 +314,7 @@ mod tests {
             include_str!("../../configs/README.md"),
             include_str!("../../firmware/README.md"),
         ];
-        for command in pages.into_iter().flat_map(commands) {
-            let words = command.split(" > ").next().unwrap_or_default().split_whitespace();
-            let parsed = Cli::try_parse_from(words);
-            assert!(parsed.is_ok(), "{command}: {}", parsed.err().unwrap());
-        }
+        pages.into_iter().flat_map(commands).for_each(assert_typed);
     }
 
     #[test]
@@ -324,11 +329,7 @@ mod tests {
             assert!(!examples.is_empty(), "`surfaced {name} --help` has no example");
             assert!(after.contains("\n\nTime: "), "`surfaced {name} --help` does not say how long");
             for example in examples {
-                // A shell would take redirections and quotes away, so they are removed here.
-                let plain = example.split(" > ").next().unwrap_or_default();
-                let words = plain.split_whitespace().map(|word| word.trim_matches('\''));
-                let parsed = Cli::try_parse_from(std::iter::once("surfaced").chain(words));
-                assert!(parsed.is_ok(), "surfaced {example}: {}", parsed.err().unwrap());
+                assert_typed(&format!("surfaced {example}"));
                 assert!(example.starts_with(name), "surfaced {example} stands under {name}");
             }
         }

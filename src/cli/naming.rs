@@ -1,4 +1,4 @@
-//! What names scans: a library, or a model file.
+//! Recognisers, which name scans: by a library, or by a model file.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -10,7 +10,7 @@ use super::method::{AccuracyArgs, AnswerArgs, Comparing, Lasting};
 use super::show::{listed, summary};
 use super::{Failure, bad_files, say};
 use crate::library::{Entry, Library};
-use crate::recognise::{Model, ModelFile, RejectionError, ScanTime, ready_model};
+use crate::recognise::{Model, ModelFile, RejectionError, ready_model};
 use crate::record::edit::LibraryLock;
 use crate::record::reference::references;
 use crate::scene::{Scene, SourceId};
@@ -76,10 +76,7 @@ impl OpenedModel {
             }
         }
         let lasting = match accuracy.is_given() {
-            true => {
-                let found = accuracy.scan_time(&file.model)?;
-                (found.as_ref().and_then(ScanTime::scan_s), found.map(|answer| answer.line()))
-            }
+            true => accuracy.lasting(&file.model)?,
             false => (file.scan_s, file.scan_s_why),
         };
         let state = LibraryState {
@@ -100,7 +97,7 @@ impl OpenedModel {
     }
 }
 
-/// The trained model of a library, and what of the library it compares.
+/// The trained model of a library, with the part of the library that it compares.
 pub(super) struct Trained {
     pub scene: Scene,
     pub entries: Vec<Entry>,
@@ -179,7 +176,9 @@ pub(super) fn check(path: &Path, how: &Comparing) -> Audit {
     let (path, how) = (path.to_path_buf(), how.clone());
     Arc::new(move || {
         let all = WhereArgs::default();
-        super::check::audit(&path, &how, &all, &|_, _, _| {}).map_err(Failure::text)
+        let (report, _) =
+            super::check::audit(&path, &how, &all, &|_, _, _| {}).map_err(Failure::text)?;
+        Ok(report)
     })
 }
 

@@ -22,21 +22,18 @@ enum OutputsCommand {
     ///
     /// The answer has the state `unnamed` and belongs to no scan. By MQTT it goes to the topic
     /// PREFIX/STATION/test, and is not retained. Ends with code 1 if an output refuses it.
-    Test(TestArgs),
-}
-
-#[derive(clap::Args)]
-struct TestArgs {
-    /// The station's configuration
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
-    /// Print each output's result as one line of JSON
-    #[arg(long)]
-    json: bool,
+    Test {
+        /// The station's configuration
+        #[arg(long, value_name = "FILE")]
+        config: PathBuf,
+        /// Print each output's result as one line of JSON
+        #[arg(long)]
+        json: bool,
+    },
 }
 
 pub(super) fn run(args: &Args) -> Done {
-    let OutputsCommand::Test(TestArgs { config: path, json }) = &args.command;
+    let OutputsCommand::Test { config: path, json } = &args.command;
     let config = super::config(Some(path))?.outputs;
     let tests = outputs::test(&config)?;
     if tests.is_empty() {

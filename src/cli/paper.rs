@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use super::method::MethodOptions;
-use super::show::{Made, MadeBy};
+use super::show::Made;
 use super::{Done, Failure, say, show};
 use crate::library::Library;
 use crate::library::files::{self, Listed};
@@ -100,8 +100,7 @@ fn write(path: &Path, text: &str) -> Done {
 }
 
 fn finish(part: &PaperPart, out: Option<&Path>, json: bool) -> Done {
-    let made_by = MadeBy::this(part.seed, part.library.clone());
-    let report = Made { of: PaperReport::new(part), made_by };
+    let report = Made::new(PaperReport::new(part), part.seed, part.library.clone());
     if let Some(out) = out {
         let mut files = vec![
             ("report.json", serde_json::to_string_pretty(&report)?),

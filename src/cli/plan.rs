@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use super::choose::{protocols, within};
+use super::choose::{hardest, protocols, within};
 use super::figure::write;
-use super::show::{Made, MadeBy, quoted};
+use super::show::{Made, quoted};
 use super::{Done, Failure, SourceArgs, bad_files, one_of, say, share, show};
 use crate::evaluate::Protocol;
 use crate::evaluate::plan::{Expected, Plan, PlanOptions, Planned, search};
@@ -48,8 +48,7 @@ pub(super) fn run(args: &Args) -> Done {
         let scene = args.sources.narrow(library.scene.clone())?;
         let entries = within(library, &scene)?;
         let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-        let fitting = || Protocol::fitting(&keys).unwrap_or(Protocol::LeaveOneTrialOut);
-        let protocol = args.protocol.unwrap_or_else(fitting);
+        let protocol = args.protocol.unwrap_or_else(|| hardest(&keys));
         say!("protocol: {} ({})", protocol.name(), protocol.left_out());
         let target = args.target.unwrap_or(TARGET);
         let options = PlanOptions { target, accuracy: args.target, protocol };
@@ -64,7 +63,7 @@ pub(super) fn run(args: &Args) -> Done {
     say::results_aside(args.json);
     if args.json {
         // The search draws with the default seed.
-        show::json(&Made { of: &planned, made_by: MadeBy::this(1, digest) });
+        show::json(&Made::new(&planned, 1, digest));
     }
     print(&planned);
     if args.out.is_none() && say::is_verbose() {

@@ -140,17 +140,9 @@ fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
     let (of_expert, mut queries): (Vec<usize>, Vec<usize>) =
         (0..entries.len()).partition(|&i| entries[i].key.user == EXPERT);
     queries.sort_by_key(|&i| (&entries[i].key.user, &entries[i].key.surface));
-    let fold = Fold { name: "expert".into(), library: of_expert, queries };
-    let folds = vec![fold];
-    Ok(ReplayStage {
-        name: library.name,
-        scene,
-        entries,
-        folds,
-        synthetic: true,
-        cache: None,
-        ready: None,
-    })
+    let folds = vec![Fold { name: "expert".into(), library: of_expert, queries }];
+    let name = library.name;
+    Ok(ReplayStage { name, scene, entries, folds, synthetic: true, cache: None, ready: None })
 }
 
 /// The recordings to play. Those that cannot be read are left out here, since all are played.
@@ -217,22 +209,15 @@ fn against(
     let (scene, of_data) = (how.narrow(library.scene.clone())?, how.narrow(data.scene.clone())?);
     let mut entries = within(&library, &scene)?;
     let queries = within(&data, &of_data)?;
-    let fold = Fold {
-        name: "library".into(),
-        library: (0..entries.len()).collect(),
-        queries: (entries.len()..entries.len() + queries.len()).collect(),
-    };
+    let of_library = entries.len();
     entries.extend(queries);
-    let scene = of_data.with(scene);
-    Ok(ReplayStage {
-        name: library.name,
-        scene,
-        entries,
-        folds: vec![fold],
-        synthetic,
-        cache,
-        ready: None,
-    })
+    let folds = vec![Fold {
+        name: "library".into(),
+        library: (0..of_library).collect(),
+        queries: (of_library..entries.len()).collect(),
+    }];
+    let (name, scene) = (library.name, of_data.with(scene));
+    Ok(ReplayStage { name, scene, entries, folds, synthetic, cache, ready: None })
 }
 
 /// Seconds between two scans on a page at real speed, so that people can read an answer.
@@ -254,7 +239,7 @@ fn play(
     {
         let problem = "joined recordings are named by one library, and each of these has another; name it \
                        by --library, or use --protocol expert-vs-users";
-        return Err(Failure::Usage(problem.into()));
+        return Err(Failure::usage(problem));
     }
     let mut tally = Tally::new(!args.json, queries.len());
     let is_shown = args.serve.is_wanted() && args.speed == Speed::RealTime(1.0);

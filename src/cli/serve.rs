@@ -1,5 +1,6 @@
 //! Serves the page while a station runs, by `--serve` and its token.
 
+use std::ffi::OsString;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Arc, OnceLock};
 
@@ -101,7 +102,9 @@ impl ServeArgs {
 
     /// Adds the token and the command line's options to the settings.
     pub(super) fn settings(&self, settings: Settings) -> Result<Settings, Failure> {
-        let (token, operator_token) = (token(TOKEN)?, token(OPERATOR_TOKEN)?);
+        let [token, operator_token] =
+            [TOKEN, OPERATOR_TOKEN].map(|name| token(name, std::env::var_os(name)));
+        let (token, operator_token) = (token?, operator_token?);
         let usual = settings.address;
         let address = self
             .serve
@@ -113,10 +116,10 @@ impl ServeArgs {
 }
 
 /// The token in an environment variable; `None` if the variable is not set.
-fn token(variable: &str) -> Result<Option<Token>, Failure> {
-    let Ok(text) = std::env::var(variable) else { return Ok(None) };
-    let token = Token::new(&text);
-    token.map(Some).map_err(|error| Failure::Usage(format!("{variable}: {error}")))
+fn token(variable: &str, text: Option<OsString>) -> Result<Option<Token>, Failure> {
+    // Bytes that are not UTF-8 become characters that no token has, so they are refused.
+    let token = text.map(|text| Token::new(&text.to_string_lossy())).transpose();
+    token.map_err(|error| Failure::Usage(format!("{variable}: {error}")))
 }
 
 /// Turns an error of the server's start into the failure of the command.
@@ -125,7 +128,7 @@ pub(super) fn failure(error: ServeError) -> Failure {
         ServeError::Open(_)
         | ServeError::Token
         | ServeError::OperatorAlone
-        | ServeError::SameToken => Failure::Usage(error.to_string()),
+        | ServeError::SameToken => Failure::usage(error),
         ServeError::Bind { .. } | ServeError::System(_) => error.into(),
     }
 }
@@ -151,5 +154,15 @@ mod tests {
         for text in ["", "recordings", "localhosts", "1.2.3", "127.0.0.1:99999"] {
             assert!(address(text).unwrap_err().contains("--serve=ADDR"), "{text}");
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_token_that_is_not_utf8_is_refused_and_not_taken_for_none() {
+        use std::os::unix::ffi::OsStringExt;
+        let given = |end: u8| Some(OsString::from_vec([b"0123456789abcde", &[end][..]].concat()));
+        assert!(token(TOKEN, given(b'f')).is_ok_and(|token| token.is_some()));
+        assert!(token(TOKEN, given(0xff)).is_err());
+        assert!(token(TOKEN, None).is_ok_and(|token| token.is_none()));
     }
 }

@@ -1,4 +1,4 @@
-//! Formats summaries and advice for people, for stderr.
+//! Formats results, summaries and advice.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
@@ -49,11 +49,11 @@ pub(super) struct Made<T> {
     #[serde(flatten)]
     pub(super) of: T,
     #[serde(default)]
-    pub(super) made_by: MadeBy,
+    made_by: MadeBy,
 }
 
-#[derive(Clone, Default, serde::Serialize, serde::Deserialize)]
-pub(super) struct MadeBy {
+#[derive(Default, serde::Serialize, serde::Deserialize)]
+struct MadeBy {
     version: String,
     /// The command line.
     command: String,
@@ -62,13 +62,14 @@ pub(super) struct MadeBy {
     library: String,
 }
 
-impl MadeBy {
-    /// This program and its command line.
-    pub(super) fn this(seed: u64, library: String) -> Self {
+impl<T> Made<T> {
+    /// A report that this program made by its command line, from the library with this digest.
+    pub(super) fn new(of: T, seed: u64, library: String) -> Self {
         let words = std::env::args_os().skip(1);
         let words = words.map(|word| printable::quoted(&word.to_string_lossy()));
         let command = joined(std::iter::once("surfaced".to_string()).chain(words), " ");
-        Self { version: env!("CARGO_PKG_VERSION").into(), command, seed, library }
+        let version = env!("CARGO_PKG_VERSION").into();
+        Self { of, made_by: MadeBy { version, command, seed, library } }
     }
 }
 
@@ -137,7 +138,7 @@ pub(super) fn interval(share: Share) -> String {
     format!("{} to {}", percent(low), percent(high))
 }
 
-/// What an interval is for.
+/// The scans that an interval is for.
 pub(super) fn over(over: Over) -> String {
     match over {
         Over::Queries => "for more scans like these".into(),

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::choose::{Choice, choose};
 use super::figure::{FigureArgs, draw, is_earlier, write};
 use super::method::{OneOrAll, at_least_one};
-use super::show::{Made, MadeBy};
+use super::show::Made;
 use super::{Done, Failure, bad_files, one_of, say, show};
 use crate::evaluate::stress::{
     self, Disturbance, Measure, StressPlan, StressReport, disturb, figure,
@@ -47,6 +47,10 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Done {
     args.figure.check()?;
+    if args.figure.out.extension().is_some_and(|extension| extension == "md") {
+        let problem = "name the picture, such as stress.svg; the table is written beside it";
+        return Err(Failure::usage_at(&args.figure.out, problem));
+    }
     let report = if is_earlier(&args.lib) {
         earlier(&args.lib)?
     } else {
@@ -100,7 +104,7 @@ fn measured(args: &Args, library: &Library) -> Result<Made<StressReport>, Failur
             .count(),
         methods: Vec::new(),
     };
-    let mut report = Made { of: report, made_by: MadeBy::this(args.seed, library.digest()) };
+    let mut report = Made::new(report, args.seed, library.digest());
     let methods = OneOrAll::list(&args.methods);
     for (done, method) in methods.iter().enumerate() {
         say!("{}/{}  {}", done + 1, methods.len(), method.as_str());
@@ -133,7 +137,7 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
     let wanted = all.into_iter().filter(wanted);
     let found: Vec<_> = wanted.filter_map(|d| d.fitted(held)).collect();
     if found.is_empty() {
-        return Err(Failure::Usage("these disturbances change nothing of these sources".into()));
+        return Err(Failure::usage("these disturbances change nothing of these sources"));
     }
     Ok(found)
 }

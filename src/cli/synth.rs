@@ -44,8 +44,8 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Done {
-    if args.trials + args.users == 0 {
-        return Err(Failure::Usage("--trials 0 --users 0 leaves nothing to write".into()));
+    if (args.trials, args.users) == (0, 0) {
+        return Err(Failure::usage("--trials 0 --users 0 leaves nothing to write"));
     }
     if args.out.read_dir().is_ok_and(|mut inside| inside.next().is_some()) {
         return Err(Failure::at(&args.out, "the folder is not empty; name a new one"));

@@ -150,17 +150,24 @@ impl Cache {
         station: Option<&str>,
         before_ms: u64,
     ) -> Result<Vec<String>, HistoryError> {
-        let end = (before_ms, String::new(), String::new());
-        let is_wanted = |key: &Key| station.is_none_or(|wanted| key.2 == wanted);
-        let wanted = self.entries.range(..end).rev().filter(|(key, _)| is_wanted(key));
-        wanted.take(most).map(|(_, entry)| self.log.answer_text(entry.span)).collect()
+        let wanted = self.spans(station, before_ms).rev().take(most);
+        wanted.map(|span| self.log.answer_text(span)).collect()
     }
 
     pub(super) fn snapshot(&self, station: Option<&str>) -> Result<Snapshot, HistoryError> {
-        let wanted =
-            self.entries.iter().filter(|(key, _)| station.is_none_or(|name| key.2 == name));
-        let spans = wanted.map(|(_, entry)| entry.span).collect();
+        let spans = self.spans(station, u64::MAX).collect();
         Ok(Snapshot { log: self.log.share()?, spans })
+    }
+
+    /// The places of the answers of one station or of all, from before `before_ms`.
+    fn spans(
+        &self,
+        station: Option<&str>,
+        before_ms: u64,
+    ) -> impl DoubleEndedIterator<Item = Span> {
+        let entries = self.entries.range(..(before_ms, String::new(), String::new()));
+        let wanted = entries.filter(move |(key, _)| station.is_none_or(|name| key.2 == name));
+        wanted.map(|(_, entry)| entry.span)
     }
 }
 

@@ -13,7 +13,7 @@ mod state;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use rumqttc::{Event, MqttOptions, Packet, QoS};
+use rumqttc::{Event, MqttOptions, Packet, QoS, SubscribeFilter, SubscribeReasonCode};
 use serde_json::Value;
 use tokio::time::sleep;
 
@@ -51,20 +51,28 @@ impl Inner {
     /// Stores an answer of a station, if it is new. An answer from the future counts as given now: at
     /// its own time it would stay the newest one.
     fn answered(&mut self, station: &str, mut answer: Value) -> Result<(), String> {
-        let (now, said) = (unix_ms(), answer["unix_ms"].as_u64());
-        if let (Some(said), Some(fields)) = (said, answer.as_object_mut())
-            && said > now + CLOCKS_DIFFER_MS
-        {
-            if fields["id"].as_str().is_some_and(|id| self.cache.has(station, id)) {
+        let now = unix_ms();
+        let said = answer["unix_ms"].as_u64();
+        if let Some(said) = said.filter(|said| *said > now + CLOCKS_DIFFER_MS) {
+            if answer["id"].as_str().is_some_and(|id| self.cache.has(station, id)) {
                 return Ok(());
             }
-            fields.insert("said_unix_ms".into(), said.into());
-            fields.insert("unix_ms".into(), now.into());
+            // Only an object has this field, so that others can be set.
+            answer["said_unix_ms"] = said.into();
+            answer["unix_ms"] = now.into();
         }
         if let Some(head) = self.cache.add(station, &answer)? {
             self.stations.answered(&head);
         }
         Ok(())
+    }
+
+    /// Notes that nothing comes from the broker. Of several reasons in a row, the log gets the first.
+    fn fails(&mut self, why: String) {
+        if self.problem.as_ref().is_none_or(|before| before == "connecting") {
+            tracing::warn!("the broker is not connected: {why}; it is tried again");
+        }
+        self.problem = Some(why);
     }
 
     fn pass_over(&mut self, topic: &str, why: &str) {
@@ -125,13 +133,17 @@ async fn subscribe(fleet: &Fleet, options: &MqttOptions, prefix: &str) {
         let why = loop {
             match line.events.recv().await {
                 Some(Ok(Event::Incoming(Packet::ConnAck(_)))) => {
-                    for what in ["answer", "state"] {
-                        let topics = format!("{prefix}/+/{what}");
-                        // A new connection has an empty queue, so subscribing cannot fail.
-                        let _ = line.client.try_subscribe(topics, QoS::AtLeastOnce);
-                    }
+                    let topics = ["answer", "state"].map(|what| format!("{prefix}/+/{what}"));
+                    let topics = topics.map(|one| SubscribeFilter::new(one, QoS::AtLeastOnce));
+                    // A new connection has an empty queue, so subscribing cannot fail.
+                    let _ = line.client.try_subscribe_many(topics);
                 }
-                Some(Ok(Event::Incoming(Packet::SubAck(_)))) => {
+                Some(Ok(Event::Incoming(Packet::SubAck(ack)))) => {
+                    if ack.return_codes.contains(&SubscribeReasonCode::Failure) {
+                        let topics = format!("{prefix}/+/answer or {prefix}/+/state");
+                        fleet.lock().fails(format!("it does not let this user read {topics}"));
+                        continue;
+                    }
                     back_off.reset();
                     if fleet.lock().problem.take().is_some() {
                         tracing::info!("connected to the broker");
@@ -148,10 +160,7 @@ async fn subscribe(fleet: &Fleet, options: &MqttOptions, prefix: &str) {
                 None => break "the connection ended".into(),
             }
         };
-        let before = fleet.lock().problem.replace(why.clone());
-        if before.is_none_or(|before| before == "connecting") {
-            tracing::warn!("the broker is not connected: {why}; it is tried again");
-        }
+        fleet.lock().fails(why);
         sleep(back_off.next()).await;
     }
 }
@@ -179,5 +188,84 @@ fn take(fleet: &Fleet, prefix: &str, topic: &str, payload: &[u8]) -> Result<(), 
     match what {
         "state" => inner.stations.stated(station, said.as_object().ok_or("it is no JSON object")?),
         _ => inner.answered(station, said),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read, Write};
+    use std::net::TcpListener;
+    use std::time::Duration;
+
+    use serde_json::json;
+
+    use super::*;
+
+    fn inner(folder: &Path) -> Inner {
+        Inner {
+            cache: Cache::open(folder, 1 << 20).unwrap(),
+            stations: Stations::default(),
+            broker: String::new(),
+            problem: None,
+            stale_after_s: 30.0,
+            passed_over: Default::default(),
+        }
+    }
+
+    #[test]
+    fn an_answer_from_the_future_counts_as_given_now_and_without_an_id_it_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut inner = inner(dir.path());
+        let future = unix_ms() + 10 * CLOCKS_DIFFER_MS;
+        let mut answer = json!({ "station": "a", "unix_ms": future, "state": "named" });
+        assert!(inner.answered("a", answer.clone()).unwrap_err().contains("`id`"));
+        answer["id"] = "20260921-143000.001-01".into();
+        (0..2).for_each(|_| inner.answered("a", answer.clone()).unwrap());
+        let heads: Vec<_> = inner.cache.heads().collect();
+        assert_eq!((heads.len(), heads[0].said_unix_ms), (1, Some(future)));
+        assert!(heads[0].unix_ms <= unix_ms());
+        // An answer from before says nothing of the station's clock now.
+        answer["id"] = "20260921-143000.000-00".into();
+        answer["unix_ms"] = (unix_ms() - CLOCKS_DIFFER_MS).into();
+        inner.answered("a", answer).unwrap();
+        let ahead_ms = inner.stations.view(&inner.cache)[0]["ahead_ms"].as_u64();
+        assert!(ahead_ms.is_some_and(|ahead_ms| ahead_ms > 9 * CLOCKS_DIFFER_MS));
+    }
+
+    #[test]
+    fn a_broker_that_refuses_the_topics_is_a_problem() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let mut packet = [0; 256];
+            assert!(stream.read(&mut packet).unwrap() > 0);
+            stream.write_all(&[0x20, 2, 0, 0]).unwrap(); // CONNACK
+            assert!(stream.read(&mut packet).unwrap() > 0);
+            // SUBACK of the first packet, with a failure for each topic.
+            stream.write_all(&[0x90, 4, packet[2], packet[3], 0x80, 0x80]).unwrap();
+            while stream.read(&mut packet).is_ok_and(|bytes| bytes > 0) {}
+        });
+        let dir = tempfile::tempdir().unwrap();
+        let fleet = Fleet { inner: Mutex::new(inner(dir.path())), traffic: Arc::default() };
+        let options = MqttOptions::new("fleet", "127.0.0.1", port);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let problem = runtime.block_on(async {
+            let told = async {
+                while fleet.lock().problem.is_none() {
+                    sleep(Duration::from_millis(5)).await;
+                }
+            };
+            tokio::select! {
+                () = subscribe(&fleet, &options, "surfaced") => {}
+                () = told => {}
+                () = sleep(Duration::from_secs(30)) => {}
+            }
+            fleet.lock().problem.clone()
+        });
+        assert!(
+            problem.as_ref().is_some_and(|why| why.contains("surfaced/+/answer")),
+            "{problem:?}"
+        );
     }
 }

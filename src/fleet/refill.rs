@@ -33,12 +33,12 @@ impl FromStr for Pages {
     fn from_str(text: &str) -> Result<Self, String> {
         let expected = "expected a host, such as press-3.hall, *.hall, 10.0.3.7 or 10.0.3.0/24";
         if let Some((address, bits)) = text.split_once('/') {
-            let network = address.parse::<IpAddr>().ok().zip(bits.parse().ok());
-            let fits = |(ip, bits): &(IpAddr, u32)| *bits <= if ip.is_ipv4() { 32 } else { 128 };
-            return network
-                .filter(fits)
-                .map(|(ip, bits)| Self::Network(ip, bits))
-                .ok_or(expected.into());
+            return match (address.parse::<IpAddr>(), bits.parse()) {
+                (Ok(ip), Ok(bits)) if bits <= if ip.is_ipv4() { 32 } else { 128 } => {
+                    Ok(Self::Network(ip, bits))
+                }
+                _ => Err(expected.into()),
+            };
         }
         let (name, is_below) = match text.strip_prefix('*') {
             Some(name) if name.starts_with('.') => (name, true),
@@ -60,16 +60,19 @@ impl Pages {
         match self {
             Self::Host(name) => *name == host,
             Self::Below(end) => host.ends_with(end.as_str()) && host.parse::<IpAddr>().is_err(),
-            Self::Network(network, bits) => match (network, host.parse()) {
-                (IpAddr::V4(a), Ok(IpAddr::V4(b))) => {
-                    (a.to_bits() ^ b.to_bits()).leading_zeros() >= *bits
-                }
-                (IpAddr::V6(a), Ok(IpAddr::V6(b))) => {
-                    (a.to_bits() ^ b.to_bits()).leading_zeros() >= *bits
-                }
-                _ => false,
-            },
+            Self::Network(network, bits) => host.parse::<IpAddr>().is_ok_and(|host| {
+                let differing = from_left(*network) ^ from_left(host);
+                network.is_ipv4() == host.is_ipv4() && differing.leading_zeros() >= *bits
+            }),
         }
+    }
+}
+
+/// The bits of an address; those of a short one stand on the left.
+fn from_left(address: IpAddr) -> u128 {
+    match address {
+        IpAddr::V4(address) => u128::from(address.to_bits()) << 96,
+        IpAddr::V6(address) => address.to_bits(),
     }
 }
 
@@ -128,11 +131,9 @@ async fn read(
     for _ in 0..MOST_REQUESTS_A_STATION {
         let scans = request(&receiver, &before).await?;
         let is_last = scans.len() < A_REQUEST;
-        let oldest_ms = scans.last().and_then(|scan| scan["unix_ms"].as_u64()).unwrap_or(0);
-        before = format!(
-            "&before={}",
-            scans.last().and_then(|scan| scan["id"].as_str()).unwrap_or_default()
-        );
+        let oldest = scans.last().unwrap_or(&Value::Null);
+        let oldest_ms = oldest["unix_ms"].as_u64().unwrap_or(0);
+        before = format!("&before={}", oldest["id"].as_str().unwrap_or_default());
         for scan in scans {
             add(fleet, station, scan)?;
         }

@@ -77,11 +77,11 @@ impl Stations {
     pub(super) fn answered(&mut self, head: &Head) {
         let Some(station) = self.named(&head.station) else { return };
         let unix_ms = head.unix_ms;
-        let at = station.recent.iter().position(|other| other.unix_ms <= unix_ms);
-        if at.is_none_or(|at| at == 0) {
+        let newer = station.recent.iter().take_while(|other| other.unix_ms > unix_ms).count();
+        if newer == 0 {
             station.ahead_ms = head.said_unix_ms.map(|said| said.saturating_sub(unix_ms));
         }
-        station.recent.insert(at.unwrap_or(station.recent.len()), head.clone());
+        station.recent.insert(newer, head.clone());
         station.recent.truncate(RECENT);
         let Some(sequence) = head.sequence else { return };
         let (newest, newest_ms) = station.newest;

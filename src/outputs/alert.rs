@@ -25,7 +25,7 @@ const LATEST: Duration = Duration::from_secs(10);
 /// Interval at which the history is asked for drift.
 const DRIFT_EVERY: Duration = Duration::from_secs(1);
 
-/// What an alert says.
+/// An alert, as it is sent.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Alert {
     /// The name of its rule.
@@ -61,7 +61,7 @@ pub(super) struct Watch {
     rule: AlertConfig,
     /// Whether each of the last answers fits the rule, the newest last.
     heard: VecDeque<bool>,
-    /// What the last alert said of drift, as far as it has not ended since.
+    /// The drift that the last alert reported, as far as it has not ended since.
     drifted: Vec<Doubt>,
     quiet_until_ms: u64,
 }
@@ -189,28 +189,21 @@ async fn switched_on(health: &OutputHealth, coil: &CoilAddress) -> bool {
 }
 
 async fn switch(coil: &CoilAddress, on: bool) -> Result<(), String> {
-    let work = async |mut device: Context| match device.write_single_coil(coil.coil, on).await {
-        Ok(Ok(())) => Ok(()),
-        Ok(Err(refusal)) => Err(refusal.to_string()),
-        Err(error) => Err(error.to_string()),
-    };
-    reached(coil, work).await
+    let write = async |mut device: Context| device.write_single_coil(coil.coil, on).await;
+    reached(coil, write).await
 }
 
 /// Whether the coil is on now; switches nothing.
 pub(super) async fn read(coil: &CoilAddress) -> Result<bool, String> {
-    let work = async |mut device: Context| match device.read_coils(coil.coil, 1).await {
-        Ok(Ok(coils)) => coils.first().copied().ok_or_else(|| "it gave no coil".into()),
-        Ok(Err(refusal)) => Err(refusal.to_string()),
-        Err(error) => Err(error.to_string()),
-    };
-    reached(coil, work).await
+    let read = async |mut device: Context| device.read_coils(coil.coil, 1).await;
+    let coils = reached(coil, read).await?;
+    coils.first().copied().ok_or_else(|| "it gave no coil".into())
 }
 
 /// Connects to the coil's device, and does `work` there.
 async fn reached<T>(
     coil: &CoilAddress,
-    work: impl AsyncFnOnce(Context) -> Result<T, String>,
+    work: impl AsyncFnOnce(Context) -> tokio_modbus::Result<T>,
 ) -> Result<T, String> {
     let until = Instant::now() + ATTEMPT;
     let late = |_| "no answer in time".to_string();
@@ -218,7 +211,10 @@ async fn reached<T>(
     let stream = timeout_at(until, TcpStream::connect((host.as_str(), *port))).await;
     let stream = stream.map_err(late)?.map_err(|error| error.to_string())?;
     let device = tcp::attach_slave(stream, Slave(coil.unit));
-    timeout_at(until, work(device)).await.map_err(late)?
+    match timeout_at(until, work(device)).await.map_err(late)? {
+        Ok(done) => done.map_err(|refusal| refusal.to_string()),
+        Err(error) => Err(error.to_string()),
+    }
 }
 
 #[cfg(test)]

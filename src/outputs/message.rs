@@ -115,7 +115,7 @@ impl StationCard {
     }
 }
 
-/// What Home Assistant is told instead of `unknown`.
+/// The word that Home Assistant gets instead of `unknown`.
 const UNKNOWN_SURFACE: &str = "unknown_surface";
 
 /// The entities of a station in Home Assistant: the discovery topic and description of each

@@ -106,7 +106,7 @@ impl OutputHealth {
     }
 }
 
-/// What a station says to an output.
+/// A message of a station to an output.
 #[derive(Debug)]
 enum Said {
     Answer(Arc<Answer>),
@@ -124,7 +124,7 @@ pub struct Output {
     end: End,
 }
 
-/// What an output is told of.
+/// The events that an output gets.
 #[derive(Debug)]
 struct Wants {
     /// The state of the station, which the broker is told of.
@@ -346,11 +346,11 @@ impl BackOff {
 
 /// Reads the passwords and the certificates of the outputs, without connecting.
 pub(crate) fn check(config: &OutputsConfig) -> Result<(), HistoryError> {
-    config.http.iter().try_for_each(|address| Receiver::of(address).map(drop))?;
-    let read = |address| mqtt::options(address, "surfaced".into()).map(drop);
-    config.mqtt.iter().try_for_each(read)?;
-    let mut posted = config.alerts.iter().filter_map(|alert| alert.http.as_ref());
-    posted.try_for_each(|address| Receiver::of(address).map(drop))
+    let of_alerts = config.alerts.iter().filter_map(|alert| alert.http.as_ref());
+    let mut posted = config.http.iter().chain(of_alerts);
+    posted.try_for_each(|address| Receiver::of(address).map(drop))?;
+    let mut published = config.mqtt.iter();
+    published.try_for_each(|address| mqtt::options(address, "surfaced".into()).map(drop))
 }
 
 const TEST_PATIENCE: Duration = Duration::from_secs(10);
@@ -369,11 +369,11 @@ pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryErr
     let text = message::answer(&config.station, 0, &answer);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(|error| HistoryError::Io { path: "outputs".into(), error })?;
-    let mut tests = Vec::new();
-    if let Some(address) = &config.http {
+    let posted = |address: &HttpAddress| {
         let done = runtime.block_on(tried(post(&Receiver::of(address)?, text.clone())));
-        tests.push(OutputTest::of(address.to_string(), done));
-    }
+        Ok::<_, HistoryError>(OutputTest::of(address.to_string(), done))
+    };
+    let mut tests = config.http.iter().map(posted).collect::<Result<Vec<_>, _>>()?;
     if let Some(address) = &config.mqtt {
         let topic = format!("{}/{}/test", address.prefix, config.station);
         let options = mqtt::options(address, format!("surfaced-test-{}", std::process::id()))?;
@@ -382,8 +382,7 @@ pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryErr
     }
     for alert in &config.alerts {
         if let Some(address) = &alert.http {
-            let done = runtime.block_on(tried(post(&Receiver::of(address)?, text.clone())));
-            tests.push(OutputTest::of(address.to_string(), done));
+            tests.push(posted(address)?);
         }
         if let Some(coil) = &alert.coil {
             let done = runtime.block_on(tried(alert::read(coil)));

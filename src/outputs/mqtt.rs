@@ -1,5 +1,5 @@
-//! Connections to MQTT brokers. Sends answers by MQTT 3.1.1, each at least once. The next answer is sent after the broker has
-//! acknowledged the previous answer.
+//! Connections to MQTT brokers. Sends answers by MQTT 3.1.1, each at least once. The next answer is sent
+//! after the broker has acknowledged the previous one.
 
 use std::collections::VecDeque;
 use std::process;
@@ -11,6 +11,7 @@ use rand::rngs::SysRng;
 use rumqttc::{
     AsyncClient, ConnectionError, Event, LastWill, MqttOptions, Outgoing, Packet, QoS, Transport,
 };
+use serde::Serialize;
 use serde_json::json;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
@@ -29,10 +30,8 @@ const NO_ACKNOWLEDGEMENT: Duration = Duration::from_secs(20);
 pub(super) struct Publisher {
     pending: Pending,
     options: MqttOptions,
-    answer_topic: String,
-    change_topic: String,
-    alert_topic: String,
-    state_topic: String,
+    /// The beginning of all topics of the station.
+    topics: String,
     card: Card,
     history: Arc<History>,
     page: Arc<OnceLock<String>>,
@@ -75,25 +74,18 @@ impl Publisher {
         // the older of two clients with the same name.
         let client =
             format!("surfaced-{:08x}", SysRng.try_next_u32().unwrap_or_else(|_| process::id()));
-        let topic = |what: &str| format!("{}/{}/{what}", address.prefix, pending.station);
-        let (answer_topic, change_topic) = (topic("answer"), topic("change"));
-        let (alert_topic, state_topic) = (topic("alert"), topic("state"));
+        let topics = format!("{}/{}", address.prefix, pending.station);
         let mut options = options(address, client)?;
         // The broker publishes this message if the station disappears without notice.
         let will = json!({ "station": pending.station, "state": "offline" }).to_string();
-        options.set_last_will(LastWill::new(&state_topic, will, QoS::AtLeastOnce, true));
-        Ok(Self {
-            pending,
-            options,
-            answer_topic,
-            change_topic,
-            alert_topic,
-            state_topic,
-            card,
-            history: history.clone(),
-            page: page.clone(),
-            back_off: BackOff::new(),
-        })
+        options.set_last_will(LastWill::new(
+            format!("{topics}/state"),
+            will,
+            QoS::AtLeastOnce,
+            true,
+        ));
+        let (history, page, back_off) = (history.clone(), page.clone(), BackOff::new());
+        Ok(Self { pending, options, topics, card, history, page, back_off })
     }
 
     pub(super) async fn run(mut self, mut answers: mpsc::Receiver<Said>) {
@@ -134,14 +126,8 @@ impl Publisher {
                     Some(said @ Said::Answer(_)) => self.pending.add(&said),
                     // Changes and alerts are of no use later, so they wait for no connection.
                     Some(_) if !on.is_connected => {}
-                    Some(Said::Change(found)) => {
-                        let text = message::event(&self.pending.station, None, &*found);
-                        on.publish(&self.change_topic, text, false, None);
-                    }
-                    Some(Said::Alert(alert)) => {
-                        let text = message::event(&self.pending.station, None, &*alert);
-                        on.publish(&self.alert_topic, text, false, None);
-                    }
+                    Some(Said::Change(change)) => self.publish_event("change", &*change, &mut on),
+                    Some(Said::Alert(alert)) => self.publish_event("alert", &*alert, &mut on),
                     None => {
                         self.finish(on).await;
                         return None;
@@ -160,9 +146,8 @@ impl Publisher {
         match event {
             Event::Incoming(Packet::ConnAck(_)) => {
                 on.is_connected = true;
-                let entities =
-                    discovery(&self.pending.station, &self.answer_topic, &self.state_topic);
-                for (topic, about) in entities {
+                let (answer, state) = (self.topic("answer"), self.topic("state"));
+                for (topic, about) in discovery(&self.pending.station, &answer, &state) {
                     on.publish(&topic, about, true, None);
                 }
                 self.publish_state(true, on);
@@ -185,13 +170,22 @@ impl Publisher {
         }
     }
 
+    fn topic(&self, what: &str) -> String {
+        format!("{}/{what}", self.topics)
+    }
+
+    fn publish_event(&self, what: &str, event: &impl Serialize, on: &mut Connection) {
+        let text = message::event(&self.pending.station, None, event);
+        on.publish(&self.topic(what), text, false, None);
+    }
+
     /// Publishes the oldest answer, unless an answer waits for its acknowledgement.
     fn publish_next(&self, on: &mut Connection) {
         if !on.is_connected || on.awaited.is_some() {
             return;
         }
         if let Some((sequence, text)) = self.pending.first()
-            && on.publish(&self.answer_topic, text, true, Some(sequence))
+            && on.publish(&self.topic("answer"), text, true, Some(sequence))
         {
             on.awaited = Some((sequence, Instant::now()));
         }
@@ -208,13 +202,13 @@ impl Publisher {
         state["page"] = self.page.get().cloned().into();
         // The number of unknown or unsure answers that nobody has reviewed.
         state["review"] = self.history.to_review().into();
-        // What is known against the station by scans of its reference surfaces.
+        // The drift that scans of the reference surfaces show.
         state["drift"] = json!(self.history.drift().doubts);
         // `sequence` is the newest answer's number; `dropped` answers were lost for lack of room.
         state["sequence"] = outbox.newest().into();
         state["dropped"] = outbox.dropped.into();
         let text = state.to_string();
-        if text != on.state && on.publish(&self.state_topic, text.clone(), true, None) {
+        if text != on.state && on.publish(&self.topic("state"), text.clone(), true, None) {
             on.state = text;
         }
     }

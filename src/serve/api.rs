@@ -11,15 +11,16 @@ use axum::response::{IntoResponse, Json, Response};
 use axum::routing::{MethodRouter, get, post};
 use axum::{Extension, Router};
 use serde::Deserialize;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::guard::{Guard, Traffic, guard};
 use super::hub::{Hub, Shared};
-use super::request::{Problem, Said, body, label};
+use super::request::{JSON_LINES, Problem, Said, aside, body, exported, label};
 use super::roles::By;
+use super::scans::{MOST, USUAL};
 use super::settings::{LARGEST_BODY, Settings};
 use super::subscribers::EventFilter;
-use super::{audit, library, metrics, review, roles, scans};
+use super::{library, metrics, review, roles, scans};
 use crate::history::{Actor, AuditRecord};
 use crate::printable::counted;
 use crate::station::Command;
@@ -33,9 +34,10 @@ pub(crate) fn router(hub: Arc<Hub>, settings: &Settings) -> Router {
         .route("/state", get(state))
         .merge(scans::router())
         .merge(review::router())
-        .merge(audit::router())
         .merge(library::router())
         .route("/library", get(library))
+        .route("/audit", get(audit))
+        .route("/audit.jsonl", get(audit_lines))
         .route("/events", get(events))
         .route("/openapi.json", get(open_api))
         .route("/start", order_by_post("start", Command::Start))
@@ -75,6 +77,29 @@ async fn state(State(hub): Shared) -> Response {
 
 async fn library(State(hub): Shared) -> Response {
     Json(&hub.lock().state.library).into_response()
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AuditRequest {
+    limit: Option<usize>,
+    /// Only changes older than the one with this id.
+    before: Option<u64>,
+}
+
+/// The newest changes: who changed what. For administrators, like all of the audit log.
+async fn audit(
+    State(hub): Shared,
+    asked: Result<Query<AuditRequest>, QueryRejection>,
+) -> Result<Json<Value>, Problem> {
+    let Query(AuditRequest { limit, before }) = asked?;
+    let most = limit.unwrap_or(USUAL).min(MOST);
+    let changes = aside(move || Ok(hub.settings.history.changes(before, most)?)).await?;
+    Ok(Json(json!({ "changes": changes })))
+}
+
+async fn audit_lines(State(hub): Shared) -> Response {
+    exported(JSON_LINES, move |out| hub.settings.history.write_changes(out))
 }
 
 #[derive(Deserialize)]
@@ -165,7 +190,12 @@ async fn send(
     hub.order(order)?;
     if is_noted {
         let change = (None, after.as_deref());
-        audit::note(hub, vec![AuditRecord::now(&by, accepted, subject.as_deref(), change)]).await?;
+        let record = AuditRecord::now(&by, accepted, subject.as_deref(), change);
+        let note = move || {
+            hub.settings.history.note_changes([record]);
+            Ok(())
+        };
+        aside(note).await?;
     }
     Ok((StatusCode::ACCEPTED, Json(json!({ "accepted": accepted }))).into_response())
 }

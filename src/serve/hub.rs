@@ -46,7 +46,7 @@ pub(crate) struct Hub {
     orders: Sender<Command>,
     missed: Arc<AtomicU64>,
     pub traffic: Arc<Traffic>,
-    pub settings: Settings,
+    pub settings: Arc<Settings>,
 }
 
 #[derive(Default)]
@@ -58,13 +58,10 @@ pub(crate) struct HubState {
     tracer: Tracer,
     pub pictures: BTreeMap<SourceId, Arc<Image>>,
     meters: Vec<StreamMeter>,
-    enrolls: bool,
-    stale_after_s: f64,
-    pub viewfinder: Option<Viewfinder>,
+    settings: Arc<Settings>,
     published_camera: Option<CameraView>,
-    outputs: Vec<OutputHealth>,
     published_outputs: Vec<OutputView>,
-    /// What is known against the station by scans of its reference surfaces.
+    /// The drift that scans of the reference surfaces show.
     drift: Vec<Doubt>,
     pub check: CheckView,
 }
@@ -73,10 +70,10 @@ impl HubState {
     pub(crate) fn whole(&self) -> StateDocument<'_> {
         StateDocument {
             state: &self.state,
-            enrolls: self.enrolls,
-            stale_after_s: self.stale_after_s,
+            enrolls: self.settings.enrolls,
+            stale_after_s: self.settings.stale_after_s,
             now_unix_ms: unix_ms(),
-            camera: self.viewfinder.as_ref().map(Viewfinder::view),
+            camera: self.camera(),
             streams: self.streams(),
             outputs: self.outputs(),
             drift: &self.drift,
@@ -92,8 +89,12 @@ impl HubState {
         self.meters.iter().map(view).collect()
     }
 
+    fn camera(&self) -> Option<CameraView> {
+        self.settings.viewfinder.as_ref().map(Viewfinder::view)
+    }
+
     fn outputs(&self) -> Vec<OutputView> {
-        self.outputs.iter().map(OutputHealth::view).collect()
+        self.settings.outputs.iter().map(OutputHealth::view).collect()
     }
 
     pub(crate) fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
@@ -115,7 +116,7 @@ impl HubState {
     }
 
     fn publish_camera(&mut self) {
-        let view = self.viewfinder.as_ref().map(Viewfinder::view);
+        let view = self.camera();
         if view != self.published_camera {
             self.published_camera.clone_from(&view);
             self.publish(EventKind::Camera, &view);
@@ -211,24 +212,16 @@ impl Hub {
         orders: Sender<Command>,
         missed: Arc<AtomicU64>,
     ) -> Self {
+        let settings = Arc::new(settings.clone());
         let inner = HubState {
             state: State::new(),
             scan_s: Histogram::new(&SCAN_BOUNDS_S),
             latency_s: Histogram::new(&LATENCY_BOUNDS_S),
-            enrolls: settings.enrolls,
-            stale_after_s: settings.stale_after_s,
-            viewfinder: settings.viewfinder.clone(),
-            outputs: settings.outputs.clone(),
+            settings: settings.clone(),
             check: CheckView { state: "none", ..CheckView::default() },
             ..HubState::default()
         };
-        Self {
-            inner: Mutex::new(inner),
-            orders,
-            missed,
-            traffic: Arc::default(),
-            settings: settings.clone(),
-        }
+        Self { inner: Mutex::new(inner), orders, missed, traffic: Arc::default(), settings }
     }
 
     pub(crate) fn lock(&self) -> MutexGuard<'_, HubState> {
@@ -299,7 +292,7 @@ impl Hub {
             return Err(Problem::Ended);
         }
         let reloads = matches!(order, Command::Reload);
-        if enrolls && !inner.enrolls || reloads && !self.settings.reloads {
+        if enrolls && !self.settings.enrolls || reloads && !self.settings.reloads {
             return Err(Problem::NoLibrary);
         }
         self.orders.try_send(order).map_err(|error| match error {

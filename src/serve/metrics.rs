@@ -87,9 +87,8 @@ impl Metrics<'_> {
             ("surfaced_reconnects_total", "counter", "How often a device came back."),
         ];
         let devices = state.devices.iter().map(|view| {
-            let reconnects = state.reconnects.get(&view.device).copied().unwrap_or(0);
             let streams = u64::from(view.state == DeviceState::Streaming);
-            (vec![("device", view.device.as_str())], [streams, reconnects])
+            (vec![("device", view.device.as_str())], [streams, view.reconnects])
         });
         page.family(heads, devices);
         let counts = state.counts;
@@ -121,8 +120,7 @@ impl Metrics<'_> {
             ("surfaced_output_dropped_total", "counter", "Answers that made room for newer ones."),
             ("surfaced_output_waiting", "gauge", "Answers that wait for an output."),
         ];
-        let outputs = self.outputs.iter();
-        let outputs = outputs.map(|output| {
+        let outputs = self.outputs.iter().map(|output| {
             let OutputView { output, waiting, failures, dropped, .. } = output;
             (vec![("output", output.as_str())], [*failures, *dropped, *waiting])
         });

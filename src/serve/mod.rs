@@ -12,7 +12,6 @@
 //! A subscriber that is slow misses events and is told how many. It never delays other subscribers.
 
 pub(crate) mod api;
-mod audit;
 mod guard;
 mod hub;
 mod library;

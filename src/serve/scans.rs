@@ -210,15 +210,14 @@ async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Pr
     let stem = file.strip_suffix(".jpg").ok_or(Problem::NotFound)?;
     let whole = stem.strip_prefix("whole-");
     let source = SourceId::new(whole.unwrap_or(stem)).map_err(|_| Problem::NotFound)?;
-    let (finder, image) = {
-        let inner = hub.lock();
-        let finder = inner.viewfinder.clone().filter(|finder| finder.view().source == source);
-        (finder, inner.pictures.get(&source).cloned())
-    };
     let is_whole = whole.is_some();
-    let encode = move || match is_whole {
-        true => finder.and_then(|finder| finder.jpeg()),
-        false => image.and_then(|image| jpeg::encode(&image).ok()),
+    let encode = move || {
+        if is_whole {
+            let finder = hub.settings.viewfinder.as_ref();
+            return finder.filter(|finder| finder.view().source == source)?.jpeg();
+        }
+        let image = hub.lock().pictures.get(&source).cloned();
+        jpeg::encode(&*image?).ok()
     };
     let bytes = aside(move || encode().ok_or(Problem::NotFound)).await?;
     Ok(([(CONTENT_TYPE, "image/jpeg")], bytes).into_response())

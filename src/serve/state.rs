@@ -1,6 +1,6 @@
 //! The state of the station as one document, updated by each event.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::SystemTime;
 
@@ -56,6 +56,12 @@ pub(crate) struct DeviceView {
     /// The reason for the state of the device, and what to do.
     pub detail: String,
     pub since_unix_ms: u64,
+    /// Whether the device was lost, and has not sent data since.
+    #[serde(skip)]
+    is_lost: bool,
+    /// How often the device came back after it was lost.
+    #[serde(skip)]
+    pub reconnects: u64,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -101,8 +107,6 @@ pub(crate) struct State {
     /// The last warnings, the newest first.
     pub warnings: VecDeque<WarningView>,
     pub finished: bool,
-    #[serde(skip)]
-    pub reconnects: BTreeMap<String, u64>,
 }
 
 impl State {
@@ -113,7 +117,7 @@ impl State {
         state
     }
 
-    /// What is missing before scans can be named.
+    /// The parts that are not ready yet, so that scans cannot be named.
     pub(crate) fn lacking(&self) -> Vec<&'static str> {
         let library = self.library.as_ref().is_some_and(|library| library.problem.is_none());
         let streams = |device: &DeviceView| device.state == DeviceState::Streaming;
@@ -164,15 +168,18 @@ impl State {
     }
 
     fn device(&mut self, name: &str, state: DeviceState, detail: &str) {
-        let detail = detail.to_string();
-        let since_unix_ms = unix_ms();
+        let (detail, since_unix_ms) = (detail.to_string(), unix_ms());
+        let is_lost = state == DeviceState::Lost;
         if let Some(device) = self.devices.iter_mut().find(|device| device.device == name) {
-            if device.state == DeviceState::Lost && state == DeviceState::Streaming {
-                *self.reconnects.entry(name.into()).or_default() += 1;
+            device.is_lost |= is_lost;
+            if state == DeviceState::Streaming {
+                device.reconnects += u64::from(std::mem::take(&mut device.is_lost));
             }
             (device.state, device.detail, device.since_unix_ms) = (state, detail, since_unix_ms);
         } else if self.devices.len() < DEVICES {
-            self.devices.push(DeviceView { device: name.into(), state, detail, since_unix_ms });
+            let device = name.to_string();
+            let view = DeviceView { device, state, detail, since_unix_ms, is_lost, reconnects: 0 };
+            self.devices.push(view);
             self.devices.sort_by(|a, b| a.device.cmp(&b.device));
         }
     }
@@ -241,18 +248,11 @@ impl State {
         if guess.enough {
             return say(AdviceKind::Lift, "lift");
         }
-        match guess.more_s() {
-            Some(more_s) => {
-                // The time is rounded up to tenths, so that it is long enough. The 1e-6 keeps
-                // rounding errors from turning 1.2 s into 1.3 s.
-                let more_s = ((more_s * 10.0 - 1e-6).ceil() / 10.0).max(0.1);
-                Advice {
-                    more_s: Some(more_s),
-                    ..say(AdviceKind::Drag, &format!("{more_s:.1} s more"))
-                }
-            }
-            None => say(AdviceKind::Drag, "drag"),
-        }
+        let Some(more_s) = guess.more_s() else { return say(AdviceKind::Drag, "drag") };
+        // The time is rounded up to tenths, so that it is long enough. The 1e-6 keeps rounding errors from
+        // turning 1.2 s into 1.3 s.
+        let more_s = ((more_s * 10.0 - 1e-6).ceil() / 10.0).max(0.1);
+        Advice { more_s: Some(more_s), ..say(AdviceKind::Drag, &format!("{more_s:.1} s more")) }
     }
 }
 
@@ -299,7 +299,11 @@ mod tests {
         assert_eq!(lost.what, AdviceKind::Wait);
         assert_eq!(lost.device.as_deref(), Some("stylus /dev/ttyUSB0"));
         assert_eq!(lost.text, "Stylus disconnected: plug it in");
+        is("stylus /dev/ttyUSB0", DeviceState::Opening);
         assert_eq!(is("stylus /dev/ttyUSB0", DeviceState::Streaming).device, None);
+        is("stylus /dev/ttyUSB0", DeviceState::Streaming);
+        let reconnects: Vec<u64> = state.devices.iter().map(|view| view.reconnects).collect();
+        assert_eq!(reconnects, [0, 0, 1], "the stylus is the last by name");
     }
 
     #[test]

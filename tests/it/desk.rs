@@ -340,7 +340,10 @@ fn tables_become_a_library_and_a_dry_run_writes_nothing() {
             write_file(&tables.join(format!("{surface}/anna_{n}.csv")), text);
         }
     }
-    write_file(&tables.join("Filz/anna_9.csv"), "time_ms;acc_x;acc_y\n0;1;x\n2;1;2\n");
+    for bad in ["anna_8", "anna_9"] {
+        let text = "time_ms;acc_x;acc_y\n0;1;x\n2;1;2\n";
+        write_file(&tables.join(format!("Filz/{bad}.csv")), text);
+    }
     let out = dir.path().join("mine");
     let names = "{surface}/{user}_{trial}";
     let import = |more: &[&str]| {
@@ -351,7 +354,9 @@ fn tables_become_a_library_and_a_dry_run_writes_nothing() {
     assert_eq!(dry.status.code(), Some(3), "{}", said(&dry));
     let understood = String::from_utf8_lossy(&dry.stdout).into_owned();
     says(&understood, &["acc_x, acc_y", "500 Hz", "Eiche", "anna", "1.0 s"]);
-    says(&said(&dry), &["anna_9.csv: line 2, column `acc_y`", "nothing is written"]);
+    says(&said(&dry), &["2 files are not used; --strict names all: ", "nothing is written"]);
+    says(&said(&dry), &["anna_8.csv: line 2, column `acc_y`"]);
+    says(&said(&import(&["--dry-run", "--strict"])), &["anna_8.csv: line 2", "anna_9.csv: line 2"]);
     assert!(!out.exists());
     let written = import(&[]);
     assert_eq!(written.status.code(), Some(3), "{}", said(&written));

@@ -12,7 +12,6 @@ fn routes() -> BTreeSet<(String, String)> {
         include_str!("../../src/serve/api.rs"),
         include_str!("../../src/serve/scans.rs"),
         include_str!("../../src/serve/review.rs"),
-        include_str!("../../src/serve/audit.rs"),
         include_str!("../../src/serve/library.rs"),
     ];
     let mut routes: BTreeSet<(String, String)> = BTreeSet::new();

@@ -88,15 +88,19 @@ fn a_stress_run_measures_draws_and_says_where_methods_break() {
 }
 
 #[test]
-fn an_unknown_disturbance_is_wrong_usage_and_names_the_known_ones() {
+fn an_unknown_disturbance_and_a_picture_in_the_place_of_another_file_are_wrong_usage() {
     let dir = tempfile::tempdir().unwrap();
     let data = scene(dir.path());
-    let out = dir.path().join("s.svg");
-    let run = surfaced(&["stress", &data, "--out", out.to_str().unwrap(), "--only", "rain"]);
-    assert_eq!(run.status.code(), Some(2));
-    assert!(
-        String::from_utf8_lossy(&run.stderr).contains("no disturbance `rain`; there are white")
-    );
+    for (out, only, says) in [
+        ("s.svg", "rain", "no disturbance `rain`; there are white"),
+        ("s.json", "gain", "the JSON is written beside it"),
+        ("s.md", "gain", "the table is written beside it"),
+    ] {
+        let out = dir.path().join(out);
+        let run = surfaced(&["stress", &data, "--out", out.to_str().unwrap(), "--only", only]);
+        assert_eq!(run.status.code(), Some(2));
+        assert!(String::from_utf8_lossy(&run.stderr).contains(says), "{says}");
+    }
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! What differs between operating systems: terminals, signals, services. Errors are the system's own.
+//! Differences between operating systems: terminals, signals, services. Errors are the system's own.
 
 #[cfg(unix)]
 mod unix;
