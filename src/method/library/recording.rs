@@ -1,20 +1,5 @@
-//! Reads the recording format, version 1.
-//!
-//! ```text
-//! LIBRARY/
-//!   library.toml                 optional: name, synthetic, sources beyond the default ones
-//!   SURFACE/TRIAL/
-//!     trial.toml                 optional: see [`About`]
-//!     mi2.wav  ac.wav  …         one WAV or FLAC for each source
-//!     ca1.png or ca1.jpg
-//!   SURFACE/NAME.wav             a file outside a trial folder
-//! ```
-//! A file outside a trial folder holds one source of a trial. A name that begins with the name of a
-//! source, such as `mi2_03.wav`, selects that source. Any other file holds the only source that
-//! `library.toml` describes, or the sound of a drag if it describes none or several. The trial's number
-//! is the one at the end of the name, if every name ends with a number and no source has a number
-//! twice. If not, the files are numbered in the order of their names. Files of one surface and number
-//! form one trial.
+//! Reads the recording format, version 1: `LIBRARY/SURFACE/TRIAL/mi2.wav`, with a file for each source, and
+//! its shorter forms. `README.md` beside this file describes them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -406,7 +391,9 @@ struct FilePlace {
 }
 
 /// The source and the trial number of each file in `names` (without extension), in order. `usual` is the
-/// source of a name that begins with none; numbers in `taken` belong to other trials.
+/// source of a name that begins with none; numbers in `taken` belong to other trials. The number is the
+/// one at the end of the name, if every name ends with a free number and no source has a number twice.
+/// If not, the files are numbered in the order of their names.
 fn loose_places(
     names: &[&str],
     scene: &Scene,
