@@ -8,6 +8,7 @@ use realfft::RealFftPlanner;
 use surfaced::evaluate::{Evaluation, Fold};
 use surfaced::library::Entry;
 use surfaced::recognise::{Embedding, EmbeddingOptions, Reference, ReferenceOptions};
+use surfaced::scene::Scene;
 use surfaced::trial::{Series, Signal, Trial, TrialKey};
 
 fn fixture(name: &str) -> Vec<u8> {
@@ -101,6 +102,18 @@ fn files_without_trial_folders_are_trials_of_a_drag_s_sound() {
     let felt = library.entries.iter().find(|entry| entry.key.surface == "felt").unwrap();
     assert_eq!(felt.sources, [id("ac"), id("mi2")], "one number is one trial");
     says(&library.remarks.join("\n"), &["and 4 more: read as sound of a drag (`mi2`)"]);
+}
+
+#[test]
+fn where_no_source_is_usual_the_names_of_files_tell_it() {
+    let (_dir, path) = temp();
+    for name in ["pac_1", "scan2"] {
+        write_wav(&path.join(format!("Oak/{name}.wav")), 1000, 1, &[1, 2]);
+    }
+    let scene = Scene::from_toml("format = 1\n[sources.pac]\ndomain = \"time\"\n").unwrap();
+    let library = surfaced::dataset::open(&path, &scene).unwrap();
+    assert_eq!((library.entries.len(), library.entries[0].sources[0].as_str()), (1, "pac"));
+    says(&library.remarks.join("\n"), &["Oak/scan2.wav: not used, its name begins with no source"]);
 }
 
 #[test]

@@ -76,6 +76,11 @@ fn le16(samples: &[i16]) -> Vec<u8> {
     samples.iter().flat_map(|x| x.to_le_bytes()).collect()
 }
 
+/// A chunk that claims to be of this length.
+fn list(claimed: u32, content: &[u8]) -> Vec<u8> {
+    [b"LIST", &claimed.to_le_bytes(), content].concat()
+}
+
 fn ds64(data: u64) -> Vec<u8> {
     let sizes = [1000, data, 2].map(u64::to_le_bytes).concat();
     [b"ds64".to_vec(), 28u32.to_le_bytes().to_vec(), sizes, vec![0; 4]].concat()
@@ -85,7 +90,7 @@ fn ds64(data: u64) -> Vec<u8> {
 fn every_kind_of_wav_gives_its_samples() {
     let two = le16(&[8192, -16384]);
     let f64s = [0.25_f64, -0.5].map(f64::to_le_bytes).concat();
-    let list = [&b"LIST"[..], &4u32.to_le_bytes(), b"INFO"].concat();
+    let info = list(4, b"INFO");
     let streamed = |riff, claimed, data: &[u8]| Wav {
         riff: Some(riff),
         claimed: Some(claimed),
@@ -96,13 +101,15 @@ fn every_kind_of_wav_gives_its_samples() {
         riff: Some(u32::MAX),
         before: ds64(size),
         claimed: Some(claimed),
-        after: list.clone(),
+        after: info.clone(),
         ..wav(1, 2, &two)
     };
     let is = [0.25, -0.5];
     for (name, file, expected) in [
         ("16 bits", wav(1, 2, &two), &is[..]),
-        ("chunks after the samples", Wav { after: list.clone(), ..wav(1, 2, &two) }, &is),
+        ("8 bits", wav(1, 1, &[0xA0, 0x40]), &is),
+        ("chunks after the samples", Wav { after: info.clone(), ..wav(1, 2, &two) }, &is),
+        ("a padded chunk", Wav { before: list(3, b"abc\0"), ..wav(1, 2, &two) }, &is),
         ("a stream with sizes of 0", streamed(0, 0, &two), &is),
         ("a stream of ffmpeg", streamed(u32::MAX, u32::MAX, &two), &is),
         ("a stream of 2^31 − 1", streamed(0x7FFF_FFFF, 0x7FFF_FFFF, &two), &is),
@@ -134,19 +141,26 @@ fn every_kind_of_wav_gives_its_samples() {
 
 #[test]
 fn what_wav_does_not_hold_is_named() {
-    let list = [&b"LIST"[..], &4u32.to_le_bytes(), b"INFO"].concat();
-    let nothing = |riff| Wav { riff, after: list.clone(), ..wav(1, 2, &[]) };
+    let nothing = |riff| Wav { riff, after: list(4, b"INFO"), ..wav(1, 2, &[]) };
     for (file, part) in [
+        (wav(1, 0, &[0; 8]), "0 bits in 0 bytes"),
+        (wav(1, 8, &[0; 8]), "64 bits in 8 bytes"),
+        (wav(2, 2, &[0; 8]), "Microsoft ADPCM"),
         (wav(0x11, 1, &[0; 4]), "IMA ADPCM"),
         (wav(0x55, 1, &[0; 4]), "mp3"),
         (wav(3, 2, &[0; 4]), "16 bits in 2 bytes"),
         (nothing(None), "it holds no samples"),
         (nothing(Some(0)), "it holds no samples"),
+        (Wav { before: list(u32::MAX, b""), ..wav(1, 2, &[0; 4]) }, "truncated"),
         (Wav { claimed: Some(4000), ..wav(1, 2, &[0; 4]) }, "truncated"),
         (Wav { claimed: Some(u32::MAX), ..wav(1, 2, &[]) }, "it holds no samples"),
     ] {
         says(&samples(&file.bytes()).unwrap_err(), &[part]);
     }
+    // Without a list of valid bits, 24 bits may be the upper or the lower ones of 32.
+    let mut unclear = wav(1, 4, &[0; 4]).bytes();
+    unclear[34] = 24;
+    says(&samples(&unclear).unwrap_err(), &["24 bits in 4 bytes", "sox"]);
 }
 
 #[test]

@@ -4,15 +4,15 @@
 //! be opened; a remark says which one.
 
 use std::collections::BTreeSet;
-use std::collections::btree_map::{BTreeMap, Entry};
+use std::collections::btree_map::{self, BTreeMap};
 use std::path::{Path, PathBuf};
 
 use crate::library::files::{self, Listed};
 use crate::library::loader::{Headers, Remarks, SourceFiles};
 use crate::library::recording;
-use crate::library::{Library, LibraryError, Opened};
+use crate::library::{Entry, Library, LibraryError, Opened};
 use crate::printable::counted;
-use crate::scene::{Domain, Scene, SourceBlock, SourceId, SourceSpec};
+use crate::scene::{Domain, Scene, SourceBlock, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};
 
 /// Names of the database's folders. One such folder is enough to recognise the database.
@@ -85,11 +85,7 @@ pub(super) fn open(
             entries.push(recording::entry(key, sources, None));
         }
     }
-    let mut remarks = Vec::new();
-    if !entries.is_empty() {
-        let keys = entries.iter().map(|entry| (&entry.key, entry.sources.as_slice()));
-        remarks = summary(&keys.collect::<Vec<_>>(), defaults);
-    }
+    let mut remarks = if entries.is_empty() { Vec::new() } else { summary(&entries, defaults) };
     remarks.extend(headers.remarks.lines());
     if entries.is_empty() {
         if let Some(error) = LibraryError::of_all(bad) {
@@ -162,7 +158,7 @@ impl FoundFiles {
             );
         }
         let channels = self.trials.entry(key).or_default().entry(source).or_default();
-        if let Entry::Vacant(free) = channels.entry(channel) {
+        if let btree_map::Entry::Vacant(free) = channels.entry(channel) {
             free.insert(item.path);
         } else {
             self.passed
@@ -216,14 +212,14 @@ fn source_files(
 }
 
 /// Up to three lines of text that say which sources were found and which are missing.
-fn summary(entries: &[(&TrialKey, &[SourceId])], scene: &Scene) -> Vec<String> {
-    let surfaces: BTreeSet<_> = entries.iter().map(|(key, _)| key.surface.as_str()).collect();
-    let experts = entries.iter().filter(|(key, _)| key.user == EXPERT).count();
+fn summary(entries: &[Entry], scene: &Scene) -> Vec<String> {
+    let surfaces: BTreeSet<_> = entries.iter().map(|entry| entry.key.surface.as_str()).collect();
+    let experts = entries.iter().filter(|entry| entry.key.user == EXPERT).count();
     let (mut found, mut missing, mut gaps) = (Vec::new(), Vec::new(), Vec::new());
     for spec in scene.sources() {
         let holds = |is_expert: bool| {
-            let of_split = entries.iter().filter(|(key, _)| (key.user == EXPERT) == is_expert);
-            of_split.filter(|(_, sources)| sources.contains(&spec.id)).count()
+            let of_split = entries.iter().filter(|entry| (entry.key.user == EXPERT) == is_expert);
+            of_split.filter(|entry| entry.sources.contains(&spec.id)).count()
         };
         let (expert, users) = (holds(true), holds(false));
         match (expert, users) {

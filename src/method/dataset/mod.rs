@@ -9,6 +9,9 @@ pub mod synth;
 #[doc(hidden)]
 pub mod tables;
 
+#[doc(hidden)]
+pub use tables::try_table;
+
 use std::path::{Path, PathBuf};
 
 use crate::library::files::{self, Listed};
@@ -94,15 +97,6 @@ pub fn open_usable(path: &Path, defaults: &Scene) -> Result<Opened, LibraryError
             Err(LibraryError::file(path, problem))
         }
     }
-}
-
-/// Reads all trials of a table and drops them, for tests of damaged files. Returns their number.
-///
-/// # Errors
-/// If the table cannot be read.
-#[doc(hidden)]
-pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
-    tables::try_read(path)
 }
 
 /// Folders of the processed form in which the authors of LMT108 published it.

@@ -354,10 +354,4 @@ mod tests {
         assert_eq!(replace(cache), None);
         assert!(!left.0.exists() && locked.0.exists() && fresh.0.exists());
     }
-
-    #[test]
-    fn a_folder_that_cannot_be_written_is_a_remark() {
-        let (cache, _) = Cache::open(Path::new("/nowhere/at/all"), "m", 5);
-        assert!(replace(cache).unwrap().contains("prepared anew next time"));
-    }
 }

@@ -55,7 +55,7 @@ pub struct Listed {
     pub path: PathBuf,
     pub is_dir: bool,
     /// The reason why the item cannot be used (such as a broken link); `None` if it can. An item
-    /// whose name is not UTF-8 is one of them, with a name that is only for people.
+    /// whose name is not UTF-8 is one of them, with a name that only serves messages.
     pub unusable: Option<&'static str>,
 }
 
@@ -169,6 +169,14 @@ pub fn open(path: &Path) -> io::Result<(File, u64)> {
     Ok((file, about.len()))
 }
 
+/// Like [`open`], but also refuses an empty file.
+pub(crate) fn open_filled(path: &Path) -> Result<(File, u64), LibraryError> {
+    match open(path).map_err(|error| LibraryError::io(path, error))? {
+        (_, 0) => Err(LibraryError::file(path, EMPTY_FILE)),
+        filled => Ok(filled),
+    }
+}
+
 /// Reads a regular file. Refuses an empty file, and a file of more than `most` bytes.
 pub(crate) fn read_bytes(path: &Path, most: u64) -> Result<Vec<u8>, LibraryError> {
     let fail = |error| LibraryError::io(path, error);
@@ -189,7 +197,7 @@ pub(crate) fn read_bytes(path: &Path, most: u64) -> Result<Vec<u8>, LibraryError
     }
 }
 
-pub(crate) const EMPTY_FILE: &str = "the file is empty (0 bytes); record again, or remove it";
+const EMPTY_FILE: &str = "the file is empty (0 bytes); record again, or remove it";
 
 /// Refuses a recording that is too long for a trial.
 pub(super) fn check_length(outline: Outline) -> Result<(), String> {

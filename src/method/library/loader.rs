@@ -288,7 +288,7 @@ fn read_picture(path: &Path) -> Result<Image, LibraryError> {
     )
 }
 
-/// What is said once of all sounds in a lossy form.
+/// The remark on sounds in a lossy form, made once for all of them.
 const LOSSY_REMARK: &str = "lossy coding changes a sound, most of all in the bands above its cut; \
                             compare only what was coded alike, or record as WAV or FLAC";
 

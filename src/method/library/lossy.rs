@@ -107,7 +107,7 @@ impl Sound {
         skip: usize,
         frames: usize,
     ) -> Result<Self, Why> {
-        // What a decoder found in its own header is surer than what the file around it says.
+        // A decoder's own header is more reliable than the file around it.
         let decoder = decoder(&codec)?;
         let (Some(rate), Some(channels)) =
             (decoder.codec_params().sample_rate, &decoder.codec_params().channels)

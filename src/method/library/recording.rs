@@ -1,20 +1,5 @@
-//! Reads the recording format, version 1.
-//!
-//! ```text
-//! LIBRARY/
-//!   library.toml                 optional: name, synthetic, sources beyond the default ones
-//!   SURFACE/TRIAL/
-//!     trial.toml                 optional: see [`About`]
-//!     mi2.wav  ac.wav  …         one WAV or FLAC for each source
-//!     ca1.png or ca1.jpg
-//!   SURFACE/NAME.wav             a file outside a trial folder
-//! ```
-//! A file outside a trial folder holds one source of a trial. A name that begins with the name of a
-//! source, such as `mi2_03.wav`, selects that source. Any other file holds the only source that
-//! `library.toml` describes, or the sound of a drag if it describes none or several. The trial's number
-//! is the one at the end of the name, if every name ends with a number and no source has a number
-//! twice. If not, the files are numbered in the order of their names. Files of one surface and number
-//! form one trial.
+//! Reads the recording format, version 1: `LIBRARY/SURFACE/TRIAL/mi2.wav`, with a file for each source, and
+//! its shorter forms. `README.md` beside this file describes them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -239,8 +224,17 @@ impl<'a> RecordingOpening<'a> {
             .map(|key| key.number)
             .collect();
         let only = self.declared.keys().next().filter(|_| self.declared.len() == 1);
+        let usual = only.or_else(|| self.scene.get(USUAL).map(|spec| &spec.id)).cloned();
+        let is_told = |name: &str| usual.is_some() || source_of(name, &self.scene).is_some();
+        let (files, others): (Vec<&Listed>, Vec<&Listed>) =
+            files.iter().copied().partition(|item| is_told(item.stem_and_extension().0));
+        for item in others {
+            let why = "not used, its name begins with no source; begin it with one, such as \
+                       SOURCE_1.wav";
+            self.headers.note(&item.path, why);
+        }
         let names: Vec<&str> = files.iter().map(|item| item.stem_and_extension().0).collect();
-        let places = loose_places(&names, &self.scene, only, &taken);
+        let places = loose_places(&names, &self.scene, usual.as_ref(), &taken);
         for (item, place) in files.iter().zip(places) {
             match self.series(&place.source, &item.path) {
                 Err(error) => self.bad.push(error),
@@ -396,22 +390,22 @@ struct FilePlace {
     guessed: bool,
 }
 
-/// The source and the trial number of each file in `names` (without extension), in order. `only` is
-/// the only source that `library.toml` describes; numbers in `taken` belong to other trials.
+/// The source and the trial number of each file in `names` (without extension), in order. `usual` is the
+/// source of a name that begins with none; numbers in `taken` belong to other trials. The number is the
+/// one at the end of the name, if every name ends with a free number and no source has a number twice.
+/// If not, the files are numbered in the order of their names.
 fn loose_places(
     names: &[&str],
     scene: &Scene,
-    only: Option<&SourceId>,
+    usual: Option<&SourceId>,
     taken: &[u32],
 ) -> Vec<FilePlace> {
-    let usual = || scene.get(USUAL).map(|spec| spec.id.clone());
-    let Some(usual) = only.cloned().or_else(usual) else { return Vec::new() };
     let place = |name: &&str| {
         let (named, number) = (source_of(name, scene), number_in(name).unwrap_or_default());
         let guessed = named.is_none();
-        FilePlace { source: named.unwrap_or_else(|| usual.clone()), number, guessed }
+        Some(FilePlace { source: named.or_else(|| usual.cloned())?, number, guessed })
     };
-    let mut places: Vec<FilePlace> = names.iter().map(place).collect();
+    let mut places: Vec<FilePlace> = names.iter().filter_map(place).collect();
     let free = |name: &&str| number_in(name).is_some_and(|number| !taken.contains(&number));
     let different: BTreeSet<_> = places.iter().map(|place| (&place.source, place.number)).collect();
     if different.len() < names.len() || !names.iter().all(free) {
@@ -447,7 +441,8 @@ mod tests {
     use super::*;
 
     fn placed(names: &[&str], taken: &[u32]) -> Vec<(String, u32)> {
-        let places = loose_places(names, &Scene::lmt108(), None, taken);
+        let usual = SourceId::new(USUAL).unwrap();
+        let places = loose_places(names, &Scene::lmt108(), Some(&usual), taken);
         places.iter().map(|place| (place.source.to_string(), place.number)).collect()
     }
 

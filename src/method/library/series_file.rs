@@ -11,7 +11,7 @@ use symphonia_core::errors::Error;
 use symphonia_core::formats::{FormatOptions, FormatReader};
 use symphonia_core::io::MediaSourceStream;
 
-use super::files::{self, EMPTY_FILE, check_length};
+use super::files::{self, check_length};
 #[cfg(feature = "lossy")]
 use super::lossy;
 use super::{LibraryError, Outline, wav};
@@ -47,10 +47,10 @@ pub(super) fn is_lossy(path: &Path) -> bool {
 }
 
 /// Runs a decoder. If it panics, as decoders may on damaged files, returns the error `failed`.
-pub(super) fn guarded<T>(
-    work: impl FnOnce() -> Result<T, LibraryError>,
-    failed: impl FnOnce(&str) -> LibraryError,
-) -> Result<T, LibraryError> {
+pub(crate) fn guarded<T, E>(
+    work: impl FnOnce() -> Result<T, E>,
+    failed: impl FnOnce(&str) -> E,
+) -> Result<T, E> {
     // This is safe, since nothing that `work` changes is used after a panic.
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err(failed("the decoder failed")))
 }
@@ -58,10 +58,7 @@ pub(super) fn guarded<T>(
 fn open_flac(
     path: &Path,
 ) -> Result<(FlacReader<'static>, AudioCodecParameters, Outline), LibraryError> {
-    let (file, size) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
-    if size == 0 {
-        return Err(LibraryError::file(path, EMPTY_FILE));
-    }
+    let (file, _) = files::open_filled(path)?;
     let stream = MediaSourceStream::new(Box::new(file), Default::default());
     let reader = FlacReader::try_new(stream, FormatOptions::default())
         .map_err(|error| damaged(path, &error.to_string()))?;

@@ -1,4 +1,4 @@
-//! What differs between operating systems: locks, renames, file identity, memory. Errors are the system's
+//! The differences between operating systems: locks, renames, file identity, memory. Errors are the system's
 //! own.
 
 #[cfg(unix)]

@@ -208,6 +208,7 @@ impl Doubt {
     pub fn text(&self) -> String {
         let percent = |share: &f64| format!("{:.0} %", 100.0 * share);
         let ms = |seconds: &f64| format!("{:.1} ms", 1e3 * seconds);
+        let louder = |moved_db: &f64| if *moved_db < 0.0 { "quieter" } else { "louder" };
         match self {
             Self::Stuck { channel, value, share, .. } => {
                 let since = match *share < 1.0 {
@@ -280,12 +281,12 @@ impl Doubt {
             Self::LevelDrift { channel, surface, moved_db, limit_db, .. } => format!(
                 "channel {channel} is {} on {surface} than at first ({moved_db:+.1} dB; up to \
                  {limit_db:.1} dB is no drift); check gain, cable, tip and mounting",
-                if *moved_db < 0.0 { "quieter" } else { "louder" }
+                louder(moved_db)
             ),
             Self::NoiseDrift { channel, moved_db, limit_db, .. } => format!(
                 "channel {channel} is {} at rest than at first ({moved_db:+.1} dB; up to \
                  {limit_db:.1} dB is no drift); check gain, cable and earthing",
-                if *moved_db < 0.0 { "quieter" } else { "louder" }
+                louder(moved_db)
             ),
             Self::FitDrift { surface, moved, limit } => format!(
                 "scans of {surface} fit its trials less well than at first ({moved:+.2}; up to \
@@ -330,7 +331,7 @@ impl Serialize for Doubt {
     }
 }
 
-/// The doubts as lines for people.
+/// The doubts in words, one line each.
 pub fn lines<'a>(doubts: impl IntoIterator<Item = &'a Doubt>) -> Vec<String> {
     doubts.into_iter().map(ToString::to_string).collect()
 }

@@ -18,7 +18,7 @@ use crate::trial::{EXPERT, Series, TrialKey, normal};
 /// The largest array of labels, or of trials that lie crosswise (Fortran's order), in bytes.
 pub(super) const MOST_WHOLE: u64 = 1 << 28;
 
-/// What the header of an array says, and a reader of its content.
+/// The header of an array, and a reader of its content.
 pub(super) struct Array {
     pub shape: Vec<usize>,
     pub kind: Kind,
@@ -68,25 +68,6 @@ impl Trials {
         };
         trials.map_err(|problem| LibraryError::file(path, problem))
     }
-
-    /// Gives the trials one after the other to `on`: number from 0, number of channels, and samples,
-    /// frame by frame.
-    fn each(
-        self,
-        on: &mut dyn FnMut(usize, usize, Vec<f32>) -> Result<(), LibraryError>,
-        path: &Path,
-    ) -> Result<(), LibraryError> {
-        let mut at = 0;
-        for array in self.arrays {
-            let array = array.map_err(|problem| LibraryError::file(path, problem))?;
-            let mut next = |channels, frames| {
-                at += 1;
-                on(at - 1, channels, frames)
-            };
-            array.trials(&mut next, path)?;
-        }
-        Ok(())
-    }
 }
 
 impl TryFrom<Array> for Trials {
@@ -103,31 +84,18 @@ impl Array {
         matches!(self.kind, Kind::Float | Kind::Signed | Kind::Unsigned)
     }
 
-    /// Gives the trials one after the other to `on`, like [`Trials::each`].
-    fn trials(
-        mut self,
-        on: &mut dyn FnMut(usize, Vec<f32>) -> Result<(), LibraryError>,
-        path: &Path,
-    ) -> Result<(), LibraryError> {
-        let fail = |problem: String| LibraryError::file(path, problem);
-        let [trials, channels, samples] = self.dimensions().map_err(fail)?;
+    /// The samples of one trial after the other, channel by channel.
+    fn trials(mut self) -> Result<impl Iterator<Item = Result<Vec<f32>, String>>, String> {
+        let [trials, channels, samples] = self.dimensions()?;
         let count = channels * samples;
-        let mut whole = match self.is_crosswise {
-            true => Some(self.crosswise(trials, channels, samples).map_err(fail)?),
+        let whole = match self.is_crosswise {
+            true => Some(self.crosswise(trials, channels, samples)?),
             false => None,
         };
-        for trial in 0..trials {
-            let values = match &mut whole {
-                Some(whole) => whole[trial * count..(trial + 1) * count].to_vec(),
-                None => self.numbers(count).map_err(fail)?,
-            };
-            let mut frames = vec![0.0; count];
-            for (at, value) in values.into_iter().enumerate() {
-                frames[at % samples * channels + at / samples] = value;
-            }
-            on(channels, frames)?;
-        }
-        Ok(())
+        Ok((0..trials).map(move |trial| match &whole {
+            Some(whole) => Ok(whole[trial * count..(trial + 1) * count].to_vec()),
+            None => self.numbers(count),
+        }))
     }
 
     pub(super) fn dimensions(&self) -> Result<[usize; 3], String> {
@@ -167,7 +135,8 @@ impl Array {
         Ok(bytes.chunks_exact(self.size).map(|element| self.number(element) as f32).collect())
     }
 
-    /// The bytes of the next elements. What is there is allocated, not what a header claims.
+    /// The bytes of the next elements. Takes memory for the bytes that are there, not for those that the
+    /// header claims.
     fn bytes(&mut self, count: usize) -> Result<Vec<u8>, String> {
         let (mut bytes, length) = (Vec::new(), (count * self.size) as u64);
         let read = self.content.by_ref().take(length).read_to_end(&mut bytes);
@@ -257,7 +226,7 @@ pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryErr
     let labels =
         form.array_labels.as_ref().map(|labels| labels_of(path, labels, form.most_unpacked));
     let labels = labels.transpose()?;
-    let count = trials.count;
+    let (count, channels) = (trials.count, trials.channels);
     if let Some(labels) = labels.as_ref().filter(|labels| labels.len() != count) {
         return Err(fail(format!(
             "it has {}, but there are {} labels",
@@ -272,25 +241,24 @@ pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryErr
     }
     let [surface, user, number, _] = of_name.unwrap_or_default();
     let session = form.session_of(path).map_err(fail)?;
-    let names = form.columns();
-    let places =
-        names.iter().map(|name| name.parse::<usize>().ok().and_then(|at| at.checked_sub(1)));
-    let places: Option<Vec<usize>> = places.collect();
+    let place = |name: &String| name.parse::<usize>().ok()?.checked_sub(1);
+    let places: Option<Vec<usize>> = form.columns().iter().map(place).collect();
     let places =
         places.ok_or_else(|| fail("the channels of an array are called 1, 2, …".into()))?;
+    if let Some(place) = places.iter().find(|place| **place >= channels) {
+        return Err(fail(format!("it has no channel {}, but {channels} channels", place + 1)));
+    }
     let (mut said, mut numbers) = (Said::default(), BTreeMap::<String, u32>::new());
-    trials.each(
-        &mut |at, channels, frames| {
-            if let Some(place) = places.iter().find(|place| **place >= channels) {
-                return Err(fail(format!(
-                    "it has no channel {}, but {channels} channels",
-                    place + 1
-                )));
-            }
+    let mut at = 0;
+    for array in trials.arrays {
+        for values in array.and_then(Array::trials).map_err(fail)? {
+            let values = values.map_err(fail)?;
+            let samples = values.len() / channels;
             let surface = match &labels {
                 Some(labels) => labels[at].clone(),
                 None => surface.clone().unwrap_or_default(),
             };
+            at += 1;
             let next = numbers.entry(surface.clone()).or_default();
             *next += 1;
             let of_file = number.as_deref().and_then(trial_number).filter(|_| count == 1);
@@ -298,21 +266,20 @@ pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryErr
             let key = TrialKey::new(normal(&surface), normal(&user), of_file.unwrap_or(*next))
                 .with_session(session.clone());
             if key.surface.is_empty() {
-                return Err(fail(format!("trial {} has no label", at + 1)));
+                return Err(fail(format!("trial {at} has no label")));
             }
-            if let Some(bad) = frames.iter().position(|value| value.is_infinite()) {
-                let (frame, channel) = (bad / channels + 1, bad % channels + 1);
-                return Err(fail(format!(
-                    "{key}, channel {channel}: sample {frame} is not finite"
-                )));
+            if let Some(bad) = values.iter().position(|value| value.is_infinite()) {
+                let (channel, sample) = (bad / samples + 1, bad % samples + 1);
+                let problem = format!("{key}, channel {channel}: sample {sample} is not finite");
+                return Err(fail(problem));
             }
-            let rows = frames.chunks_exact(channels);
-            let values = rows.flat_map(|frame| places.iter().map(|place| frame[*place])).collect();
+            let row = |row: usize| places.iter().map(move |place| (place, row));
+            let rows = (0..samples).flat_map(row);
+            let values = rows.map(|(place, row)| values[place * samples + row]).collect();
             on(std::slice::from_ref(&key), None)?;
-            give(path, key, Rows { times: Vec::new(), values }, form, None, &mut said, on)
-        },
-        path,
-    )?;
+            give(path, key, Rows { times: Vec::new(), values }, form, None, &mut said, on)?;
+        }
+    }
     Ok(said)
 }
 

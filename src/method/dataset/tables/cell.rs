@@ -2,7 +2,7 @@
 
 use super::text::shown;
 
-/// What is written for a value that is missing, in small letters.
+/// The texts of a missing value, in small letters.
 const MISSING: [&str; 14] = [
     "",
     "nan",

@@ -1,4 +1,4 @@
-//! What the columns of a table are: times, labels, counters, or the channels of sources. Told by their
+//! Tells what the columns of a table are (times, labels, counters, or the channels of sources) by their
 //! names, and by the values in the first rows.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -149,7 +149,7 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
             .then_some(Ok((long / 1e9, times.len())))
     };
     let named = (0..columns.len()).filter(|column| is_time(&columns[*column]));
-    let (mut found, mut unclear) = (None::<(usize, f64, usize)>, None);
+    let (mut found, mut unclear) = (None::<(usize, f64)>, None);
     for column in named {
         match rises(column) {
             None => {}
@@ -157,10 +157,8 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
                 unclear = unclear.or(Some(format!("column `{}` {why}", columns[column].name)));
             }
             Some(Ok((long, rows))) => match found {
-                None => found = Some((column, long, rows)),
-                Some((first, other, _))
-                    if (long / other - 1.0).abs() > 0.05 + 2.0 / rows as f64 =>
-                {
+                None => found = Some((column, long)),
+                Some((first, other)) if (long / other - 1.0).abs() > 0.05 + 2.0 / rows as f64 => {
                     return Err(format!(
                         "columns `{}` and `{}` are both times, of {other} s and of {long} s; say which by \
                          --time, and its columns by --source",
@@ -186,7 +184,7 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
             is_when && matches!(rises(*column), Some(Ok(_)))
         })
     };
-    let column = found.map(|(column, ..)| column).or_else(by_value);
+    let column = found.map(|(column, _)| column).or_else(by_value);
     Ok(column.map(|column| columns[column].name.clone()))
 }
 
@@ -222,7 +220,7 @@ pub fn sources(
         let cells = head.cells(at);
         let is_pandas =
             ["unnamed", "level", "indexlevel"].iter().any(|name| base.starts_with(name));
-        if (COUNTERS.contains(&&*base) || is_pandas) && counts(&cells) {
+        if (COUNTERS.contains(&&*base) || is_pandas) && counts(cells.iter()) {
             notes.push(format!("column `{name}` only counts the rows, and is left out"));
         } else if LABELS.contains(&&*base) || is_label(&cells) {
             notes.push(format!(
@@ -281,8 +279,8 @@ fn whole(cell: &[u8]) -> Option<i64> {
 }
 
 /// Whether cells rise by 1 from each to the next.
-fn counts(cells: &[Vec<u8>]) -> bool {
-    let numbers: Option<Vec<i64>> = cells.iter().map(|cell| whole(cell)).collect();
+pub(super) fn counts<'a>(cells: impl Iterator<Item = &'a Vec<u8>>) -> bool {
+    let numbers: Option<Vec<i64>> = cells.map(|cell| whole(cell)).collect();
     numbers.is_some_and(|numbers| {
         numbers.len() > 1 && numbers.windows(2).all(|two| two[1] - two[0] == 1)
     })

@@ -1,8 +1,10 @@
 //! The names and units of a table's columns, in the lines above its rows.
 
-use super::layout::{DELIMITERS, owned};
+use super::columns::counts;
+use super::layout::{BOTH_COMMAS, DELIMITERS, owned};
 use super::stamp;
 use super::text::shown;
+use crate::printable::counted;
 
 /// Units of measures that may stand after an underscore or in a row of their own.
 const UNITS: [&str; 50] = [
@@ -76,28 +78,22 @@ impl Names {
             if !names.rows.is_empty() && names.are_distinct(is_numeric) && !is_group {
                 break;
             }
-            if names.rows.is_empty() && cells.len() + 1 == width && written > 0 && is_index(rows) {
-                // R writes no name for the names of rows.
+            let first = rows.iter().filter_map(|line| line.cells.first());
+            if names.rows.is_empty() && cells.len() + 1 == width && written > 0 && counts(first) {
+                // R writes no name for the numbers of rows.
                 cells.insert(0, String::new());
             }
             if cells.len() != width {
                 let halved = delimiter == b',' && 2 * cells.len() == width;
-                if names.rows.is_empty() && halved {
-                    return Err(format!(
-                        "line {} names {}, but the rows have {width}: commas may be decimal marks or \
-                         separate columns; separate columns by semicolons, or write decimal points",
-                        line.number,
-                        crate::printable::counted(cells.len(), "column"),
-                    ));
-                }
-                if names.rows.is_empty() && cells.len() > 1 && written > 1 {
-                    return Err(format!(
-                        "line {} names {}, but the rows have {width}; expected a name for each",
-                        line.number,
-                        crate::printable::counted(cells.len(), "column"),
-                    ));
-                }
-                break;
+                let advice = match names.rows.is_empty() {
+                    true if halved => BOTH_COMMAS,
+                    true if written > 1 => "expected a name for each",
+                    _ => break,
+                };
+                let (line, found) = (line.number, counted(cells.len(), "column"));
+                return Err(format!(
+                    "line {line} names {found}, but the rows have {width}; {advice}"
+                ));
             }
             let is_unit = |cell: &String| cell.is_empty() || is_unit(bare(cell));
             if names.units.is_none()
@@ -187,17 +183,6 @@ pub(super) fn names_in(
     let names: Vec<String> = cells.iter().map(|cell| shown(cell).into_owned()).collect();
     let are_names = names.iter().all(|name| !name.is_empty() && name.parse::<f64>().is_err());
     are_names.then(|| Names { rows: vec![names], units: None, at: *number })
-}
-
-/// Whether the first column of the rows only counts, or holds names of rows.
-fn is_index(rows: &[HeadLine]) -> bool {
-    let cells = rows.iter().filter_map(|line| line.cells.first());
-    let numbers = cells.map(|cell| std::str::from_utf8(cell).ok()?.parse::<i64>().ok());
-    let numbers: Vec<Option<i64>> = numbers.collect();
-    numbers.windows(2).all(|two| match two {
-        [Some(a), Some(b)] => b - a == 1,
-        _ => false,
-    })
 }
 
 /// Gives columns of one name different names: the second `x` becomes `x (2)`.

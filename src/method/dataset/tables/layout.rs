@@ -4,14 +4,18 @@
 use super::cell::{Numbers, is_missing};
 use super::heading::{Column, HeadLine, Names, distinct, names_in};
 use super::stamp;
-use super::text::shown;
+use super::text::shortened;
+use crate::printable::counted;
 
-/// What separates cells, in the order in which they are tried.
+/// The separators of cells, in the order in which they are tried.
 pub(super) const DELIMITERS: [u8; 5] = [b';', b'\t', b',', b'|', b' '];
+
+pub(super) const BOTH_COMMAS: &str = "commas may be decimal marks or separate columns: separate \
+                                      columns by semicolons, or write decimal points";
 
 #[derive(Clone, Debug)]
 pub struct Layout {
-    /// What separates the cells; a space stands for any number of spaces and tabs.
+    /// The separator of cells; a space stands for any number of spaces and tabs.
     pub delimiter: u8,
     /// Whether each line begins with the time of a serial monitor, `12:34:56.789 -> `.
     pub has_arrows: bool,
@@ -19,14 +23,14 @@ pub struct Layout {
     /// The line number of the first row, and of the last line of the names (0 without names).
     pub first: u64,
     pub names_at: u64,
-    /// What people should know about how the table was understood.
+    /// Remarks on how the table was understood.
     pub notes: Vec<String>,
     /// Whether the lines are made of cells with types: without comments and quotes.
     is_typed: bool,
 }
 
 impl Layout {
-    /// What is between typed cells; none of them holds it.
+    /// Separates typed cells; none of them holds it.
     #[cfg(feature = "parquet")]
     pub(super) const BETWEEN: u8 = 0x1f;
 
@@ -141,19 +145,14 @@ impl Layout {
             if is_comment(line) || cells.iter().all(|cell| cell.is_empty()) {
                 return Ok(false);
             }
-            while cells.len() > width && cells.last().is_some_and(|cell| cell.is_empty()) {
-                cells.pop();
-            }
+            strip(cells, width);
             let found = cells.len();
             if found != width {
                 let both = match self.delimiter == b',' && found == 2 * width {
-                    true => {
-                        "; commas may be decimal marks or separate columns: separate columns by \
-                             semicolons, or write decimal points"
-                    }
-                    false => "",
+                    true => format!("; {BOTH_COMMAS}"),
+                    false => String::new(),
                 };
-                let found = crate::printable::counted(found, "column");
+                let found = counted(found, "column");
                 return Err(format!("has {found}; the table has {width}{both}"));
             }
         }
@@ -188,11 +187,8 @@ impl Layout {
 
 fn no_rows(head: &[(u64, Vec<u8>)]) -> String {
     let first = head.iter().map(|(_, line)| line.trim_ascii()).find(|line| !line.is_empty());
-    let first: String = shown(first.unwrap_or_default()).chars().take(60).collect();
-    format!(
-        "it holds no rows of numbers; expected a line for each sample (it begins with `{}`)",
-        first.escape_debug()
-    )
+    let first = shortened(first.unwrap_or_default());
+    format!("it holds no rows of numbers; expected a line for each sample (it begins with {first})")
 }
 
 fn is_comment(line: &[u8]) -> bool {
@@ -265,8 +261,8 @@ pub(super) fn owned(line: &[u8], delimiter: u8, has_arrows: bool) -> Vec<Vec<u8>
 }
 
 /// Drops empty cells beyond `width`.
-fn strip(cells: &mut Vec<Vec<u8>>, width: usize) {
-    while cells.len() > width && cells.last().is_some_and(Vec::is_empty) {
+fn strip(cells: &mut Vec<impl AsRef<[u8]>>, width: usize) {
+    while cells.len() > width && cells.last().is_some_and(|cell| cell.as_ref().is_empty()) {
         cells.pop();
     }
 }

@@ -11,7 +11,7 @@ use std::path::Path;
 use flate2::read::ZlibDecoder;
 
 use super::array::{Array, Kind, MOST_WHOLE, Trials};
-use super::text::Limited;
+use super::text::{Limited, OF_HDF5};
 use crate::library::{LibraryError, files};
 
 const HEADER: u64 = 128;
@@ -36,7 +36,7 @@ pub(super) struct MatFile {
     most: u64,
 }
 
-/// What the beginning of a variable or of a cell says.
+/// The header of a variable or of a cell.
 struct Matrix {
     class: u8,
     is_complex: bool,
@@ -71,7 +71,7 @@ fn cut(error: io::Error) -> String {
 impl MatFile {
     /// Opens a file; `most` is the largest number of bytes that a variable may unpack to.
     pub(super) fn open(path: &Path, most: u64) -> Result<Self, LibraryError> {
-        let (file, length) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
+        let (file, length) = files::open_filled(path)?;
         Self::of(file, length, most).map_err(|problem| LibraryError::file(path, problem))
     }
 
@@ -79,9 +79,7 @@ impl MatFile {
         let mut header = [0; HEADER as usize];
         let read = file.read_exact(&mut header);
         if header.starts_with(b"MATLAB 7.3") || header.starts_with(b"\x89HDF") {
-            return Err(
-                "a MATLAB file of v7.3 (HDF5), which is not read; save it by `save -v7`".into()
-            );
+            return Err(OF_HDF5.into());
         }
         // Text stands here since Level 5; before it, numbers below 5000.
         if header[..4].contains(&0) {
@@ -150,12 +148,12 @@ impl MatFile {
         elements.matrices(&matrix).enumerate().map(in_cell).collect()
     }
 
-    /// What all variables are, each with its place in the file.
+    /// All variables, each with its place in the file.
     fn variables(&self) -> Result<Vec<(Matrix, u64)>, String> {
         let (mut all, mut at) = (Vec::new(), HEADER);
         while at < self.length {
             let (matrix, _, next) = self.variable(at)?;
-            // What has no name belongs to the objects.
+            // A variable without a name belongs to an object.
             if !matrix.name.is_empty() {
                 all.push((matrix, at));
             }
@@ -371,7 +369,7 @@ impl Elements {
         mut self,
         matrix: &Matrix,
     ) -> impl Iterator<Item = Result<(Matrix, Self), String>> + use<> {
-        // What is not there ends the cells, by an error.
+        // A missing cell is an error, at which all readers stop.
         let count = matrix.shape.iter().fold(1_usize, |all, part| all.saturating_mul(*part));
         (0..count).map(move |_| self.cell())
     }

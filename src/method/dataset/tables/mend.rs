@@ -12,7 +12,7 @@ const SHARE_FILLED: f64 = 0.05;
 const FEWEST: usize = 10;
 const S: f64 = 1e9;
 
-/// What to do where more is missing than is filled.
+/// The treatment of gaps that are too long to be filled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Gaps {
     /// Cut the trial there, and make a trial of each part
@@ -33,7 +33,7 @@ pub(crate) struct Piece {
     pub filled: Vec<bool>,
 }
 
-/// The parts of a trial, and what people should know about them.
+/// The parts of a trial, and remarks on them.
 #[derive(Debug, Default)]
 pub(crate) struct Mended {
     pub pieces: Vec<Piece>,
@@ -90,7 +90,9 @@ pub(crate) fn mend(
     }
     if let Some(grid) = &grid {
         let times = rows.times.windows(2).zip(&mut cuts[1..]);
-        times.for_each(|(two, cut)| *cut = grid.steps(two[1] - two[0]) > MOST_FILLED as f64 + 1.5);
+        // Two times may be further apart than an i64 can say.
+        let long = |two: &[i64]| grid.steps(two[1].saturating_sub(two[0]));
+        times.for_each(|(two, cut)| *cut = long(two) > MOST_FILLED as f64 + 1.5);
         let bursts = cuts.iter().filter(|cut| **cut).count();
         if bursts > 2 && bursts * 50 > count {
             return Err(format!(
@@ -178,7 +180,7 @@ struct Grid {
 
 impl Grid {
     fn of(times: &[i64]) -> Result<Self, String> {
-        let steps = || times.windows(2).map(|two| two[1] - two[0]);
+        let steps = || times.windows(2).map(|two| two[1].saturating_sub(two[0]));
         let mut sorted: Vec<i64> = steps().collect();
         sorted.sort_unstable();
         let Some(&median) = sorted.get(sorted.len() / 2) else {
@@ -352,6 +354,10 @@ mod tests {
         mend(rows, &["x".to_string()], rate_hz, gaps)
     }
 
+    fn lengths(all: &Mended) -> Vec<usize> {
+        all.pieces.iter().map(|piece| piece.values.len()).collect()
+    }
+
     #[test]
     fn uneven_times_are_resampled_by_straight_lines() {
         let all = mended(&[0, 10, 20, 40], &[0.0, 1.0, 2.0, 4.0], Gaps::Cut).unwrap();
@@ -380,9 +386,7 @@ mod tests {
         assert_eq!(marked, [50, 51, 52, 53, 54]);
         values[55] = NAN;
         assert!(mended(&[], &values, Gaps::Error).unwrap_err().contains("after its row 50"));
-        let lengths =
-            |all: Mended| all.pieces.iter().map(|piece| piece.values.len()).collect::<Vec<_>>();
-        assert_eq!(lengths(mended(&[], &values, Gaps::Cut).unwrap()), [50, 144]);
+        assert_eq!(lengths(&mended(&[], &values, Gaps::Cut).unwrap()), [50, 144]);
         let scattered: Vec<f32> =
             (0..200).map(|row| if row % 10 == 5 { NAN } else { 1.0 }).collect();
         assert!(mended(&[], &scattered, Gaps::Cut).unwrap_err().contains("misses 20 of"));
@@ -394,10 +398,15 @@ mod tests {
         times[60..].iter_mut().for_each(|time| *time += 4_000_000_000);
         let values: Vec<f32> = (0..100).map(|row| row as f32).collect();
         let all = mended(&times, &values, Gaps::Cut).unwrap();
-        assert_eq!(all.pieces.iter().map(|piece| piece.values.len()).collect::<Vec<_>>(), [60, 40]);
+        assert_eq!(lengths(&all), [60, 40]);
         assert_eq!(all.pieces[1].start, times[60] * 1_000_000);
         assert!(mended(&times, &values, Gaps::Error).unwrap_err().contains("after its row 60"));
         assert!(mended(&[0, 1, 2_000_000_000_000], &[1.0; 3], Gaps::Cut).is_err());
+        // Six hundred years, more than an i64 holds in nanoseconds.
+        let times: Vec<i64> = (0..40)
+            .map(|row| row * 10 + if row < 20 { -9_000_000_000_000 } else { 9_000_000_000_000 })
+            .collect();
+        assert_eq!(lengths(&mended(&times, &values[..40], Gaps::Cut).unwrap()), [20, 20]);
     }
 
     #[test]

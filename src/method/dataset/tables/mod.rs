@@ -36,7 +36,7 @@ use mend::{Mended, Piece, mend};
 #[doc(hidden)]
 pub use names::NamePattern;
 use stamp::Stamps;
-use text::{Lines, shown};
+use text::{Lines, shortened, shown};
 
 use crate::library::files::number_in;
 use crate::library::{About, LibraryError};
@@ -58,7 +58,7 @@ pub enum Clock {
     },
 }
 
-/// What names the session of the trials of a table, if no column does.
+/// Where the name of the session of a table's trials comes from, if no column holds it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SessionOf {
     /// The pattern of the file's path that also names the surface, if it has the field.
@@ -153,7 +153,7 @@ pub struct Read {
 /// Takes the names of trials that come, or one that was read.
 type OnRead<'a> = &'a mut dyn FnMut(&[TrialKey], Option<Read>) -> Result<(), LibraryError>;
 
-/// What people should know about a table that was read.
+/// Remarks on a table that was read.
 #[derive(Debug, Default)]
 pub struct Said {
     /// How the times were understood.
@@ -345,7 +345,7 @@ impl<'a> Table<'a> {
             let there = line >= layout.first
                 && layout
                     .cells(text, &mut cells)
-                    .map_err(|problem| format!("line {line} {problem}{}", shortened(text)))?;
+                    .map_err(|problem| format!("line {line} {problem}: {}", shortened(text)))?;
             if !there || text == self.head.names.as_slice() {
                 list = reused(cells);
                 continue;
@@ -402,7 +402,9 @@ impl<'a> Table<'a> {
                     format!("line {line}, column `{name}`: `{cell}` {problem}")
                 })? as f32;
             }
-            gathered.push(at, time, &values).map_err(|error| error.to_string())?;
+            gathered.push(at, time, &values).map_err(|error| {
+                format!("line {line}: cannot keep its rows in {}: {error}", scratch.display())
+            })?;
             list = reused(cells);
         }
         match gathered.groups.is_empty() {
@@ -479,12 +481,6 @@ fn reused<'a>(mut list: Vec<&[u8]>) -> Vec<&'a [u8]> {
     list.into_iter().map(|_| &[][..]).collect()
 }
 
-/// The start of a line, to be shown behind an error.
-fn shortened(line: &[u8]) -> String {
-    let start: String = shown(line).chars().take(60).collect();
-    format!(": `{}`", start.escape_debug())
-}
-
 /// The time of a row of a group, in ns.
 fn time(stamps: &Stamps, cell: &[u8], group: &mut gather::Group) -> Result<i64, String> {
     let Some(read) = stamps.read(cell) else {
@@ -543,8 +539,8 @@ fn marks(filled: &[usize], frames: usize) -> String {
 }
 
 /// The surface, user and number that the names of files give, before any is read.
-pub fn named(paths: &[std::path::PathBuf], names: &NamePattern) -> BTreeSet<TrialKey> {
-    let key = |path: &std::path::PathBuf| {
+pub fn named(paths: &[PathBuf], names: &NamePattern) -> BTreeSet<TrialKey> {
+    let key = |path: &PathBuf| {
         let [surface, user, number, _] = names.parts(&name_of(path))?;
         let number = number.and_then(|text| trial_number(&text)).unwrap_or(1);
         let user = user.unwrap_or_else(|| EXPERT.into());
@@ -553,8 +549,12 @@ pub fn named(paths: &[std::path::PathBuf], names: &NamePattern) -> BTreeSet<Tria
     paths.iter().filter_map(key).collect()
 }
 
-/// Reads all trials of a table at 100 rows a second, or by its times, and returns their number.
-pub(crate) fn try_read(path: &Path) -> Result<usize, LibraryError> {
+/// Reads all trials of a table at 100 rows a second, or by its times, and drops them, for tests of damaged
+/// files. Returns their number.
+///
+/// # Errors
+/// If the table cannot be read.
+pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
     let fail = |problem: String| LibraryError::file(path, problem);
     let mut form = Form {
         sources: Vec::new(),

@@ -19,7 +19,7 @@ const MOST_HEADER: usize = 1 << 16;
 /// # Errors
 /// If the file is damaged, holds another type, or its array is not clear.
 pub(super) fn open(path: &Path, name: Option<&str>, most: u64) -> Result<Array, LibraryError> {
-    let (file, length) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
+    let (file, length) = files::open_filled(path)?;
     of(file, length, name, most).map_err(|problem| LibraryError::file(path, problem))
 }
 

@@ -3,8 +3,7 @@
 //! are written as the shortest text that is read back as the same number.
 
 use std::fs::File;
-use std::io::{self, Read};
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::io::{self, Cursor, Read};
 
 use ::parquet::basic::{ConvertedType, LogicalType, TimeUnit, Type};
 use ::parquet::column::reader::{ColumnReader, ColumnReaderImpl};
@@ -16,7 +15,8 @@ use ::parquet::schema::types::ColumnDescriptor;
 use super::array::half;
 use super::heading::Column;
 use super::layout::Layout;
-use super::text::{Limited, Lines};
+use super::text::{Limited, Lines, TOO_LARGE, is_read};
+use crate::library::series_file::guarded;
 
 pub(super) const MAGIC: &[u8] = b"PAR1";
 /// Rows that are read at once.
@@ -27,7 +27,7 @@ const MOST_CELL: usize = 4096;
 const JULIAN_1970: i64 = 2_440_588;
 const DAY_NS: i64 = 86_400_000_000_000;
 
-/// What the whole numbers of a column mean, or how its bytes become text.
+/// The meaning of a column's whole numbers, or the way its bytes become text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Form {
     Number,
@@ -36,7 +36,7 @@ enum Form {
     Decimal(usize),
     /// Days since 1970.
     Date,
-    /// Local time since 1970, in units of so many nanoseconds.
+    /// Local time since 1970; its unit in nanoseconds.
     Local(i64),
     Half,
     Text,
@@ -50,18 +50,17 @@ struct Rows {
     group: usize,
     columns: Vec<ColumnReader>,
     left: usize,
-    text: Vec<u8>,
-    at: usize,
+    text: Cursor<Vec<u8>>,
 }
 
 /// The lines of a file, of at most `most` bytes.
 pub(super) fn lines(file: File, most: u64) -> Result<Lines, String> {
-    let file = guarded(|| SerializedFileReader::new(file).map_err(said))?;
+    let file = guarded(|| SerializedFileReader::new(file).map_err(said), damaged)?;
     let about = file.metadata();
     let chunks = about.row_groups().iter().flat_map(|group| group.columns());
     let sizes = chunks.map(|chunk| u64::try_from(chunk.uncompressed_size()).unwrap_or(u64::MAX));
     if sizes.fold(0, u64::saturating_add) > most {
-        return Err("it unpacks to more than --max-gb allows; check the file, or allow more".into());
+        return Err(TOO_LARGE.into());
     }
     let described = about.file_metadata().schema_descr().columns();
     let forms = described.iter().map(|column| form(column)).collect::<Result<Vec<_>, _>>()?;
@@ -74,7 +73,7 @@ pub(super) fn lines(file: File, most: u64) -> Result<Lines, String> {
     }
     let forms = forms.into_iter().map(|(form, _)| form).collect();
     let (columns, layout) = (Vec::new(), Layout::typed(columns));
-    let rows = Rows { file, forms, group: 0, columns, left: 0, text: Vec::new(), at: 0 };
+    let rows = Rows { file, forms, group: 0, columns, left: 0, text: Cursor::default() };
     Ok(Lines::records(Box::new(Limited { from: rows, left: most }), layout))
 }
 
@@ -82,13 +81,12 @@ fn said(error: ParquetError) -> String {
     format!("the Parquet file is damaged, or of a form that is not read: {error}")
 }
 
-/// Turns a panic into an error: the crate does not promise to refuse every damaged file by one.
-fn guarded<T>(read: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
-    let damaged = || Err("the Parquet file is damaged".to_string());
-    catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(|_| damaged())
+/// The error in place of a panic: the crate does not promise to refuse every damaged file by an error.
+fn damaged(_: &str) -> String {
+    "the Parquet file is damaged".into()
 }
 
-/// What a column holds, and the unit of its times.
+/// The form of a column, and the unit of its times.
 fn form(column: &ColumnDescriptor) -> Result<(Form, Option<&'static str>), String> {
     let path = column.path().string();
     if column.path().parts().len() > 1 || column.max_rep_level() > 0 || column.max_def_level() > 1 {
@@ -138,13 +136,10 @@ fn form(column: &ColumnDescriptor) -> Result<(Form, Option<&'static str>), Strin
 
 impl Read for Rows {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        if self.at == self.text.len() {
-            self.text = guarded(|| self.next()).map_err(io::Error::other)?;
-            self.at = 0;
+        if is_read(&self.text) {
+            self.text = Cursor::new(guarded(|| self.next(), damaged).map_err(io::Error::other)?);
         }
-        let read = (&self.text[self.at..]).read(buffer)?;
-        self.at += read;
-        Ok(read)
+        self.text.read(buffer)
     }
 }
 

@@ -6,7 +6,7 @@ use super::text::shown;
 const S: f64 = 1e9;
 const DAY: i64 = 86_400_000_000_000;
 
-/// What a column of times holds.
+/// The form of the times in a column.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Stamps {
     /// Numbers in this unit, in nanoseconds; `since_1970` if they say when.
@@ -37,7 +37,7 @@ pub(crate) fn unit_ns(name: &str) -> Option<f64> {
 
 impl Stamps {
     /// Finds out what the first times of a table mean. `unit_ns` is their unit if it is known; `from_1904`
-    /// says from when Excel counts. Returns a reason for people, too.
+    /// says from when Excel counts. Also returns the reason as text.
     ///
     /// # Errors
     /// If the times are of no known form, or may have several units.
@@ -190,7 +190,7 @@ fn exact(cell: &[u8], unit_ns: f64) -> Option<i64> {
                 ns = ns.checked_mul(10)?.checked_add(i64::from(byte - b'0'))?;
             }
             b'0'..=b'9' => {
-                // What is left of a nanosecond is dropped.
+                // Parts of a nanosecond are dropped.
                 let digit = i64::from(byte - b'0') * unit;
                 ns = ns.checked_add(digit / 10)?;
                 unit /= 10;

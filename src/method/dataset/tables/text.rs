@@ -10,13 +10,13 @@ use flate2::read::MultiGzDecoder;
 
 use super::layout::Layout;
 use crate::library::LibraryError;
-use crate::library::files::{self, EMPTY_FILE};
+use crate::library::files;
 
 /// Longest line that is read, in bytes.
 const MOST_LINE: usize = 1 << 20;
-const BLOCK: usize = 1 << 17;
+const BLOCK: u64 = 1 << 17;
 /// As many first bytes as decide on the form of a file.
-const HEAD: usize = 4096;
+const HEAD: u64 = 4096;
 
 /// Forms of files that are no text, by their first bytes, with what to do instead.
 const OTHERS: [(&[u8], &str); 12] = [
@@ -27,7 +27,7 @@ const OTHERS: [(&[u8], &str); 12] = [
     #[cfg(feature = "parquet")]
     (b"PAR1", "a packed Parquet file; unpack it first (`gunzip FILE`)"),
     (b"\x89HDF", "an HDF5 file, which is not read; write it as CSV or .npy"),
-    (b"MATLAB 7.3", "a MATLAB file of v7.3 (HDF5), which is not read; save it by `save -v7`"),
+    (b"MATLAB 7.3", OF_HDF5),
     (b"MATLAB 5.0", "a MATLAB file; let its name end with .mat"),
     (b"TDSm", "a TDMS file, which is not read; export it as CSV"),
     (b"\x28\xb5\x2f\xfd", "packed by zstd; unpack it first (`unzstd FILE`)"),
@@ -37,12 +37,15 @@ const OTHERS: [(&[u8], &str); 12] = [
     (b"{\\rtf", "a text of a word processor; save the table as CSV"),
 ];
 
+pub(super) const OF_HDF5: &str =
+    "a MATLAB file of v7.3 (HDF5), which is not read; save it by `save -v7`";
+
 /// Lines of a text, each with its number from 1 on.
 pub(crate) struct Lines {
     from: Box<dyn Read>,
     buffer: Vec<u8>,
+    /// Where the next line begins in the buffer.
     start: usize,
-    end: usize,
     is_over: bool,
     line_end: u8,
     number: u64,
@@ -51,24 +54,21 @@ pub(crate) struct Lines {
 }
 
 impl Lines {
-    /// What ends the lines that are made of rows; no cell holds it.
+    /// Ends the lines that are made of rows; no cell holds it.
     #[cfg(feature = "parquet")]
     pub(super) const RECORD_END: u8 = 0x1e;
 
     /// Opens a file; `most` is the largest number of bytes that a packed file may unpack to.
     pub(super) fn open(path: &Path, most: u64) -> Result<Self, LibraryError> {
-        let (file, length) = files::open(path).map_err(|error| LibraryError::io(path, error))?;
-        if length == 0 {
-            return Err(LibraryError::file(path, EMPTY_FILE));
-        }
+        let (file, _) = files::open_filled(path)?;
         Self::of(file, most).map_err(|problem| LibraryError::file(path, problem))
     }
 
     #[cfg(feature = "parquet")]
     fn of(mut file: File, most: u64) -> Result<Self, String> {
-        let mut start = [0; 4];
-        let read = fully(&mut file, &mut start).and_then(|_| io::Seek::rewind(&mut file));
-        read.map_err(|error| error.to_string())?;
+        let mut start = Vec::new();
+        let read = file.by_ref().take(4).read_to_end(&mut start);
+        read.and_then(|_| io::Seek::rewind(&mut file)).map_err(|error| error.to_string())?;
         match start == super::parquet::MAGIC {
             true => super::parquet::lines(file, most),
             false => Self::new(Box::new(file), most),
@@ -83,16 +83,12 @@ impl Lines {
     /// Lines that are made of rows, of a known layout.
     #[cfg(feature = "parquet")]
     pub(super) fn records(from: Box<dyn Read>, layout: Layout) -> Self {
-        Self {
-            from,
-            buffer: Vec::new(),
-            start: 0,
-            end: 0,
-            is_over: false,
-            line_end: Self::RECORD_END,
-            number: 0,
-            layout: Some(layout),
-        }
+        Self { layout: Some(layout), ..Self::ended_by(Self::RECORD_END, from) }
+    }
+
+    fn ended_by(line_end: u8, from: Box<dyn Read>) -> Self {
+        let (buffer, layout) = (Vec::new(), None);
+        Self { from, buffer, start: 0, is_over: false, line_end, number: 0, layout }
     }
 
     pub(crate) fn new(from: Box<dyn Read>, most: u64) -> Result<Self, String> {
@@ -105,30 +101,18 @@ impl Lines {
         if let Some((_, what)) = OTHERS.iter().find(|(magic, _)| head.starts_with(magic)) {
             return Err((*what).to_string());
         }
-        let wide = match &head[..] {
-            [0xff, 0xfe, ..] => Some(u16::from_le_bytes as fn([u8; 2]) -> u16),
-            [0xfe, 0xff, ..] => Some(u16::from_be_bytes as fn([u8; 2]) -> u16),
-            _ if mostly_zero(&head, 1) => Some(u16::from_le_bytes as fn([u8; 2]) -> u16),
-            _ if mostly_zero(&head, 0) => Some(u16::from_be_bytes as fn([u8; 2]) -> u16),
-            _ => None,
-        };
-        if let Some(decode) = wide {
-            let text = Utf16 { from, decode, bytes: Vec::new(), text: Vec::new(), at: 0 };
+        // A mark counts more than zeros.
+        let [little, big] = [b"\xff\xfe", b"\xfe\xff"].map(|mark| head.starts_with(mark));
+        let is_big = big || !little && mostly_zero(&head, 0);
+        if is_big || little || mostly_zero(&head, 1) {
+            let decode = if is_big { u16::from_be_bytes } else { u16::from_le_bytes };
+            let text = Utf16 { from, decode, bytes: Vec::new(), text: Cursor::default() };
             (head, from) = peeked(Box::new(text)).map_err(said)?;
         }
         let only_returns = head.contains(&b'\r') && !head.contains(&b'\n');
-        let mut lines = Self {
-            from,
-            buffer: vec![0; BLOCK],
-            start: 0,
-            end: 0,
-            is_over: false,
-            line_end: if only_returns { b'\r' } else { b'\n' },
-            number: 0,
-            layout: None,
-        };
+        let mut lines = Self::ended_by(if only_returns { b'\r' } else { b'\n' }, from);
         lines.fill()?;
-        if lines.buffer[..lines.end].starts_with(b"\xef\xbb\xbf") {
+        if lines.buffer.starts_with(b"\xef\xbb\xbf") {
             lines.start = 3;
         }
         Ok(lines)
@@ -138,66 +122,47 @@ impl Lines {
     pub(crate) fn next(&mut self) -> Result<Option<(u64, &[u8])>, String> {
         let mut searched = self.start;
         let to = loop {
-            if let Some(at) = memchr::memchr(self.line_end, &self.buffer[searched..self.end]) {
+            if let Some(at) = memchr::memchr(self.line_end, &self.buffer[searched..]) {
                 break searched + at;
             }
             if self.is_over {
-                if self.start == self.end {
+                if self.start == self.buffer.len() {
                     return Ok(None);
                 }
-                break self.end;
+                break self.buffer.len();
             }
             // `fill` moves the rest, which holds no end of a line, to the start of the buffer.
-            searched = self.end - self.start;
+            searched = self.buffer.len() - self.start;
             self.fill()?;
         };
         self.number += 1;
-        let from = std::mem::replace(&mut self.start, (to + 1).min(self.end));
+        let from = std::mem::replace(&mut self.start, (to + 1).min(self.buffer.len()));
         let line = &self.buffer[from..to];
         Ok(Some((self.number, line.strip_suffix(b"\r").unwrap_or(line))))
     }
 
     /// Moves the rest of the buffer to its start, and reads more behind it.
     fn fill(&mut self) -> Result<(), String> {
-        self.buffer.copy_within(self.start..self.end, 0);
-        (self.start, self.end) = (0, self.end - self.start);
-        if self.end > MOST_LINE {
+        self.buffer.drain(..self.start);
+        self.start = 0;
+        if self.buffer.len() > MOST_LINE {
             let line = self.number + 1;
             return Err(format!("line {line} is longer than a MiB; expected a line a sample"));
         }
-        if self.buffer.len() < self.end + BLOCK / 2 {
-            self.buffer.resize(self.end + BLOCK, 0);
-        }
-        let read = fully(&mut self.from, &mut self.buffer[self.end..]);
+        let read = self.from.by_ref().take(BLOCK).read_to_end(&mut self.buffer);
         let read = read.map_err(|error| match self.number {
             0 => error.to_string(),
             line => format!("after line {line}: {error}"),
         })?;
         self.is_over = read == 0;
-        self.end += read;
         Ok(())
     }
 }
 
-/// Reads until the buffer is full or the data end.
-fn fully(from: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
-    let mut filled = 0;
-    while filled < buffer.len() {
-        match from.read(&mut buffer[filled..]) {
-            Ok(0) => break,
-            Ok(read) => filled += read,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(filled)
-}
-
 /// The first bytes, and a reader that still gives them.
 fn peeked(mut from: Box<dyn Read>) -> io::Result<(Vec<u8>, Box<dyn Read>)> {
-    let mut head = vec![0; HEAD];
-    let length = fully(&mut from, &mut head)?;
-    head.truncate(length);
+    let mut head = Vec::new();
+    from.by_ref().take(HEAD).read_to_end(&mut head)?;
     Ok((head.clone(), Box::new(Cursor::new(head).chain(from))))
 }
 
@@ -208,6 +173,9 @@ fn mostly_zero(head: &[u8], first: usize) -> bool {
     zeros * 5 > head.len() * 2 && others * 10 < head.len()
 }
 
+pub(super) const TOO_LARGE: &str =
+    "it unpacks to more than --max-gb allows; check the file, or allow more";
+
 /// A reader that fails after `left` bytes, so that a packed file cannot fill the disk.
 pub(crate) struct Limited<R> {
     pub from: R,
@@ -217,11 +185,8 @@ pub(crate) struct Limited<R> {
 impl<R: Read> Read for Limited<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let read = self.from.read(buffer)?;
-        self.left = self.left.checked_sub(read as u64).ok_or_else(|| {
-            io::Error::other(
-                "it unpacks to more than --max-gb allows; check the file, or allow more",
-            )
-        })?;
+        let left = self.left.checked_sub(read as u64);
+        self.left = left.ok_or_else(|| io::Error::other(TOO_LARGE))?;
         Ok(read)
     }
 }
@@ -232,17 +197,13 @@ struct Utf16 {
     decode: fn([u8; 2]) -> u16,
     /// Bytes that are not decoded yet.
     bytes: Vec<u8>,
-    text: Vec<u8>,
-    at: usize,
+    text: Cursor<Vec<u8>>,
 }
 
 impl Read for Utf16 {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        if self.at == self.text.len() {
-            let kept = self.bytes.len();
-            self.bytes.resize(kept + BLOCK, 0);
-            let read = fully(&mut self.from, &mut self.bytes[kept..])?;
-            self.bytes.truncate(kept + read);
+        if is_read(&self.text) {
+            let read = self.from.by_ref().take(BLOCK).read_to_end(&mut self.bytes)?;
             let mut units: Vec<u16> =
                 self.bytes.chunks_exact(2).map(|two| (self.decode)([two[0], two[1]])).collect();
             // The first half of a pair waits for its second half.
@@ -250,14 +211,15 @@ impl Read for Utf16 {
                 units.pop();
             }
             self.bytes.drain(..2 * units.len());
-            self.text = String::from_utf16_lossy(&units).into_bytes();
-            self.at = 0;
+            self.text = Cursor::new(String::from_utf16_lossy(&units).into_bytes());
         }
-        let length = (self.text.len() - self.at).min(buffer.len());
-        buffer[..length].copy_from_slice(&self.text[self.at..self.at + length]);
-        self.at += length;
-        Ok(length)
+        self.text.read(buffer)
     }
+}
+
+/// Whether all of a text was read.
+pub(super) fn is_read(text: &Cursor<Vec<u8>>) -> bool {
+    text.position() == text.get_ref().len() as u64
 }
 
 /// Bytes as text: UTF-8, or else Latin-1.
@@ -266,6 +228,12 @@ pub(crate) fn shown(bytes: &[u8]) -> Cow<'_, str> {
         Ok(text) => Cow::Borrowed(text),
         Err(_) => bytes.iter().map(|&byte| char::from(byte)).collect::<String>().into(),
     }
+}
+
+/// The start of a line in quotes, for messages.
+pub(super) fn shortened(line: &[u8]) -> String {
+    let start: String = shown(line).chars().take(60).collect();
+    format!("`{}`", start.escape_debug())
 }
 
 #[cfg(test)]
