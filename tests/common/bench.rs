@@ -162,7 +162,7 @@ impl Surfaced {
 
     /// The next line of JSON, while `serve` is called again and again.
     pub fn line_while(&self, mut serve: impl FnMut()) -> Value {
-        let limit = Instant::now() + Duration::from_secs(60);
+        let limit = Instant::now() + Duration::from_secs(120);
         loop {
             if let Ok(line) = self.lines.try_recv() {
                 return line;
@@ -184,7 +184,7 @@ impl Surfaced {
 
     /// Waits until it has said this, while the stylus keeps sending.
     pub fn until_said(&self, text: &str, mut fake: Option<&mut Fake>) {
-        let limit = Instant::now() + Duration::from_secs(60);
+        let limit = Instant::now() + Duration::from_secs(120);
         while !self.said().contains(text) {
             assert!(Instant::now() < limit, "`{text}` was not said in: {}", self.said());
             match &mut fake {
@@ -207,7 +207,7 @@ impl Surfaced {
 
     /// Waits for its end, while `serve` is called again and again.
     pub fn end_while(&mut self, mut serve: impl FnMut()) -> ExitStatus {
-        let limit = Instant::now() + Duration::from_secs(60);
+        let limit = Instant::now() + Duration::from_secs(120);
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return status;

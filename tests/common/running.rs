@@ -26,7 +26,7 @@ impl Running {
 
     /// The next state, with its reason, or the next warning.
     fn next(&self) -> String {
-        match self.reports.recv_timeout(Duration::from_secs(10)).unwrap().kind {
+        match self.reports.recv_timeout(Duration::from_secs(120)).unwrap().kind {
             DeviceReportKind::State { state, detail } => format!("{state}: {detail}"),
             DeviceReportKind::Warning(warning) => warning.text,
             other => panic!("{other:?}"),

@@ -69,7 +69,7 @@ impl Fake {
     }
 
     pub fn put(&mut self, mut bytes: &[u8]) {
-        let limit = Instant::now() + Duration::from_secs(10);
+        let limit = Instant::now() + Duration::from_secs(120);
         while !bytes.is_empty() && Instant::now() < limit {
             bytes = &bytes[self.line.write(bytes).unwrap_or(0)..];
         }
@@ -157,7 +157,7 @@ impl Fake {
 
     /// Serves until it is started.
     pub fn wait_for_start(&mut self) {
-        let limit = Instant::now() + Duration::from_secs(10);
+        let limit = Instant::now() + Duration::from_secs(120);
         while self.next.is_none() {
             assert!(Instant::now() < limit, "no start");
             self.obey();

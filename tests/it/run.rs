@@ -292,7 +292,7 @@ fn a_missing_library_is_made_where_that_is_asked_for_or_agreed_to_on_a_terminal(
             .spawn()
             .unwrap();
         let until = |text: &str| {
-            let limit = Instant::now() + Duration::from_secs(60);
+            let limit = Instant::now() + Duration::from_secs(120);
             while !shown.lock().unwrap().contains(text) {
                 assert!(Instant::now() < limit, "{text}: {}", shown.lock().unwrap());
                 std::thread::sleep(Duration::from_millis(20));
@@ -352,7 +352,7 @@ fn on_a_terminal_keys_are_answered_at_once_and_every_line_stands_above_the_statu
         .unwrap();
     let mut fake = bench.stylus();
     fake.wait_for_start();
-    let limit = Instant::now() + Duration::from_secs(60);
+    let limit = Instant::now() + Duration::from_secs(120);
     for (key, says) in [
         (&b""[..], "tap a surface"),
         (b" ", "the key begins a scan"),

@@ -26,7 +26,7 @@ fn until(
     fake: &mut Fake,
     mut wanted: impl FnMut(&Value) -> bool,
 ) -> Value {
-    let limit = Instant::now() + Duration::from_secs(60);
+    let limit = Instant::now() + Duration::from_secs(120);
     loop {
         let json = station.get(path).json();
         if wanted(&json) {
