@@ -9,7 +9,7 @@ use super::method::at_least_one;
 use super::{Done, Failure, SourceArgs, parsed, share, show};
 use crate::dataset::csv::CsvTable;
 use crate::kernel::{Threshold, test_independence};
-use crate::library::{Library, LibraryError, recording};
+use crate::library::{Entry, Library, LibraryError, recording};
 use crate::recognise::{Comparison, TestOptions, compare, score_samples};
 use crate::scene::Scene;
 use crate::seed;
@@ -152,19 +152,28 @@ fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
     };
     let user = parts.next();
     let library = super::open(Path::new(data))?;
-    let found = library.entries.iter().find(|entry| {
+    let is_wanted = |entry: &&Entry| {
         entry.key.surface == surface
             && entry.key.number.to_string() == number
             && user.is_none_or(|user| entry.key.user == user)
-    });
-    let Some(entry) = found else {
-        return Err(Failure::Failed(format!(
-            "{data}: no trial {number} of `{surface}`{}; its surfaces: {}",
-            user.map(|user| format!(" by {user}")).unwrap_or_default(),
-            library.surfaces().join(", ")
-        )));
     };
-    Ok((entry.load()?, library.scene.clone(), library.synthetic))
+    let found: Vec<&Entry> = library.entries.iter().filter(is_wanted).collect();
+    let by = user.map(|user| format!(" by {user}")).unwrap_or_default();
+    match found[..] {
+        [entry] => Ok((entry.load()?, library.scene.clone(), library.synthetic)),
+        [] => Err(Failure::Failed(format!(
+            "{data}: no trial {number} of `{surface}`{by}; its surfaces: {}",
+            library.surfaces().join(", ")
+        ))),
+        _ => {
+            let names = found.iter().map(|entry| entry.name_in(Path::new(data)));
+            Err(Failure::Failed(format!(
+                "{data}: there are {} trials {number} of `{surface}`{by}: {}; add :USER, or give a folder",
+                found.len(),
+                names.collect::<Vec<_>>().join(", ")
+            )))
+        }
+    }
 }
 
 fn alone(one: &Library) -> Result<(Trial, Scene, bool), Failure> {

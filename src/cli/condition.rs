@@ -93,13 +93,17 @@ pub(super) fn value_of(entry: &Entry, meta: &toml::Table, key: &str) -> Option<V
 }
 
 impl WhereArgs {
+    pub(super) fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
     /// Drops the trials of the library at `path` that do not meet all conditions. A trial without the key
     /// does not meet a condition.
     ///
     /// # Errors
     /// If no trial is left, no trial has a key, or a value cannot be compared.
     pub(super) fn keep(&self, path: &Path, library: &mut Library) -> Result<(), Failure> {
-        if self.all.is_empty() {
+        if self.is_empty() {
             return Ok(());
         }
         let about: Result<Vec<_>, _> = library.entries.iter().map(Entry::about).collect();

@@ -17,7 +17,7 @@ pub(super) struct Args {
     /// The library that named the scans
     library: PathBuf,
     /// Show only the newest scans, at most this many
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", conflicts_with = "precision")]
     last: Option<usize>,
     /// Show the share of right answers among corrected scans, for each surface
     #[arg(long)]

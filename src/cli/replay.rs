@@ -54,7 +54,8 @@ pub(super) struct Args {
     #[arg(long, default_value = "max", value_name = "SPEED")]
     speed: Speed,
     /// How queries and library are split, if no library is given
-    #[arg(long, value_parser = one_of(protocols()), conflicts_with_all = ["library", "model"])]
+    #[arg(long, value_parser = one_of(protocols()), requires = "data",
+        conflicts_with_all = ["library", "model"])]
     protocol: Option<Protocol>,
     #[command(flatten)]
     comparing: ComparingArgs,
@@ -101,6 +102,10 @@ pub(super) fn run(args: &Args) -> Done {
     let _data = args.data.as_deref().map(LibraryLock::for_reading);
     let library = args.library.as_deref().map(LibraryLock::for_reading);
     let stage = match (&args.data, &args.library, &args.model) {
+        (None, ..) if !args.only.is_empty() => {
+            let why = "--where chooses among recordings: surfaced replay DATA --where KEY=X";
+            return Err(Failure::usage(why));
+        }
         (None, ..) => demonstration(&how)?,
         (Some(data), _, Some(model)) => by_model(args, &mut how, data, model)?,
         (Some(data), Some(library), _) => against(args, &how, data, library)?,

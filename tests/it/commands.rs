@@ -275,6 +275,9 @@ fn wrong_usage_ends_with_code_two_and_says_what_there_is() {
     refused(&mixed, 2, &["goes with --method reference alone, not with embedding"]);
     let mixed = ["replay", &data, "--halving", "--method", "svm"];
     refused(&mixed, 2, &["goes with --method reference alone, not with svm"]);
+    refused(&["replay", "--where", "user=anna"], 2, &["surfaced replay DATA --where"]);
+    refused(&["replay", "--protocol", "expert-vs-users"], 2, &["DATA"]);
+    refused(&["history", &data, "--precision", "--last", "2"], 2, &["--last"]);
 }
 
 #[test]
@@ -286,6 +289,8 @@ fn bad_data_end_with_code_one_and_say_what_to_do() {
     refused(&["compare", "nowhere", "nowhere"], 1, &["no such trial", "DATA:SURFACE:NUMBER"]);
     let one = format!("{data}:Synth009:1");
     refused(&["compare", &one, &one], 1, &["no trial 1 of `Synth009`", "Synth001Mesh"]);
+    let several = format!("{data}:Synth001Mesh:1");
+    refused(&["compare", &several, &several], 1, &["trials 1 of `Synth001Mesh`", "add :USER"]);
 
     let write = |name: &str, text: &str| {
         let path = dir.path().join(name);
