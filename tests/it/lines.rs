@@ -283,6 +283,27 @@ fn piped(args: &[&str], mut program: Child) -> Vec<Value> {
     run.rest()
 }
 
+const ALONE: &str = "format = 1\n[stylus]\npresent = false\n[microphone]\npresent = false\n\
+                     [camera]\npresent = false\n[[lines]]\nport = \"-\"\n";
+
+#[test]
+fn a_file_is_read_from_its_first_line_even_where_its_scale_has_to_be_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    let [library, station, file] =
+        ["mine", "station.toml", "rows"].map(|name| dir.path().join(name));
+    std::fs::write(&station, format!("{ALONE}rate_hz = 400\n[lines.sources]\nimu = [1, 2, 3]\n"))
+        .unwrap();
+    let line = |_, [x, y, z]: [f64; 3]| format!("{x:.3},{y:.3},{z:.3}\n");
+    std::fs::write(&file, recorded(0, 3, 400.0, line)).unwrap();
+    let (config, library) = (station.to_str().unwrap(), library.to_str().unwrap());
+    let args = ["record", "--label", "felt", "--config", config, "--library", library];
+    let rows = std::fs::File::open(&file).unwrap();
+    let mut run = Surfaced::start(&args, rows.into(), Stdio::piped());
+    assert_eq!(run.end_while(wait).code(), Some(0), "{}", run.said());
+    let kept = run.rest();
+    assert_eq!(kept.iter().filter(|line| line["trial"].is_u64()).count(), 3, "{kept:?}");
+}
+
 /// A library and a scan of each of its surfaces by way of pipes from a program, which `open` starts
 /// with a file that holds what the sensor gives.
 fn through_a_pipe(
@@ -292,9 +313,7 @@ fn through_a_pipe(
 ) {
     let dir = tempfile::tempdir().unwrap();
     let (library, station) = (dir.path().join("mine"), dir.path().join("station.toml"));
-    let alone = "format = 1\n[stylus]\npresent = false\n[microphone]\npresent = false\n\
-                 [camera]\npresent = false\n[[lines]]\nport = \"-\"\n";
-    std::fs::write(&station, format!("{alone}rate_hz = {rate_hz}\n{lines}")).unwrap();
+    std::fs::write(&station, format!("{ALONE}rate_hz = {rate_hz}\n{lines}")).unwrap();
     let with = ["--config", station.to_str().unwrap(), "--library", library.to_str().unwrap()];
     let recording = |surface, scans| {
         let path = dir.path().join("recorded");

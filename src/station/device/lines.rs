@@ -51,7 +51,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 const DROPPED: &str = "datagrams were dropped by the system, since they came too fast";
 
 /// A sensor that prints lines of numbers. A rate or scale of `None` is measured in the first
-/// seconds, whose lines are then dropped.
+/// seconds, whose lines are then dropped, except those of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinesConfig {
     pub address: LinesAddress,
@@ -148,7 +148,7 @@ fn survey(
             read => read?,
         };
         survey.feed(&buffer[..n], begin.elapsed().as_secs_f64());
-        // The survey ends after so many bytes that these fit into memory.
+        // Memory is bounded, since a survey is complete after a number of bytes, too.
         all.extend_from_slice(&buffer[..n]);
         gather(n);
     }
@@ -236,14 +236,19 @@ impl Work<'_> {
                 let (begin, address) = (Instant::now(), &self.config.address);
                 let half = (address.begins_half(), self.config.decimal_comma);
                 let stopped = |survey: &Survey| {
-                    if survey.is_garbage() && begin.elapsed() >= STALLED * 4 {
+                    if !survey.is_empty() && !survey.has_rows() && begin.elapsed() >= STALLED * 4 {
                         self.link.state(DeviceState::Stalled, address.no_numbers());
                     }
                     self.link.stopped()
                 };
-                let (survey, _) = survey(line, half, stopped).map_err(Disconnected::Lost)?;
+                let (survey, bytes) = survey(line, half, stopped).map_err(Disconnected::Lost)?;
                 if self.link.stopped() {
                     return Ok(());
+                }
+                // A file waits to be read, and a pipe that has ended brings no newer lines.
+                let waits = system::stdin_is_a_file() || !survey.is_complete();
+                if *address == LinesAddress::Stdin && waits {
+                    put_back(bytes);
                 }
                 let intake = self.measured(&survey).map_err(OpenError::Unfit)?;
                 self.link.rate(intake.rate_hz);

@@ -88,6 +88,8 @@ pub(super) fn node_problem(node: &Path, group: &str) -> Option<String> {
 /// Tells a user how to get access to a device node. `group` is the group that usually has access.
 pub(crate) fn permission_hint(node: &Path, group: &str) -> String {
     let subsystem = if group == "video" { "video4linux" } else { "tty" };
+    // The rule holds for the name of the node itself, which a link may lead to.
+    let node = node.canonicalize().unwrap_or_else(|_| node.into());
     let name = node.file_name().and_then(OsStr::to_str).unwrap_or("ttyACM0");
     let kind = name.trim_end_matches(|c: char| c.is_ascii_digit());
     format!(
@@ -149,6 +151,11 @@ mod tests {
     fn a_missing_permission_comes_with_the_udev_rule() {
         let hint = permission_hint(Path::new("/dev/ttyACM3"), "dialout");
         assert!(hint.contains("usermod -aG dialout") && hint.contains("KERNEL==\"ttyACM[0-9]*\""));
+        let dir = tempfile::tempdir().unwrap();
+        fs::write(dir.path().join("ttyUSB0"), "").unwrap();
+        symlink("ttyUSB0", dir.path().join("usb-FTDI-if00")).unwrap();
+        let hint = permission_hint(&dir.path().join("usb-FTDI-if00"), "dialout");
+        assert!(hint.contains("KERNEL==\"ttyUSB[0-9]*\""), "{hint}");
         let hint = permission_hint(Path::new("/dev/video10"), "video");
         assert!(hint.contains("video4linux") && hint.contains("KERNEL==\"video[0-9]*\""), "{hint}");
     }

@@ -320,51 +320,31 @@ mod tests {
             .collect()
     }
 
-    /// Feeds sound in blocks of 10 ms. Returns each new level with its time in seconds.
-    fn changes(watch: &mut LevelWatch, samples: &[f32]) -> Vec<(f64, SoundLevel)> {
-        let blocks = samples.chunks(RATE / 100).enumerate();
-        blocks.filter_map(|(i, block)| Some(((i + 1) as f64 * 0.01, watch.take(block)?))).collect()
-    }
-
     #[test]
-    fn a_dead_microphone_is_reported_once_and_within_a_second() {
-        let mut watch = LevelWatch::default();
-        assert_eq!(changes(&mut watch, &noise(3.0)), []);
-        // Constant samples are silence, even if they are not 0.
-        let changed = changes(&mut watch, &vec![0.25; 5 * RATE]);
-        assert_eq!(changed.len(), 1);
-        assert!(changed[0].0 <= 1.0 && changed[0].1 == SoundLevel::Silent, "{changed:?}");
-        let changed = changes(&mut watch, &noise(3.0));
-        assert_eq!((changed.len(), watch.level), (1, SoundLevel::Normal));
-    }
-
-    #[test]
-    fn a_clipped_microphone_is_reported_once_and_within_a_second() {
-        let mut watch = LevelWatch::default();
-        let loud: Vec<_> =
-            (0..2 * RATE).map(|i| (2.0 * (i as f32 * 0.02).sin()).clamp(-1.0, 1.0)).collect();
-        let changed = changes(&mut watch, &loud);
-        assert_eq!(changed.len(), 1);
-        assert!(changed[0].0 <= 1.0 && changed[0].1 == SoundLevel::Clipped, "{changed:?}");
-    }
-
-    #[test]
-    fn a_single_sample_at_the_limit_is_no_clipping() {
-        let mut watch = LevelWatch::default();
-        let mut samples = noise(2.0);
-        samples.iter_mut().step_by(50).for_each(|x| *x = 1.0);
-        assert_eq!(changes(&mut watch, &samples), []);
-    }
-
-    #[test]
-    fn the_size_of_blocks_does_not_matter() {
-        let samples = [noise(1.0), vec![0.0; RATE], noise(0.5)].concat();
-        for size in [1, 7, 1000, 2 * RATE] {
-            let mut watch = LevelWatch::default();
-            samples.chunks(size).for_each(|block| {
-                watch.take(block);
-            });
-            assert_eq!(watch.level, SoundLevel::Normal);
+    fn a_level_is_reported_once_a_change_and_within_a_second() {
+        let loud = (0..2 * RATE).map(|i| (2.0 * (i as f32 * 0.02).sin()).clamp(-1.0, 1.0));
+        let mut spikes = noise(2.0);
+        spikes.iter_mut().step_by(50).for_each(|x| *x = 1.0);
+        let sounds = [
+            (noise(3.0), SoundLevel::Normal),
+            // Constant samples are silence, even if they are not 0.
+            (vec![0.25; 5 * RATE], SoundLevel::Silent),
+            (noise(3.0), SoundLevel::Normal),
+            (loud.collect(), SoundLevel::Clipped),
+            // A single sample at the limit is no clipping.
+            (spikes, SoundLevel::Normal),
+        ];
+        for block in [1, 7, RATE / 100, 2 * RATE] {
+            let (mut watch, mut before) = (LevelWatch::default(), SoundLevel::Normal);
+            for (samples, level) in &sounds {
+                let parts = samples.chunks(block).enumerate();
+                let changes: Vec<_> = parts
+                    .filter_map(|(i, part)| Some(((i + 1) * block, watch.take(part)?)))
+                    .collect();
+                assert_eq!(changes.len(), usize::from(*level != before), "{changes:?}");
+                assert!(changes.iter().all(|(at, new)| *at <= RATE.max(block) && new == level));
+                before = *level;
+            }
         }
     }
 }

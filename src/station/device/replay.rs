@@ -28,11 +28,8 @@ pub struct Replay {
     specs: Vec<SourceSpec>,
     entries: Vec<Entry>,
     speed: Speed,
-    /// Length of the parts in which a recording is pushed, in seconds.
     chunk_s: f64,
-    /// Seconds between two trials in real time.
     rest_s: f64,
-    /// Whether drags follow each other without a pause.
     is_joined: bool,
     synthetic: bool,
 }
@@ -58,12 +55,13 @@ impl Replay {
         self
     }
 
+    /// Pushes a recording in parts of this length, in seconds.
     pub fn chunk_s(mut self, seconds: f64) -> Self {
         self.chunk_s = seconds.max(1e-6);
         self
     }
 
-    /// Rests this long between two trials in real time, so that people can read an answer.
+    /// Rests for this time between two trials in real time, so that people can read an answer.
     pub fn rest_s(mut self, seconds: f64) -> Self {
         self.rest_s = seconds;
         self
@@ -235,12 +233,6 @@ struct Track {
     frames: usize,
 }
 
-impl Track {
-    fn form(&self) -> (usize, f64, usize) {
-        (self.index, self.series.rate_hz(), self.series.channels())
-    }
-}
-
 /// A scan of joined drags: index, rate in Hz and channels of each source, and the seconds played.
 struct JoinedDrags {
     forms: Vec<(usize, f64, usize)>,
@@ -269,7 +261,8 @@ impl Player<'_> {
         let mut tracks = self.tracks(Phase::Drag, &mut trial)?;
         let durations = tracks.iter().map(|track| track.series.duration_s());
         let Some(shortest_s) = durations.reduce(f64::min) else { return Ok(()) };
-        let forms: Vec<_> = tracks.iter().map(Track::form).collect();
+        let form = |track: &Track| (track.index, track.series.rate_hz(), track.series.channels());
+        let forms: Vec<_> = tracks.iter().map(form).collect();
         let begun = scan.take();
         let goes_on = begun.as_ref().is_some_and(|scan| scan.forms == forms);
         let from_s = begun.as_ref().filter(|_| goes_on).map_or(0.0, |scan| scan.played_s);

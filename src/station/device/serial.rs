@@ -220,7 +220,7 @@ impl Connection<'_> {
             let now = Instant::now();
             let silent = now - self.samples_at;
             if (silent >= STALLED || !self.intake.introduced)
-                && self.start_sent_at.is_none_or(|at| now - at >= STALLED.min(2 * REPEAT))
+                && self.start_sent_at.is_none_or(|at| now - at >= 2 * REPEAT)
             {
                 // A repeated start does no harm: a sampling stylus answers it only with a hello.
                 self.start_sent_at = Some(now);

@@ -1,4 +1,4 @@
-//! What drivers ask the operating system. Errors are its own.
+//! Questions of drivers to the operating system. Errors are its own.
 
 #[cfg(unix)]
 use std::fs;

@@ -1,4 +1,4 @@
-//! Warnings: what was lost, damaged or not understood while work went on.
+//! Warnings: something was lost, damaged or not understood, and work continues.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ pub enum WarningKind {
     Abandoned,
     /// The crystal of a stylus has failed.
     Crystal,
-    /// What a device sent was damaged, late or not understood.
+    /// Data of a device were damaged, late or not understood.
     Damaged,
     /// Reference scans say that the station drifts.
     Drift,
@@ -43,11 +43,10 @@ pub enum WarningKind {
     Unnamed,
 }
 
-/// Something was lost, damaged or not understood, and work continues.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Warning {
     pub kind: WarningKind,
-    /// A sentence for people.
+    /// The warning in words.
     pub text: String,
 }
 

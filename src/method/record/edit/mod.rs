@@ -110,14 +110,14 @@ impl Editor {
     /// If there is no such surface, or the file system refuses. An edit that fails leaves the
     /// library unchanged, unless the error says that the edit could not be undone.
     pub fn rename(&mut self, surface: &str, label: &str) -> Result<Step, LibraryError> {
-        let entries = trials(&self.root, &self.scene)?;
+        let surface = &*normal(surface);
+        let all = self.entries()?;
         let of_surface: Vec<&Entry> =
-            entries.iter().filter(|entry| entry.key.surface == surface).collect();
+            all[0].iter().filter(|entry| entry.key.surface == surface).collect();
         if of_surface.is_empty() {
-            return Err(self.nothing_called(surface, &entries));
+            return Err(self.nothing_called(surface, &all[0]));
         }
-        let what = format!("rename {surface} to {label}");
-        self.relabel(&entries, &of_surface, label, what)
+        self.relabel(&all, &of_surface, label, format!("rename {surface} to {label}"))
     }
 
     /// Gives trials another label. In `names`, a surface stands for all of its trials.
@@ -125,22 +125,20 @@ impl Editor {
     /// # Errors
     /// If there is no such trial, or the file system refuses (see [`Editor::rename`]).
     pub fn move_to(&mut self, names: &[String], label: &str) -> Result<Step, LibraryError> {
-        let entries = trials(&self.root, &self.scene)?;
-        let chosen = self.choose(&self.root, &entries, names)?;
-        let what = format!("move {} to {label}", names.join(", "));
-        self.relabel(&entries, &chosen, label, what)
+        let all = self.entries()?;
+        let chosen = self.choose(&self.root, &all[0], names)?;
+        self.relabel(&all, &chosen, label, format!("move {} to {label}", names.join(", ")))
     }
 
     fn relabel(
         &mut self,
-        entries: &[Entry],
+        all: &[Vec<Entry>; 2],
         chosen: &[&Entry],
         label: &str,
         what: String,
     ) -> Result<Step, LibraryError> {
         let label = &*normal(label);
-        let gone = removed(&self.root, &self.scene)?;
-        let mut plan = Plan::new(&self.root, [entries, &gone], &HashSet::new());
+        let mut plan = Plan::new(&self.root, all, &HashSet::new());
         for entry in chosen.iter().filter(|entry| entry.key.surface != label) {
             let wanted = TrialKey { surface: label.into(), ..entry.key.clone() };
             for place in self.places_of(entry)? {
@@ -160,12 +158,11 @@ impl Editor {
         names: &[String],
         session: Option<&str>,
     ) -> Result<Step, LibraryError> {
-        let entries = trials(&self.root, &self.scene)?;
-        let gone = removed(&self.root, &self.scene)?;
-        let mut chosen = self.choose(&self.root, &entries, names)?;
+        let all = self.entries()?;
+        let mut chosen = self.choose(&self.root, &all[0], names)?;
         chosen.retain(|entry| entry.key.session.as_deref() != session);
         let leaving = chosen.iter().flat_map(|entry| entry.places()).map(Path::to_path_buf);
-        let mut plan = Plan::new(&self.root, [&entries, &gone], &leaving.collect());
+        let mut plan = Plan::new(&self.root, &all, &leaving.collect());
         for entry in chosen {
             let wanted = entry.key.clone().with_session(session.map(String::from));
             for place in entry.places() {
@@ -182,7 +179,7 @@ impl Editor {
     /// If there is no such trial, or the file system refuses (see [`Editor::rename`]).
     pub fn remove(&mut self, names: &[String]) -> Result<Step, LibraryError> {
         let entries = trials(&self.root, &self.scene)?;
-        let mut plan = Plan::new(&self.root, [&[], &[]], &HashSet::new());
+        let mut plan = Plan::new(&self.root, &[], &HashSet::new());
         for name in names {
             let places = self.all_places(&self.root, &entries, name)?;
             places.iter().for_each(|(place, key)| plan.remove(place, *key));
@@ -196,13 +193,13 @@ impl Editor {
     /// If there is no such trial, or the file system refuses (see [`Editor::rename`]).
     pub fn restore(&mut self, names: &[String]) -> Result<Step, LibraryError> {
         let bin = self.root.join(REMOVED);
-        let (entries, gone) = (trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?);
+        let all = self.entries()?;
         let mut chosen = BTreeMap::new();
         for name in names {
-            chosen.extend(self.all_places(&bin, &gone, name)?);
+            chosen.extend(self.all_places(&bin, &all[1], name)?);
         }
         let leaving = chosen.keys().cloned().collect();
-        let mut plan = Plan::new(&self.root, [&entries, &gone], &leaving);
+        let mut plan = Plan::new(&self.root, &all, &leaving);
         for (place, key) in chosen {
             match key {
                 Some(key) => plan.rename(&place, key, key)?,
@@ -221,9 +218,8 @@ impl Editor {
         what: String,
     ) -> Result<Option<String>, LibraryError> {
         let folder = self.root.join(REMOVED).join(gone);
-        let (entries, removed) =
-            (trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?);
-        let entry = removed.iter().find(|entry| entry.places() == [&*folder]);
+        let all = self.entries()?;
+        let entry = all[1].iter().find(|entry| entry.places() == [&*folder]);
         let surface = gone.split('/').next().unwrap_or_default();
         let was = match entry {
             Some(entry) => entry.key.clone(),
@@ -231,7 +227,7 @@ impl Editor {
             None => return Ok(None),
         };
         let leaving = HashSet::from([folder.clone()]);
-        let mut plan = Plan::new(&self.root, [&entries, &removed], &leaving);
+        let mut plan = Plan::new(&self.root, &all, &leaving);
         plan.rename(&folder, &was, &TrialKey { number: was.number, ..key.clone() })?;
         let step = self.take(what, plan.moves)?;
         Ok(step.moves.first().map(|one| one.to.clone()))
@@ -247,12 +243,12 @@ impl Editor {
             return Err(LibraryError::file(&self.root, "there is no step to undo"));
         };
         let mut step = last.step.clone();
-        let (entries, gone) = (trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?);
+        let all = self.entries()?;
         let is_there = |one: &&Move| identity(&self.root.join(&one.to)).is_some();
         let (there, missing): (Vec<&Move>, Vec<&Move>) =
             step.moves.iter().rev().partition(is_there);
         let leaving = there.iter().map(|one| self.root.join(&one.to)).collect();
-        let mut plan = Plan::new(&self.root, [&entries, &gone], &leaving);
+        let mut plan = Plan::new(&self.root, &all, &leaving);
         there.iter().for_each(|one| plan.reverse(one));
         step.gone = Some(missing.iter().map(|one| one.to.clone()).collect());
         let moves = plan.moves;
@@ -268,6 +264,11 @@ impl Editor {
         taken_back.map_or(Ok(step), Err)
     }
 
+    /// The present trials that can be read, and the removed ones.
+    fn entries(&self) -> Result<[Vec<Entry>; 2], LibraryError> {
+        Ok([trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?])
+    }
+
     /// The trials that `names` select. A name is `SURFACE/TRIAL`, a file of a trial, or `SURFACE`
     /// for all trials of a surface.
     fn choose<'e>(
@@ -276,17 +277,18 @@ impl Editor {
         entries: &'e [Entry],
         names: &[String],
     ) -> Result<Vec<&'e Entry>, LibraryError> {
-        let (mut chosen, mut missing) = (Vec::new(), names.iter().collect::<BTreeSet<_>>());
-        let wanted = missing.clone();
+        let wanted: BTreeSet<String> = names.iter().map(|name| normal(name)).collect();
+        let (mut chosen, mut missing) = (Vec::new(), wanted.clone());
         for entry in entries {
             let places = entry.places().into_iter().map(|place| normal(&trial_name(folder, place)));
-            let all: Vec<String> = places.chain([entry.key.surface.clone()]).collect();
-            missing.retain(|name| !all.contains(&normal(name)));
-            if wanted.iter().any(|name| all.contains(&normal(name))) {
+            let mut all: Vec<String> = places.chain([entry.key.surface.clone()]).collect();
+            all.retain(|name| wanted.contains(name));
+            if !all.is_empty() {
+                missing.retain(|name| !all.contains(name));
                 chosen.push(entry);
             }
         }
-        missing.pop_first().map_or(Ok(chosen), |name| Err(self.nothing_called(name, entries)))
+        missing.pop_first().map_or(Ok(chosen), |name| Err(self.nothing_called(&name, entries)))
     }
 
     /// The folders or files of all trials that `name` selects, each with the trial's key (label,
@@ -417,47 +419,51 @@ impl LibraryLock {
                 library.display()
             );
         }
-        Self(open_lock(library).ok().filter(|file| wait(file, library, None)).map(Locked))
+        Self(open_lock(library).ok().filter(|file| wait(file, library, None).is_ok()).map(Locked))
     }
 
     /// Waits until no program reads the library, and keeps readers out until the lock is dropped.
     ///
     /// # Errors
-    /// If other programs read the library all the time.
+    /// If other programs read the library all the time, or its file system has no locks.
     pub fn for_editing(library: &Path) -> Result<Self, LibraryError> {
         let file = open_lock(library).map_err(|error| LibraryError::io(library, error))?;
-        if !wait(&file, library, Some(PATIENCE)) {
-            let who = lock_holder(&file).unwrap_or_else(|| "another program".into());
-            let problem = format!(
-                "{who} is reading it, and has not stopped in time; try again when it has ended"
-            );
-            return Err(LibraryError::file(library, problem));
-        }
-        Ok(Self(Some(Locked(file))))
+        let problem = match wait(&file, library, Some(PATIENCE)) {
+            Ok(()) => return Ok(Self(Some(Locked(file)))),
+            Err(TryLockError::WouldBlock) => {
+                let who = holder_of(&file);
+                format!(
+                    "{who} is reading it, and has not stopped in time; try again when it has ended"
+                )
+            }
+            Err(TryLockError::Error(error)) => format!(
+                "it cannot be locked, so programs that read it might see half an edit ({error}); \
+                 edit it on a file system that has locks"
+            ),
+        };
+        Err(LibraryError::file(library, problem))
     }
 }
 
-/// Waits for the lock: an editor at most for `patience`; a reader, with `None`, for any time.
-/// Returns false if the patience ends, or if the file system has no locks for a reader.
-fn wait(file: &File, library: &Path, patience: Option<Duration>) -> bool {
+fn holder_of(file: &File) -> String {
+    lock_holder(file).unwrap_or_else(|| "another program".into())
+}
+
+/// Waits for the lock: an editor at most for `patience`; a reader, with `None`, for any time. Fails
+/// if the patience ends, or if the file system has no locks.
+fn wait(file: &File, library: &Path, patience: Option<Duration>) -> Result<(), TryLockError> {
     let (begin, mut is_said) = (Instant::now(), false);
     loop {
         let lock = if patience.is_some() { file.try_lock() } else { file.try_lock_shared() };
-        match lock {
-            Ok(()) => return true,
-            Err(TryLockError::WouldBlock) => {}
-            // The file system has no locks, so a reader goes on without one.
-            Err(_) if patience.is_none() => return false,
-            Err(_) => {}
-        }
         let waited = begin.elapsed();
-        if patience.is_some_and(|patience| waited > patience) {
-            return false;
+        match lock {
+            Err(TryLockError::WouldBlock) if patience.is_none_or(|longest| waited <= longest) => {}
+            done => return done,
         }
         if waited > SILENT && !is_said {
             is_said = true;
-            let who = lock_holder(file).unwrap_or_else(|| "another program".into());
             let does = if patience.is_some() { "reads" } else { "edits" };
+            let who = holder_of(file);
             tracing::info!("{}: waiting for {who}, which {does} it", library.display());
         }
         std::thread::sleep(PAUSE);

@@ -6,8 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::{Move, REMOVED, disk, trial_folder, trial_name};
-use crate::library::files::number_in;
-use crate::library::files::{self, Listed};
+use crate::library::files::{self, Listed, number_in};
 use crate::library::{ABOUT_FILE, About, Entry, LibraryError};
 use crate::record::{failed, folder_name};
 use crate::system::identity;
@@ -26,9 +25,9 @@ pub(super) struct Plan<'a> {
 impl<'a> Plan<'a> {
     /// An empty plan for a library, whose present and removed trials are `entries`. The trials at
     /// the paths in `leaving` are about to move, so their names and numbers are free.
-    pub(super) fn new(root: &'a Path, entries: [&[Entry]; 2], leaving: &HashSet<PathBuf>) -> Self {
+    pub(super) fn new(root: &'a Path, entries: &[Vec<Entry>], leaving: &HashSet<PathBuf>) -> Self {
         let stays = |entry: &&Entry| !entry.places().iter().any(|place| leaving.contains(*place));
-        let staying = entries.into_iter().flatten().filter(stays);
+        let staying = entries.iter().flatten().filter(stays);
         let taken = staying.map(|entry| entry.key.clone()).collect();
         Self { root, taken, folders: HashSet::new(), moves: Vec::new() }
     }

@@ -94,7 +94,7 @@ fn a_session_is_set_in_place_and_edits_keep_it_and_keys_of_ones_own() {
     assert_eq!((&*step.moves[0].from, &*step.moves[0].to), ("oak/anna-01", "oak/anna-01"));
     assert_eq!(about("oak/anna-01").session.as_deref(), Some("monday"));
     assert_eq!(about("oak/anna-02").session, None);
-    // What is so already is no step.
+    // A session that a trial already has makes no step.
     assert!(edit.set_session(&one("oak/anna-01"), Some("monday")).unwrap().moves.is_empty());
     edit.rename("oak", "elm").unwrap();
     let moved = about("elm/anna-01");
@@ -130,6 +130,21 @@ fn a_letter_is_the_same_in_both_of_its_forms() {
     let surfaces: BTreeSet<_> =
         trials(root, &scene).unwrap().into_iter().map(|entry| entry.key.surface).collect();
     assert_eq!(surfaces, BTreeSet::from(["\u{e9}rable".to_string()]));
+    assert_eq!(edit.rename("e\u{301}rable", "elm").unwrap().moves.len(), 3);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_library_that_cannot_be_locked_costs_no_patience() {
+    use std::os::unix::fs::OpenOptionsExt;
+
+    let (dir, _) = library();
+    // A handle by `O_PATH` has no locks, as on a file system without them.
+    let open = fs::OpenOptions::new().read(true).custom_flags(libc::O_PATH).open(dir.path());
+    for patience in [None, Some(PATIENCE)] {
+        let waited = wait(open.as_ref().unwrap(), dir.path(), patience);
+        assert!(matches!(waited, Err(TryLockError::Error(_))), "{waited:?}");
+    }
 }
 
 /// Maps the data of each trial, present or removed, to the trial's name.

@@ -1,5 +1,6 @@
 //! The sources of text lines: serial ports, TCP or UDP addresses, standard input.
 
+use std::collections::VecDeque;
 use std::io::{self, Read};
 use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
 use std::str::FromStr;
@@ -117,7 +118,7 @@ impl LinesAddress {
 /// An address that was opened.
 pub struct OpenLine {
     pub line: Box<dyn Read>,
-    /// What was opened, such as the path of a serial port.
+    /// The name of the opened line, such as the path of a serial port.
     pub path: String,
     /// `None` where nobody counts what is dropped before it is read.
     pub drops: Option<Drops>,
@@ -208,14 +209,15 @@ impl Read for Datagrams {
 }
 
 /// The only reader of standard input. Bytes that a survey has put back are read again.
-static STDIN: Mutex<StdinReader> = Mutex::new(StdinReader { blocks: None, first: Vec::new() });
+static STDIN: Mutex<StdinReader> = Mutex::new(StdinReader { blocks: None, first: VecDeque::new() });
 
 /// Reads standard input on its own thread, since nothing can interrupt a read. The channel holds
 /// few blocks, so a program that writes too fast has to wait.
 struct StdinReader {
     /// The blocks that the thread has read; `None` before the first read.
     blocks: Option<Receiver<Vec<u8>>>,
-    first: Vec<u8>,
+    /// Bytes to read before the next block.
+    first: VecDeque<u8>,
 }
 
 fn start_reader() -> io::Result<Receiver<Vec<u8>>> {
@@ -233,12 +235,13 @@ fn start_reader() -> io::Result<Receiver<Vec<u8>>> {
 }
 
 /// Standard input. All values of this type share it.
-pub(super) struct StandardInput;
+struct StandardInput;
 
 /// Puts back bytes of standard input, so that the next reads return these bytes first.
-pub(super) fn put_back(bytes: Vec<u8>) {
+pub(super) fn put_back(mut bytes: Vec<u8>) {
     if let Ok(mut reader) = STDIN.lock() {
-        reader.first.splice(0..0, bytes);
+        bytes.extend(reader.first.drain(..));
+        reader.first = bytes.into();
     }
 }
 
@@ -252,15 +255,12 @@ impl Read for StandardInput {
                 None => blocks.insert(start_reader()?),
             };
             *first = match blocks.recv_timeout(WAIT) {
-                Ok(block) => block,
+                Ok(block) => block.into(),
                 Err(RecvTimeoutError::Timeout) => return Err(io::ErrorKind::TimedOut.into()),
                 Err(RecvTimeoutError::Disconnected) => return Ok(0),
             };
         }
-        let n = first.len().min(buffer.len());
-        buffer[..n].copy_from_slice(&first[..n]);
-        first.drain(..n);
-        Ok(n)
+        first.read(buffer)
     }
 }
 

@@ -1,5 +1,5 @@
 //! Finds the numbers in a line of text, and what stands around them: separators, names, units,
-//! words. Does no I/O, and does not allocate once its buffers have grown.
+//! words. Does no I/O. Once its buffers have grown, it allocates for decimal commas only.
 
 /// Most cells of a line; a line with more is refused.
 pub(super) const MOST_CELLS: usize = 512;
@@ -60,9 +60,7 @@ struct Between {
     last_word: usize,
     /// Whether the words end with a colon or an equals sign.
     hard: bool,
-    /// Whether a number stands before the words, in the same separated cell.
-    after_number: bool,
-    /// Whether the separated cell has a number so far; or text.
+    /// Whether the separated cell has a number so far, or text in place of one.
     filled: bool,
     /// The separator before this place, unless something came after it.
     separator: Option<u8>,
@@ -102,23 +100,8 @@ fn ends_word(byte: u8) -> bool {
 
 /// Words in place of a number that is missing.
 fn is_missing(word: &[u8]) -> bool {
-    const WORDS: [&str; 14] = [
-        "nan",
-        "inf",
-        "infinity",
-        "ovf",
-        "ovl",
-        "null",
-        "none",
-        "na",
-        "n/a",
-        "-",
-        "--",
-        "---",
-        "undefined",
-        "overflow",
-    ];
-    WORDS.iter().any(|missing| word.eq_ignore_ascii_case(missing.as_bytes()))
+    const WORDS: &str = "nan inf infinity ovf ovl null none na n/a - -- --- undefined overflow";
+    WORDS.split(' ').any(|missing| word.eq_ignore_ascii_case(missing.as_bytes()))
 }
 
 /// Units that may stand after a number and a blank, where they would read as the next name.
@@ -212,7 +195,7 @@ impl Cells {
         self.token(between);
         between.separator = Some(separator);
         (between.words, between.hard) = (None, false);
-        (between.filled, between.after_number) = (false, false);
+        between.filled = false;
     }
 
     /// Ends a separated cell. Words of a cell without numbers are a cell of their own.
@@ -239,7 +222,7 @@ impl Cells {
         };
         let (label, place) = (between.label, between.place);
         between.place += 1;
-        (between.filled, between.after_number) = (true, true);
+        between.filled = true;
         let kind = if kind == Kind::Number && !value.is_finite() { Kind::Missing } else { kind };
         let value = if kind == Kind::Number { value } else { f64::NAN };
         self.cells.push(Cell { value, kind, name, unit, label, place });
@@ -252,12 +235,12 @@ impl Cells {
         let last = between.last_word;
         if !hard {
             self.shape = mix(self.shape, &line[begin..end]);
-            if between.name == 0 && !between.after_number {
+            if between.name == 0 && !between.filled {
                 (between.label, between.place) = ([(0, 0), (begin, end)], 0);
             }
             return;
         }
-        if between.after_number && last > begin {
+        if between.filled && last > begin {
             let words = line[begin..last].split(|byte| is_blank(*byte));
             // The words are contiguous, so their lengths lead to the first that is no unit.
             let units = words.take_while(|word| word.is_empty() || is_unit(word));
@@ -338,8 +321,9 @@ impl Cells {
             self.push(value, Kind::Number, 0, between);
             return at + length;
         }
-        let (value, mut length, integer) = number_of(rest, comma);
-        self.worded |= integer && rest[..length].iter().any(|byte| matches!(byte, b'x' | b'X'));
+        let (value, mut length) = number_of(rest, comma);
+        self.worded |=
+            !value.is_nan() && rest[..length].iter().any(|byte| matches!(byte, b'x' | b'X'));
         let tail = &rest[length..];
         let stuck = tail.iter().position(|byte| ends_word(*byte) || *byte == b'\\');
         let mut stuck = &tail[..stuck.unwrap_or(tail.len())];
@@ -426,72 +410,46 @@ fn is_stuck_unit(text: &[u8]) -> bool {
     begins && text.len() <= LONGEST && name.iter().all(letter) && rest.iter().all(fits)
 }
 
-/// The number that `text` begins with, its length, and whether it is an integer. The number is NaN
-/// if it does not fit into an f64.
-fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize, bool) {
+/// The number that `text` begins with, and its length. NaN stands for `0x` without digits.
+fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize) {
     let signed = usize::from(matches!(text[0], b'+' | b'-'));
     let negative = text[0] == b'-';
     if let [b'0', b'x' | b'X', digits @ ..] = &text[signed..] {
         let length = digits.iter().take_while(|byte| byte.is_ascii_hexdigit()).count();
         if length == 0 {
-            return (f64::NAN, signed + 2, false);
+            return (f64::NAN, signed + 2);
         }
         let digits = digits[..length].iter().filter_map(|byte| char::from(*byte).to_digit(16));
         let value = digits.fold(0.0, |value, digit| value * 16.0 + f64::from(digit));
-        return (if negative { -value } else { value }, signed + 2 + length, true);
+        return (if negative { -value } else { value }, signed + 2 + length);
     }
-    let (mut at, mut mantissa, mut digits, mut decimals, mut point) = (signed, 0_u64, 0, 0, None);
-    while let Some(&byte) = text.get(at) {
-        match byte {
-            b'0'..=b'9' => {
-                digits += i32::from(mantissa > 0 || byte > b'0');
-                mantissa = mantissa.wrapping_mul(10).wrapping_add(u64::from(byte - b'0'));
-                decimals += i32::from(point.is_some());
-            }
-            b'.' if point.is_none() => point = Some(at),
-            b',' if decimal_comma
-                && point.is_none()
-                && text.get(at + 1).is_some_and(u8::is_ascii_digit) =>
-            {
-                point = Some(at);
-            }
-            _ => break,
-        }
-        at += 1;
+    let digits = |from: usize| text[from..].iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let mut at = signed + digits(signed);
+    let comma = match text.get(at) {
+        Some(b',') if decimal_comma && digits(at + 1) > 0 => Some(at),
+        _ => None,
+    };
+    if comma.is_some() || text.get(at) == Some(&b'.') {
+        at += 1 + digits(at + 1);
     }
-    let mut exponent = 0_i32;
     if let [b'e' | b'E', rest @ ..] = &text[at..] {
         let sign = usize::from(matches!(rest.first(), Some(b'+' | b'-')));
-        let length = rest[sign..].iter().take_while(|byte| byte.is_ascii_digit()).count();
-        if length > 0 {
-            let fold =
-                |sum: i32, byte: &u8| sum.saturating_mul(10).saturating_add(i32::from(byte - b'0'));
-            let size = rest[sign..sign + length].iter().fold(0, fold);
-            exponent = if rest[0] == b'-' { -size } else { size };
-            at += 1 + sign + length;
+        let length = digits(at + 1 + sign);
+        at += if length > 0 { 1 + sign + length } else { 0 };
+    }
+    let parsed =
+        |number: &[u8]| std::str::from_utf8(number).ok().and_then(|text| text.parse().ok());
+    let value = match comma {
+        None => parsed(&text[..at]),
+        // The longest line bounds the copy.
+        Some(comma) => {
+            let mut copy = text[..at].to_vec();
+            copy[comma] = b'.';
+            parsed(&copy)
         }
-    }
-    let integer = point.is_none() && exponent == 0;
-    let power = exponent.saturating_sub(decimals);
-    // Both numbers are exact, so that one operation rounds correctly (Clinger 1990).
-    if digits <= 15 && power.abs() <= 22 {
-        let scale = POWERS[power.unsigned_abs() as usize];
-        let size = if power < 0 { mantissa as f64 / scale } else { mantissa as f64 * scale };
-        return (if negative { -size } else { size }, at, integer);
-    }
-    // The longest line bounds the copy; few numbers need it.
-    let mut copy = text[..at].to_vec();
-    if let Some(point) = point {
-        copy[point] = b'.';
-    }
-    let value = std::str::from_utf8(&copy).ok().and_then(|text| text.parse().ok());
-    (value.unwrap_or(f64::NAN), at, integer)
+    };
+    (value.unwrap_or(f64::NAN), at)
 }
-
-const POWERS: [f64; 23] = [
-    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
-    1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
-];
 
 /// The time that `text` begins with, in seconds, and its length: a date and time in the form of ISO
 /// 8601, since 1970 (UTC unless it has an offset), or a time of day, `12:34:56.789`, since midnight.
@@ -530,7 +488,7 @@ fn time_of(text: &[u8]) -> Option<(f64, usize)> {
         let comma = is(at, b',') && length == 3 && (is(at + 4, b' ') || is(at + 4, b'Z'));
         if is(at, b'.') || comma {
             let fraction = digits(at + 1, at + 1 + length.min(12))?;
-            seconds += fraction / POWERS[length.min(12)];
+            seconds += fraction / 10_u64.pow(length.min(12) as u32) as f64;
             at += usize::from(length > 0) + length;
         }
     }

@@ -224,34 +224,17 @@ impl Runs {
     /// and `named` that it has a name's colon.
     fn look(&self, other: bool, list: bool, named: bool) -> Look {
         let likely = self.alike && self.decimals > Some(1) && self.short;
+        let if_padded = |padded, otherwise| if self.padded { padded } else { otherwise };
         match () {
             () if self.one + self.many == 0 || list && !other => Look::Separate,
             () if self.integers && (self.many > 0 || self.numbers == 1) => Look::Padded,
             () if self.grouped => Look::Both,
             () if self.points && self.thousands > 0 && self.many == 0 => Look::Both,
             () if self.points => Look::Separate,
-            () if self.many > 0 => {
-                if self.padded {
-                    Look::Both
-                } else {
-                    Look::Integers
-                }
-            }
+            () if self.many > 0 => if_padded(Look::Both, Look::Integers),
             () if other => Look::Decimal,
-            () if self.numbers == 1 && named => {
-                if self.padded {
-                    Look::Decimal
-                } else {
-                    Look::Unsure
-                }
-            }
-            () if self.numbers == 1 => {
-                if self.padded {
-                    Look::Both
-                } else {
-                    Look::Integers
-                }
-            }
+            () if self.numbers == 1 && named => if_padded(Look::Decimal, Look::Unsure),
+            () if self.numbers == 1 => if_padded(Look::Both, Look::Integers),
             () if self.padded => Look::Decimal,
             () if likely && self.one == self.numbers => Look::Likely,
             () => Look::Unsure,

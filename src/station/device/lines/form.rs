@@ -17,7 +17,7 @@ struct Key {
     name: u64,
     /// The unit stuck to the column's numbers; `None` before the first number.
     unit: Option<u64>,
-    /// What the column is called: words before several names, and the name.
+    /// The column's label: words before several names, and the name.
     label: [String; 2],
     place: u32,
     /// Number of lines that had the column, until the form was found.
@@ -51,19 +51,13 @@ impl Form {
         self.keys.len()
     }
 
-    /// The names of the columns; empty unless the lines hold names.
+    /// The names of the columns, if the lines hold names.
     pub(super) fn names(&self) -> Vec<String> {
-        if !self.named {
-            return Vec::new();
-        }
-        let mut labels =
-            self.keys.iter().filter(|key| key.name & LEAD == 0).map(|key| &key.label[0]);
-        // A prefix that all names share tells nothing.
-        let first = labels.next();
-        let mut shared = labels.all(|prefix| Some(prefix) == first);
-        let mut own = self.keys.iter().filter(|key| key.name & LEAD == 0).map(|key| &key.label[1]);
-        let first = own.next();
-        shared &= own.any(|label| Some(label) != first);
+        let labels: Vec<_> =
+            self.keys.iter().filter(|key| key.name & LEAD == 0).map(|key| &key.label).collect();
+        // A prefix that all names share tells nothing, unless the names themselves are all alike.
+        let shared = labels.iter().all(|label| label[0] == labels[0][0])
+            && labels.iter().any(|label| label[1] != labels[0][1]);
         let name = |(at, Key { name, label: [prefix, label], place, .. }): (usize, &Key)| {
             let mut text = match name & LEAD != 0 {
                 true => (at + 1).to_string(),
@@ -106,7 +100,7 @@ impl Form {
         fits && *shape == self.shape && cells.iter().zip(&self.keys).all(alike)
     }
 
-    /// Whether a line has this form, but for the units of its numbers.
+    /// Whether a line has this form, apart from the units of its numbers.
     pub(super) fn resembles(&self, cells: &Cells) -> bool {
         !self.named && cells.cells.len() == self.keys.len() && cells.shape == self.shape
     }
@@ -180,12 +174,15 @@ impl Form {
     /// Adds a line to the lines that show the form. Returns whether it is of the same form.
     fn join(&mut self, cells: &Cells, line: &[u8]) -> bool {
         if !self.named {
-            let alike = self.is_alike(cells);
-            if alike {
-                self.add_units(&cells.cells);
+            if !self.is_alike(cells) {
+                return false;
             }
-            self.fits += u64::from(alike);
-            return alike;
+            let numbers = cells.cells.iter().zip(&mut self.keys);
+            for (cell, key) in numbers.filter(|(cell, _)| cell.kind == Kind::Number) {
+                key.unit.get_or_insert(cell.unit);
+            }
+            self.fits += 1;
+            return true;
         }
         let own = || cells.cells.iter().filter(|cell| cell.name & LEAD == 0);
         let known = own().filter(|cell| self.find(cell, 0).is_some()).count();
@@ -234,14 +231,6 @@ impl Form {
         }
         self.lines += 1;
         self.full += u32::from(cells.cells.len() >= self.keys.len());
-    }
-
-    fn add_units(&mut self, cells: &[Cell]) {
-        for (cell, key) in cells.iter().zip(&mut self.keys) {
-            if cell.kind == Kind::Number {
-                key.unit.get_or_insert(cell.unit);
-            }
-        }
     }
 
     /// Lets the row begin with its first name by the alphabet (as in `x`, `y`, `z`), if the others

@@ -361,7 +361,7 @@ impl LinesIntake {
             match self.lay_out(row.len()) {
                 Ok(layout) => {
                     self.errors.add(CHANGES, u64::from(self.layout.is_some()));
-                    (self.layout, self.refused) = (Some(layout), None);
+                    self.layout = Some(layout);
                 }
                 Err(why) => {
                     self.layout = None;
@@ -371,6 +371,7 @@ impl LinesIntake {
             }
         }
         let Some(layout) = &self.layout else { return };
+        self.refused = None;
         let wanted = layout.picks.iter().flat_map(|(columns, _)| columns).chain(&layout.count);
         let fits = |x: f64| x.is_finite() && x.abs() <= f64::from(f32::MAX);
         if let Some(&column) = wanted.clone().find(|column| !fits(row[**column])) {

@@ -251,15 +251,13 @@ impl Reader {
     /// Takes a line without numbers.
     fn words(&mut self, line: &[u8], half: bool, on: &mut impl FnMut(&[u8], Line<'_>)) {
         let (hard, names) = header_of(line);
-        let fits = |form: &Form| form.width() == names.len() && (form.hard == hard || form.named);
         let renames = match &self.form {
             Some(form) if form.named => false,
-            // A log's words that happen to be as many as the columns are no names.
             Some(form) => {
-                fits(form)
-                    && (hard
-                        || names.iter().any(|name| self.told.contains(name))
-                        || self.told.is_empty())
+                // A log's words that happen to be as many as the columns are no names.
+                let known =
+                    self.told.is_empty() || names.iter().any(|name| self.told.contains(name));
+                form.width() == names.len() && form.hard == hard && (hard || known)
             }
             None => !names.is_empty(),
         };
@@ -383,6 +381,9 @@ mod tests {
             let row = &rows(&format!("1,2,3\n1,{word},3\n"))[1];
             assert!(row[0] == 1.0 && row[1].is_nan() && row[2] == 3.0, "{word}: {row:?}");
         }
+        // No exponent is too large to be read.
+        let row = &rows("1.5e-99999999999,-1e99999999999,0e99999999999\n")[0];
+        assert!(row[0] == 0.0 && row[1].is_nan() && row[2] == 0.0, "{row:?}");
         // Missing values in all fields are a row of a failing sensor, not a header.
         assert!(rows("nan,nan\n")[0].iter().all(|x| x.is_nan()));
     }

@@ -51,7 +51,6 @@ pub struct Survey {
     bytes: u64,
     /// Number of bytes that plain text does not hold.
     strange: u64,
-    /// The first lines as they came.
     first_lines: Vec<String>,
     /// The first line that is a row, and the first that is neither row nor header.
     fit: Option<String>,
@@ -130,7 +129,6 @@ impl Survey {
         self.rows > 0
     }
 
-    /// Whether text came.
     pub fn is_text(&self) -> bool {
         const LEAST: u64 = 20;
         self.bytes >= LEAST && !self.is_noise()
@@ -141,11 +139,7 @@ impl Survey {
         self.bytes == 0
     }
 
-    pub fn is_garbage(&self) -> bool {
-        self.bytes > 0 && !self.has_rows()
-    }
-
-    /// Whether what came is noise rather than text, as at a wrong speed of a port.
+    /// Whether noise came rather than text, as at a wrong speed of a port.
     pub fn is_noise(&self) -> bool {
         5 * self.strange > self.bytes
     }
@@ -179,7 +173,7 @@ impl Survey {
         })
     }
 
-    /// What was found out and should be known: one line for each subject.
+    /// Findings that a user should know: one line for each subject.
     pub fn remarks(&self) -> Vec<String> {
         let columns = self.columns();
         let mut remarks = Vec::new();
@@ -303,23 +297,20 @@ impl Survey {
 
     /// A power of ten that brings `columns` to about ±1, with room above the highest number seen.
     pub fn scale(&self, columns: &[Column]) -> f64 {
-        let named = |name: &String| self.names().iter().position(|other| other == name);
         let place = |column: &Column| match column {
             Column::Place(place) => place.checked_sub(1),
-            Column::Name(name) => named(name),
+            Column::Name(name) => self.names().iter().position(|other| other == name),
         };
         let all = self.columns();
-        let seen = columns.iter().filter_map(|column| all.get(place(column)?));
-        let seen: Vec<_> = seen.collect();
-        // A clock that was configured as a channel has no say beside others.
-        let clocks = seen.iter().all(|column| column.counts.is_some());
-        let seen = seen.into_iter().filter(|column| clocks || column.counts.is_none());
-        let (mut decimals, mut highest) = (0, 0.0_f64);
-        for column in seen {
-            decimals = decimals.max(column.decimals);
-            let ends = [column.lowest, column.highest].into_iter().flatten();
-            highest = ends.map(f64::abs).fold(highest, f64::max);
+        let mut seen: Vec<_> =
+            columns.iter().filter_map(|column| all.get(place(column)?)).collect();
+        // A clock that was configured as a channel does not count beside others.
+        if seen.iter().any(|column| column.counts.is_none()) {
+            seen.retain(|column| column.counts.is_none());
         }
+        let decimals = seen.iter().map(|column| column.decimals).max().unwrap_or(0);
+        let ends = seen.iter().flat_map(|column| [column.lowest, column.highest]).flatten();
+        let highest = ends.map(f64::abs).fold(0.0, f64::max);
         let by_step = STEP.log10() as i32 + decimals;
         let by_range = -(ROOM * highest).max(1.0).log10().ceil() as i32;
         power_of_ten(by_step.min(by_range).clamp(-30, 0))

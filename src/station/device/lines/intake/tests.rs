@@ -172,6 +172,11 @@ fn columns_that_change_for_good_are_followed() {
     assert!(intake.refused.as_ref().unwrap().contains("wants number 2"));
     take(&mut intake, "1,2\n".repeat(20).as_bytes(), 0.1, &mut out);
     assert_eq!((&intake.refused, &out[0][..]), (&None, &[1.0][..]));
+    // So is a line that has two readings.
+    take(&mut intake, b"9,05\n", 0.2, &mut out);
+    assert!(intake.refused.as_ref().unwrap().contains("with decimal commas"));
+    take(&mut intake, b"0.5,1.5\n", 0.3, &mut out);
+    assert_eq!(intake.refused, None);
 }
 
 proptest! {
