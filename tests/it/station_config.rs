@@ -135,6 +135,7 @@ fn mistakes_are_refused_with_their_line() {
         ("port = \"-\"\ncounter = 1\ntime_us = 2\nsources = { a = [3] }", "one of them"),
         ("port = \"-\"\nsources = { a = [1] }\nscale = { b = 1.0 }", "line 5: `b` is no source"),
         ("port = \"-\"\nspeed = 1", "unknown field `speed`"),
+        ("port = \"-\"\nsources = { ac = [1] }", "line 4: two devices make the source ac"),
     ] {
         let refused = parse(&format!("format = 1\n[[lines]]\n{lines}\n")).unwrap_err();
         assert!(refused.contains(part), "{lines}: {refused}");

@@ -26,7 +26,7 @@ const LONGEST_TEXT: usize = 400;
 /// Usual length of a line, in bytes. More is read where lines are longer.
 const USUAL_LINE: u64 = 256;
 
-/// What a client may do.
+/// The rights of a client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
@@ -88,7 +88,7 @@ pub(super) struct AuditLog {
     in_memory: VecDeque<Row>,
     /// Number of the records that were in memory so far, by which those have their ids.
     count: u64,
-    /// Lines that the disk did not take. They are tried again with the next record.
+    /// Lines that could not be written to disk. They are tried again with the next record.
     unwritten: VecDeque<String>,
 }
 
@@ -153,8 +153,8 @@ impl History {
         self.audit.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds records of changes that were made. What the disk does not take is tried again with the
-    /// next record.
+    /// Adds records of changes that were made. A record that cannot be written to disk is tried again
+    /// with the next one.
     pub fn note_changes(&self, records: impl IntoIterator<Item = AuditRecord>) {
         let mut log = self.audit();
         for record in records {

@@ -213,12 +213,12 @@ fn doubt((quantity, channel): &Key, surface: &str, chart: &Chart) -> Doubt {
     }
 }
 
-/// Which of these doubts about drift are about something that none of those before is about.
+/// The doubts about drift whose subject differs from those of all doubts `before`.
 pub fn news<'a>(before: &[Doubt], doubts: &'a [Doubt]) -> impl Iterator<Item = &'a Doubt> {
     doubts.iter().filter(|doubt| !before.iter().any(|known| about(known) == about(doubt)))
 }
 
-/// What a doubt about drift is about, without its numbers, which change with each scan.
+/// The subject of a doubt about drift, without its numbers, which change with each scan.
 fn about(doubt: &Doubt) -> (Discriminant<Doubt>, &str, Option<(&SourceId, usize)>) {
     let (surface, channel) = match doubt {
         Doubt::LevelDrift { source, channel, surface, .. }

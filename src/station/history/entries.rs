@@ -144,15 +144,17 @@ impl HistoryState {
         if let Some(drift) = &self.drift {
             return drift.clone();
         }
-        let mut readings = std::mem::take(&mut self.readings);
+        // The readings of answers that are no longer held are dropped.
+        let (mut known, mut readings) = (std::mem::take(&mut self.readings), BTreeMap::new());
         let mut all: BTreeMap<&str, Vec<Reading>> = BTreeMap::new();
         for entry in &self.entries {
             let Some(surface) = self.reference_of(entry) else { continue };
             let key = (surface.to_string(), entry.head.id.clone());
             // A scan that cannot be read counts as one that lacks data.
             let read = || self.row(entry).ok().and_then(|row| Reading::of(row, surface));
-            let reading = readings.entry(key).or_insert_with(read);
+            let reading = known.remove(&key).unwrap_or_else(read);
             all.entry(surface).or_default().extend(reading.clone());
+            readings.insert(key, reading);
         }
         let of = |(surface, since): (&String, &u64)| {
             (surface.clone(), *since, all.remove(surface.as_str()).unwrap_or_default())
@@ -222,11 +224,11 @@ impl HistoryState {
             stay.extend(is_first.then_some(entry));
         }
         stay.into_iter().rev().for_each(|entry| self.entries.push_front(entry));
-        let mut fresh = disk.log.begin_anew()?;
-        for entry in &mut self.entries {
+        let (mut fresh, mut texts) = (disk.log.begin_anew()?, Vec::new());
+        for entry in &self.entries {
             let (text, written) = fresh.append_answer(entry.text.read(Some(&disk.log))?);
             written?;
-            entry.text = text;
+            texts.push(text);
             let id = || entry.head.id.clone();
             let (bytes, correction) = (entry.signals, entry.correction.clone());
             let (trial, person) = (entry.became.clone(), entry.became_by.clone());
@@ -240,6 +242,9 @@ impl HistoryState {
                 fresh.append(&json_text(&line))?;
             }
         }
-        disk.log.replace(fresh)
+        disk.log.replace(fresh)?;
+        // Until now, the texts are in the old log, which stays in use if the new one cannot be written.
+        self.entries.iter_mut().zip(texts).for_each(|(entry, text)| entry.text = text);
+        Ok(())
     }
 }

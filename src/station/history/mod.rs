@@ -73,7 +73,7 @@ pub struct History {
     audit: Mutex<AuditLog>,
 }
 
-/// Which answers are asked for. What is absent or empty lets all through.
+/// Which answers are asked for. A field that is absent or empty lets all through.
 #[derive(Clone, Debug, Default)]
 pub struct Wanted {
     pub states: Vec<AnswerState>,

@@ -207,6 +207,24 @@ fn the_log_is_bounded_and_keeps_the_newest_answers_with_what_was_said_of_them() 
 }
 
 #[test]
+fn answers_are_read_from_the_old_log_if_a_shorter_one_cannot_take_its_place() {
+    let dir = tempfile::tempdir().unwrap();
+    let history = History::open(dir.path(), 400_000).unwrap();
+    let written = (1..=1000).map(|scan| {
+        if scan == 60 {
+            // A folder with the name of the log, which no file can replace.
+            fs::remove_file(dir.path().join("answers.jsonl")).unwrap();
+            fs::create_dir(dir.path().join("answers.jsonl")).unwrap();
+        }
+        history.answered(&answer(scan, Some("oak")))
+    });
+    assert_eq!(written.skip_while(Result::is_ok).take(3).count(), 3, "the log was never too long");
+    for row in history.newest(None, 1000, &Wanted::default()).unwrap() {
+        assert_eq!(row.others["link"], format!("/#scan={}", row.head.id));
+    }
+}
+
+#[test]
 fn a_history_in_memory_remembers_a_thousand_answers() {
     let history = History::default();
     (1..=1200).for_each(|scan| history.answered(&answer(scan, None)).unwrap());

@@ -176,15 +176,12 @@ impl Detector {
 pub(crate) fn onset_in(
     levels: &[Option<f64>],
     first: u64,
-    window: std::ops::Range<u64>,
+    window: Range<u64>,
     onset: f64,
 ) -> Option<u64> {
     let at = |hop: u64| *levels.get(usize::try_from(hop.checked_sub(first)?).ok()?)?;
     window.skip_while(|hop| at(*hop).is_none_or(|x| x >= onset)).find(|hop| at(*hop) >= Some(onset))
 }
-
-#[cfg(test)]
-mod tests;
 
 /// Length of a hop in seconds, which is the resolution of every onset and end; a stream below 200 Hz
 /// has hops of one frame.
@@ -399,3 +396,6 @@ impl StreamLevel {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

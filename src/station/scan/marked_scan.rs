@@ -351,8 +351,9 @@ pub(super) fn trace(streams: &[Stream]) -> Trace {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ring::{self, Waker};
-    use crate::scan::clock::Clock;
+    use crate::device::StreamSpec;
+    use crate::ring::Waker;
+    use crate::scan::Options;
 
     fn progress(scan_s: f64, parts: &[(&str, u64, &[f32])]) -> Progress {
         let fresh = parts.iter().map(|(source, start, samples)| Fresh {
@@ -377,13 +378,10 @@ mod tests {
     #[test]
     fn a_snapshot_says_whether_frames_of_its_own_fill_a_gap() {
         let id = SourceId::new("ac").unwrap();
-        let (mut sink, tap) = ring::series(1, 100, Waker::new().0);
-        let buffer = StreamBuffer::Series { tap, history: SeriesHistory::new(1) };
-        let (device, rate_hz, channels, traced) = (0, 100.0, 1, 0);
-        let (clock, observed) = (Clock::new(rate_hz), (0, 0.0));
-        let stream =
-            Stream { id: id.clone(), device, rate_hz, channels, buffer, traced, clock, observed };
-        let mut streams = [stream];
+        let (rate_hz, channels) = (100.0, 1);
+        let spec = StreamSpec::series(&id, channels, rate_hz);
+        let (mut sink, stream) = Stream::open(&spec, 0, &Options::default(), Waker::new().0);
+        let (sink, mut streams) = (sink.series().unwrap(), [stream]);
         sink.push(&[0.5; 12]);
         sink.skip(5);
         sink.push(&[0.5; 14]);

@@ -4,8 +4,10 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::Options;
 use super::clock::{Clock, ClockSecond};
-use crate::ring::{ImageTap, Meter, Piece, Reckoning, SeriesTap};
+use crate::device::{StreamKind, StreamSpec};
+use crate::ring::{ImageTap, Meter, Piece, Reckoning, SeriesTap, Sink, Waker, images, series};
 use crate::scene::SourceId;
 use crate::trial::Image;
 
@@ -45,6 +47,31 @@ pub(super) enum StreamBuffer {
 pub(super) type RecentImages = VecDeque<(u64, Arc<Image>)>;
 
 impl Stream {
+    /// Opens the ring of a stream of device number `device`; returns the device's end and the stream.
+    pub(super) fn open(
+        spec: &StreamSpec,
+        device: usize,
+        options: &Options,
+        waker: Waker,
+    ) -> (Sink, Self) {
+        let (rate_hz, channels, sink, buffer) = match spec.kind {
+            StreamKind::Series { channels, rate_hz } => {
+                let capacity = (options.ring_s * rate_hz).ceil() as usize;
+                let (sink, tap) = series(channels, capacity, waker);
+                let channels = channels.max(1);
+                let history = SeriesHistory::new(channels);
+                (rate_hz, channels, Sink::Series(sink), StreamBuffer::Series { tap, history })
+            }
+            StreamKind::Images => {
+                let (sink, tap) = images(options.ring_images, waker);
+                let recent = RecentImages::new();
+                (0.0, 3, Sink::Images(sink), StreamBuffer::Images { tap, recent })
+            }
+        };
+        let (id, clock, observed) = (spec.id.clone(), Clock::new(rate_hz), (0, f64::NEG_INFINITY));
+        (sink, Self { id, device, rate_hz, channels, buffer, traced: 0, clock, observed })
+    }
+
     /// Takes over a rate that the device has measured, before its first frame.
     pub(super) fn set_rate(&mut self, rate_hz: f64) {
         self.rate_hz = rate_hz;

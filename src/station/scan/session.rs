@@ -9,16 +9,13 @@ use std::thread::JoinHandle;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::clock::Clock;
 use super::collect::Collector;
 use super::event_queue::EventQueue;
-use super::recent_frames::{RecentImages, SeriesHistory, Stream, StreamBuffer};
+use super::recent_frames::Stream;
 use super::scan_detector::ScanDetector;
 use super::{Event, Options, ScanCommand, Totals};
-use crate::device::{
-    Device, DeviceError, DeviceLink, DeviceReport, DeviceReportKind, StreamKind, StreamSpec,
-};
-use crate::ring::{self, Counts, Meter, Sink, Stop, Waker};
+use crate::device::{Device, DeviceError, DeviceLink, DeviceReport, DeviceReportKind};
+use crate::ring::{Counts, Meter, Sink, Stop, Waker};
 use crate::scene::SourceId;
 
 /// Capacity of the queue of reports; a device whose report does not fit has to wait.
@@ -86,7 +83,7 @@ impl Session {
                 if !names.insert(spec.id.clone()) {
                     return Err(SessionError::SameStream(spec.id));
                 }
-                let (sink, stream) = join(&spec, number, &options, waker.clone());
+                let (sink, stream) = Stream::open(&spec, number, &options, waker.clone());
                 let (device, meter) = (device.name().to_string(), stream.meter().clone());
                 meters.push(StreamMeter { id: spec.id, device, meter });
                 sinks.push(sink);
@@ -200,25 +197,6 @@ fn check(options: &Options) -> Result<(), SessionError> {
         }
     }
     Ok(())
-}
-
-fn join(spec: &StreamSpec, device: usize, options: &Options, waker: Waker) -> (Sink, Stream) {
-    let (rate_hz, channels, sink, buffer) = match spec.kind {
-        StreamKind::Series { channels, rate_hz } => {
-            let capacity = (options.ring_s * rate_hz).ceil() as usize;
-            let (sink, tap) = ring::series(channels, capacity, waker);
-            let channels = channels.max(1);
-            let history = SeriesHistory::new(channels);
-            (rate_hz, channels, Sink::Series(sink), StreamBuffer::Series { tap, history })
-        }
-        StreamKind::Images => {
-            let (sink, tap) = ring::images(options.ring_images, waker);
-            let recent = RecentImages::new();
-            (0.0, 3, Sink::Images(sink), StreamBuffer::Images { tap, recent })
-        }
-    };
-    let (id, clock, observed) = (spec.id.clone(), Clock::new(rate_hz), (0, f64::NEG_INFINITY));
-    (sink, Stream { id, device, rate_hz, channels, buffer, traced: 0, clock, observed })
 }
 
 fn spawn<T: Send + 'static>(

@@ -1,23 +1,15 @@
-//! The account of a scan, which is its doubts: which of them decide its state, which of them a list for
-//! people holds, and how they are written as JSON.
+//! The account of a scan, which is its doubts: which of them decide its state, which of them are
+//! shown as lines, and how they are written as JSON.
 
+use serde::Serializer;
 use serde::ser::SerializeMap;
-use serde::{Serialize, Serializer};
+use serde_json::{Value, json};
 
-use crate::scene::SourceId;
 use crate::trial::{Doubt, lines};
 
 /// The share of the needed drag that a scan must reach to raise no doubt. Between this share and the
 /// whole, the test has fewer samples than needed, so it is weaker but not wrong.
 const LONG_ENOUGH: f64 = 0.5;
-
-/// A fault of one sensor, or lost data, as JSON has it.
-#[derive(Serialize)]
-struct Damage<'a> {
-    /// The source; `None` for damage of the whole scan.
-    source: Option<&'a SourceId>,
-    text: String,
-}
 
 /// The damage of a scan: everything that spoils it, and the worst fault of each sensor.
 pub fn damage(doubts: &[Doubt]) -> Vec<&Doubt> {
@@ -64,71 +56,65 @@ pub(super) fn decides(doubt: &Doubt, all: &[Doubt]) -> bool {
     }
 }
 
-fn damage_entries(doubts: &[Doubt]) -> Vec<Damage<'_>> {
-    fn entry(doubt: &Doubt) -> Damage<'_> {
-        match doubt.is_sensor_fault() {
-            true => Damage { source: doubt.source(), text: doubt.text() },
-            false => Damage { source: None, text: doubt.to_string() },
-        }
-    }
-    damage(doubts).into_iter().map(entry).collect()
-}
-
-/// The doubts that are a remark on an answer: faults of sensors, and a short drag.
-fn remarks(doubts: &[Doubt]) -> Vec<String> {
-    lines(doubts.iter().filter(|doubt| doubt.is_remark()))
-}
-
-/// The doubts that a list for people holds: of each sensor, only the worst fault.
+/// All doubts except the lesser faults of each sensor.
 pub fn told(doubts: &[Doubt]) -> impl Iterator<Item = &Doubt> {
     let worst = damage(doubts);
     let is_worst = move |doubt: &Doubt| worst.iter().any(|other| std::ptr::eq(*other, doubt));
     doubts.iter().filter(move |doubt| !doubt.is_sensor_fault() || is_worst(doubt))
 }
 
+/// The damage of a scan as JSON: a fault of one sensor, or of the whole scan without a `source`.
+fn damage_entries(doubts: &[Doubt]) -> Value {
+    let entry = |doubt: &Doubt| match doubt.is_sensor_fault() {
+        true => json!({ "source": doubt.source(), "text": doubt.text() }),
+        false => json!({ "source": null, "text": doubt.to_string() }),
+    };
+    damage(doubts).into_iter().map(entry).collect()
+}
+
 /// Writes the doubts of an answer.
 pub(super) fn of_answer<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
-    let mut map = to.serialize_map(None)?;
-    map.serialize_entry("reasons", &lines(reasons(doubts)))?;
-    map.serialize_entry("spoiled", &lines(doubts.iter().filter(|doubt| doubt.spoils())))?;
-    map.serialize_entry("damage", &damage_entries(doubts))?;
-    map.serialize_entry("remarks", &remarks(doubts))?;
-    map.serialize_entry("doubts", doubts)?;
-    map.end()
+    let listed = |is: fn(&Doubt) -> bool| json!(lines(doubts.iter().filter(|doubt| is(doubt))));
+    let lists = [
+        ("reasons", json!(lines(reasons(doubts)))),
+        ("spoiled", listed(Doubt::spoils)),
+        ("damage", damage_entries(doubts)),
+        ("remarks", listed(Doubt::is_remark)),
+    ];
+    with_lists(lists, doubts, to)
 }
 
 /// Writes the doubts about a scan in progress.
 pub(super) fn of_guess<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
-    let mut map = to.serialize_map(None)?;
-    map.serialize_entry("damage", &damage_entries(doubts))?;
-    map.serialize_entry("doubts", doubts)?;
-    map.end()
+    with_lists([("damage", damage_entries(doubts))], doubts, to)
 }
 
 /// Writes the doubts about a scan that was to be kept. The field `nearest` says what it is near to.
 pub(super) fn of_enrolled<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
     let others = told(doubts).filter(|doubt| !matches!(doubt, Doubt::NearSurface { .. }));
-    listed("remarks", lines(others), doubts, to)
+    with_lists([("remarks", json!(lines(others)))], doubts, to)
 }
 
 /// Writes why a scan was refused.
 pub(super) fn of_refused<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
-    listed("reasons", lines(told(doubts)), doubts, to)
+    with_lists([("reasons", json!(lines(told(doubts))))], doubts, to)
 }
 
 /// Writes why sources were not compared.
 pub(super) fn of_left_out<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
-    listed("left_out", lines(doubts), doubts, to)
+    with_lists([("left_out", json!(lines(doubts)))], doubts, to)
 }
 
-fn listed<S: Serializer>(
-    name: &'static str,
-    lines: Vec<String>,
+/// Writes these lists, each under its name, and then all doubts.
+fn with_lists<S: Serializer, const N: usize>(
+    lists: [(&str, Value); N],
     doubts: &[Doubt],
     to: S,
 ) -> Result<S::Ok, S::Error> {
     let mut map = to.serialize_map(None)?;
-    map.serialize_entry(name, &lines)?;
+    for (name, list) in &lists {
+        map.serialize_entry(name, list)?;
+    }
     map.serialize_entry("doubts", doubts)?;
     map.end()
 }
@@ -136,6 +122,7 @@ fn listed<S: Serializer>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::SourceId;
 
     #[test]
     fn damage_is_what_spoils_a_scan_and_the_worst_fault_of_each_sensor() {

@@ -9,7 +9,7 @@
 //! window/hop times, and certainty would be far too high. The likelihood of a window therefore has the share
 //! of the window that no earlier window held as its exponent: 1 for the first, and hop/window for one that
 //! follows another. So each second counts as often as in windows that do not overlap. A window that may hold
-//! a change is taken for a mixture. A window with a gap is no evidence, since the gap is filled with repeated
+//! a change counts as a mixture. A window with a gap is no evidence, since the gap is filled with repeated
 //! frames.
 //!
 //! A change is found only later: about a window and a half later, if surfaces are much alike. It tells when it
@@ -47,7 +47,7 @@ pub struct Continuous {
     pub expected_stay_s: f64,
 }
 
-/// What new data of a scan have shown.
+/// The result of new data of a scan.
 #[derive(Debug, Default)]
 pub struct Heard {
     pub guess: Guess,
@@ -57,7 +57,6 @@ pub struct Heard {
 }
 
 /// Names the surfaces of one scan after another. A scan is the time in which something moves.
-#[derive(Debug)]
 pub struct ContinuousNaming {
     how: Continuous,
     scan: Option<MovingScan>,
@@ -78,12 +77,6 @@ struct MovingScan {
     counted_s: f64,
     smoothed: Option<Smoothed>,
     stretch: Option<Stretch>,
-}
-
-impl std::fmt::Debug for MovingScan {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_tuple("MovingScan").field(&self.number).finish()
-    }
 }
 
 /// The last frames of a source, at most as many as a window holds.
@@ -165,20 +158,17 @@ impl ContinuousNaming {
 
 impl MovingScan {
     fn new(number: u32, by: &Arc<Recogniser>, window_s: f64, begin_s: f64) -> Self {
-        let (by, recent) = (by.clone(), BTreeMap::new());
-        let (heard_s, whole_from_s, counted_s) = (begin_s, begin_s, begin_s);
-        let (smoothed, stretch) = (None, None);
         Self {
             number,
-            by,
+            by: by.clone(),
             window_s,
-            recent,
+            recent: BTreeMap::new(),
             begin_s,
-            heard_s,
-            whole_from_s,
-            counted_s,
-            smoothed,
-            stretch,
+            heard_s: begin_s,
+            whole_from_s: begin_s,
+            counted_s: begin_s,
+            smoothed: None,
+            stretch: None,
         }
     }
 

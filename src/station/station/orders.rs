@@ -4,6 +4,7 @@
 //! order. The station's own order, set before the start, covers scans that no later order covers.
 
 use super::event::{Enrolled, EnrolledOutcome, Enrolling, RefusedScan};
+use crate::trial::normal;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Keep {
@@ -42,7 +43,9 @@ struct Order {
 
 impl Order {
     fn new(order: u64, keep: Keep, from: u32) -> Self {
-        let enrolment = Enrolment { order, keep };
+        // A library has its labels in normal form, with which those of the order are compared.
+        let (surface, user) = (normal(&keep.surface), normal(&keep.user));
+        let enrolment = Enrolment { order, keep: Keep { surface, user, ..keep } };
         let (kept, asked, right) = (0, 0, 0);
         Self { enrolment, kept, asked, right, refused: None, being_written: 0, from, until: None }
     }
@@ -69,51 +72,51 @@ impl Order {
     }
 }
 
+/// The order number of the station's own order.
+const OWN: u64 = 0;
+
 #[derive(Debug, Default)]
 pub(super) struct Orders {
-    own: Option<Order>,
-    /// The other orders, the newest last; only the newest may still be in force.
-    given: Vec<Order>,
-    /// Number of orders given so far, which is also the name of the newest order.
+    /// The station's own order if it has one, then the others, the newest last. Only the newest of
+    /// the others may still be in force.
+    all: Vec<Order>,
+    /// Number of orders given so far, which is also the order number of the newest one.
     count: u64,
 }
 
 impl Orders {
     /// Gives the station its own order, which covers all scans that no other order covers.
     pub(super) fn set_own(&mut self, keep: Keep) {
-        self.own = Some(Order::new(0, keep, 0));
+        self.all.insert(0, Order::new(OWN, keep, 0));
     }
 
     /// Puts an order in force from scan `next` on, in place of the previous order.
     pub(super) fn give(&mut self, keep: Keep, next: u32) {
         self.end(next);
         self.count += 1;
-        self.given.push(Order::new(self.count, keep, next));
+        self.all.push(Order::new(self.count, keep, next));
     }
 
     /// Ends the current order from scan `next` on, unless it is the station's own order.
     pub(super) fn end(&mut self, next: u32) {
-        for order in self.given.iter_mut().filter(|order| order.until.is_none()) {
-            order.until = Some(next);
-        }
+        let given = self.all.iter_mut().filter(|order| order.enrolment.order != OWN);
+        given.for_each(|order| order.until = order.until.or(Some(next)));
         self.forget();
     }
 
     /// The order that keeps the scan in progress, given its `number`; `None` if it is only to be named.
     pub(super) fn covering(&self, number: u32) -> Option<&Enrolment> {
-        let mut all = self.given.iter().rev().chain(&self.own);
-        all.find(|order| order.keeps(number)).map(|order| &order.enrolment)
+        let order = self.all.iter().rev().find(|order| order.keeps(number))?;
+        Some(&order.enrolment)
     }
 
     /// Takes the order that keeps scan `number`, which has just ended; `None` if it is only to be named.
     /// Scans end in the order of their numbers.
     pub(super) fn claim(&mut self, number: u32) -> Option<Enrolment> {
         // Scans with lower numbers have all ended, so an order no longer covers them.
-        for order in &mut self.given {
-            order.from = order.from.max(number);
-        }
-        let mut all = self.given.iter_mut().rev().chain(&mut self.own);
-        let enrolment = all.find(|order| order.keeps(number)).map(|order| {
+        self.all.iter_mut().for_each(|order| order.from = order.from.max(number));
+        let order = self.all.iter_mut().rev().find(|order| order.keeps(number));
+        let enrolment = order.map(|order| {
             order.being_written += 1;
             order.enrolment.clone()
         });
@@ -123,8 +126,11 @@ impl Orders {
 
     /// Counts the outcome of a scan in its order, and sets `wanted`, the trials that the order lacks.
     pub(super) fn count(&mut self, of: &Enrolment, mut enrolled: Enrolled) -> Enrolled {
-        let mut all = self.given.iter_mut().chain(&mut self.own);
-        if let Some(order) = all.find(|order| order.enrolment.order == of.order) {
+        // A refused scan can be kept anyway until the next scan is judged, whatever its order.
+        for order in &mut self.all {
+            order.refused.take_if(|last| last.scan <= enrolled.scan);
+        }
+        if let Some(order) = self.all.iter_mut().find(|order| order.enrolment.order == of.order) {
             let ended = enrolled.outcome != EnrolledOutcome::Waiting;
             order.being_written = order.being_written.saturating_sub(u32::from(ended));
             order.kept += u32::from(enrolled.outcome == EnrolledOutcome::Kept);
@@ -132,9 +138,10 @@ impl Orders {
             let is_right = enrolled.nearest.as_ref() == Some(&enrolled.surface);
             order.asked += u32::from(is_asked);
             order.right += u32::from(is_asked && is_right);
-            let (scan, doubts) = (enrolled.scan, &enrolled.doubts);
-            order.refused = (enrolled.outcome == EnrolledOutcome::Refused)
-                .then(|| RefusedScan { scan, doubts: doubts.clone() });
+            if enrolled.outcome == EnrolledOutcome::Refused {
+                let (scan, doubts) = (enrolled.scan, enrolled.doubts.clone());
+                order.refused = Some(RefusedScan { scan, doubts });
+            }
             enrolled.wanted = match order.until {
                 None => order.wanted().unwrap_or(u32::MAX),
                 Some(_) => 0,
@@ -144,9 +151,9 @@ impl Orders {
         enrolled
     }
 
-    /// Takes the order that refused `scan`, to keep that scan anyway; `None` if it has had a later scan.
+    /// Takes the order that refused `scan`, to keep that scan anyway; `None` if a later one was judged.
     pub(super) fn keep_refused(&mut self, scan: u32) -> Option<Enrolment> {
-        let mut all = self.given.iter_mut().chain(&mut self.own);
+        let mut all = self.all.iter_mut();
         let order = all.find(|o| o.refused.as_ref().is_some_and(|last| last.scan == scan))?;
         order.refused = None;
         order.being_written += 1;
@@ -155,9 +162,8 @@ impl Orders {
 
     /// The order that the next scan falls under, if any.
     pub(super) fn in_force(&self) -> Option<Enrolling> {
-        let newest = self.given.last().filter(|order| order.until.is_none());
-        let open = |order: &&Order| order.to_come() != Some(0);
-        let order = newest.filter(open).or(self.own.as_ref().filter(open))?;
+        let open = |order: &&Order| order.until.is_none() && order.to_come() != Some(0);
+        let order = self.all.iter().rev().find(open)?;
         let Keep { surface, user, trials, ordered_by, .. } = order.enrolment.keep.clone();
         let (wanted, refused) = (order.to_come(), order.refused.clone());
         let Order { kept, asked, right, .. } = *order;
@@ -165,8 +171,7 @@ impl Orders {
     }
 
     fn forget(&mut self) {
-        self.given.retain(|order| !order.is_over());
-        self.own.take_if(|order| order.is_over());
+        self.all.retain(|order| !order.is_over());
     }
 }
 
@@ -182,6 +187,14 @@ mod tests {
 
     fn became(of: &Enrolment, outcome: EnrolledOutcome) -> Enrolled {
         enrolled(1, of, outcome, Vec::new())
+    }
+
+    /// An order for trials of oak, and its enrolment of scan 1.
+    fn oak(trials: u32) -> (Orders, Enrolment) {
+        let mut orders = Orders::default();
+        orders.give(keep("oak", Some(trials)), 1);
+        let oak = orders.claim(1).unwrap();
+        (orders, oak)
     }
 
     fn label(claimed: Option<Enrolment>) -> Option<String> {
@@ -207,10 +220,15 @@ mod tests {
     }
 
     #[test]
-    fn what_was_ordered_while_a_scan_is_written_stays_in_force() {
+    fn a_label_has_its_normal_form_however_it_was_typed() {
         let mut orders = Orders::default();
-        orders.give(keep("oak", Some(1)), 1);
-        let oak = orders.claim(1).unwrap();
+        orders.give(keep("cafe\u{301}", None), 1);
+        assert_eq!(label(orders.claim(1)).as_deref(), Some("caf\u{e9}"));
+    }
+
+    #[test]
+    fn what_was_ordered_while_a_scan_is_written_stays_in_force() {
+        let (mut orders, oak) = oak(1);
         assert_eq!(in_force(&orders), None, "nothing more is to come");
         orders.give(keep("ash", Some(2)), 2);
         let counted = orders.count(&oak, became(&oak, EnrolledOutcome::Kept));
@@ -225,9 +243,7 @@ mod tests {
 
     #[test]
     fn an_order_counts_the_trials_that_a_library_with_their_surface_named_right_before() {
-        let mut orders = Orders::default();
-        orders.give(keep("oak", Some(9)), 1);
-        let oak = orders.claim(1).unwrap();
+        let (mut orders, oak) = oak(9);
         let mut count = |known, nearest: Option<&str>| {
             let nearest = nearest.map(String::from);
             let kept = became(&oak, EnrolledOutcome::Kept);
@@ -244,9 +260,7 @@ mod tests {
 
     #[test]
     fn a_refused_scan_is_to_come_again_and_a_waiting_one_is_not() {
-        let mut orders = Orders::default();
-        orders.give(keep("oak", Some(1)), 1);
-        let oak = orders.claim(1).unwrap();
+        let (mut orders, oak) = oak(1);
         assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Refused)).wanted, 1);
         assert_eq!(in_force(&orders), Some(("oak".into(), Some(1))));
         let oak = orders.claim(2).unwrap();
@@ -257,9 +271,7 @@ mod tests {
 
     #[test]
     fn a_refused_scan_can_be_kept_anyway_until_the_next_one() {
-        let mut orders = Orders::default();
-        orders.give(keep("oak", Some(2)), 1);
-        let oak = orders.claim(1).unwrap();
+        let (mut orders, oak) = oak(2);
         orders.count(&oak, became(&oak, EnrolledOutcome::Refused));
         assert_eq!(orders.in_force().unwrap().refused.map(|refused| refused.scan), Some(1));
         assert_eq!(orders.keep_refused(2), None, "another scan");
@@ -269,6 +281,18 @@ mod tests {
         assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Kept)).wanted, 1);
         let now = orders.in_force().unwrap();
         assert_eq!((now.trials, now.kept, now.refused), (Some(2), 1, None));
+    }
+
+    #[test]
+    fn a_refused_scan_cannot_be_kept_once_a_scan_of_another_order_was_judged() {
+        let mut orders = Orders::default();
+        orders.set_own(keep("felt", None));
+        let felt = orders.claim(1).unwrap();
+        orders.count(&felt, became(&felt, EnrolledOutcome::Refused));
+        orders.give(keep("oak", Some(2)), 2);
+        let oak = orders.claim(2).unwrap();
+        orders.count(&oak, enrolled(2, &oak, EnrolledOutcome::Refused, Vec::new()));
+        assert_eq!((orders.keep_refused(1), orders.keep_refused(2)), (None, Some(oak)));
     }
 
     #[test]
@@ -290,10 +314,10 @@ mod tests {
     fn orders_that_cover_no_scan_are_forgotten() {
         let mut orders = Orders::default();
         (0..1000).for_each(|_| orders.give(keep("oak", Some(1)), 1));
-        assert_eq!(orders.given.len(), 1);
+        assert_eq!(orders.all.len(), 1);
         orders.give(keep("ash", Some(1)), 2);
-        assert_eq!(orders.given.len(), 2, "scan 1 is in progress");
+        assert_eq!(orders.all.len(), 2, "scan 1 is in progress");
         assert_eq!(label(orders.claim(3)).as_deref(), Some("ash"), "scan 1 was given up");
-        assert_eq!(orders.given.len(), 1);
+        assert_eq!(orders.all.len(), 1);
     }
 }

@@ -7,16 +7,16 @@ use std::sync::Arc;
 use serde::{Serialize, Serializer};
 
 use super::account;
-use super::answer::{Answer, AnswerState, levels};
-use super::certainty::{judge, lost_in, so_far, unknown_share};
+use super::answer::{Answer, levels};
+use super::certainty::{judge, lost_in, unknown_share};
 use crate::library::Entry;
 use crate::recognise::{
-    Evidence, FollowOptions, Follower, GuessSoFar, Model, Prepared, RankedSurface, Ranking,
-    RecogniseError, Rejection, RejectionError, Settling, SourceEvidence, without_flawed,
+    Evidence, FollowOptions, Follower, Model, Prepared, RankedSurface, Ranking, RecogniseError,
+    Rejection, RejectionError, Settling, SourceEvidence, without_flawed,
 };
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, Signal, TrialKey, flaws_of, normal};
+use crate::trial::{Doubt, Signal, TrialKey, flaws_of};
 
 /// The flaws of a scan's series.
 pub(super) type FlawsBySource = BTreeMap<SourceId, Vec<Doubt>>;
@@ -135,16 +135,6 @@ impl Recogniser {
     pub(super) fn flaws_so_far(&self, follower: &Follower) -> Vec<Doubt> {
         let sources = self.library.sources.iter().filter(|id| !self.scene.is_switch(id));
         sources.filter_map(|id| follower.doubts(id)).flatten().collect()
-    }
-
-    /// The state of the answer if the scan ended now; `None` until unknown surfaces can be recognised.
-    pub(super) fn state_so_far(
-        &self,
-        truth: Option<&TrialKey>,
-        guess: &GuessSoFar,
-    ) -> Option<AnswerState> {
-        let (_, probability) = guess.named.first()?;
-        so_far(guess.p_value, self.rejection(truth), *probability)
     }
 
     /// Ranks the surfaces of the library by their similarity to a scan.
@@ -280,8 +270,7 @@ impl LibraryState {
 
     /// Number of trials of a surface.
     pub(super) fn trials_of(&self, surface: &str) -> usize {
-        let surface = normal(surface);
-        self.surfaces.iter().find(|(name, _)| *name == surface).map_or(0, |(_, trials)| *trials)
+        self.surfaces.iter().find(|(name, _)| name == surface).map_or(0, |(_, trials)| *trials)
     }
 }
 

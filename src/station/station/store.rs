@@ -21,7 +21,7 @@ use crate::library::{About, LibraryError};
 use crate::record::{TrialOptions, append_trial, edit, number_by_names};
 use crate::scan::Scan;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, Trial, TrialKey, lines, normal, utc};
+use crate::trial::{Doubt, Trial, TrialKey, lines, utc};
 
 const RETRY: Duration = Duration::from_secs(2);
 /// How many scans may wait to be written. Scans of 10 s then take 200 MB.
@@ -53,10 +53,18 @@ pub(super) struct StoredScan {
     pub kept: Option<(Box<Scan>, Arc<Recogniser>)>,
 }
 
+impl StoredScan {
+    fn lost(scan: u32, enrolment: Enrolment, why: &str) -> Self {
+        let doubts = vec![Doubt::NotWritten { why: why.into() }];
+        let enrolled = enrolled(scan, &enrolment, EnrolledOutcome::Lost, doubts);
+        Self { enrolment, enrolled, kept: None }
+    }
+}
+
 enum Task {
     Store(WaitingScan),
     /// Stores the scan of this number, which must be the one that was refused last.
-    KeepRefused(u32),
+    KeepRefused(u32, Enrolment),
 }
 
 pub(super) struct RecordingThread {
@@ -95,9 +103,9 @@ impl RecordingThread {
 
     /// Stores the scan that was refused last, if its number is `scan`.
     pub(super) fn keep_refused(&mut self, scan: u32, enrolment: Enrolment) {
-        self.under_way.insert(scan, enrolment);
+        self.under_way.insert(scan, enrolment.clone());
         // Sending fails only if the thread has panicked, as in `store`.
-        let _ = self.scans.send(Task::KeepRefused(scan));
+        let _ = self.scans.send(Task::KeepRefused(scan, enrolment));
     }
 
     pub(super) fn settle(&mut self, enrolled: &Enrolled) {
@@ -114,13 +122,8 @@ impl RecordingThread {
         };
         let mut last: Vec<StoredScan> = std::iter::from_fn(next).collect();
         last.iter().for_each(|stored| settle(&mut under_way, &stored.enrolled));
-        let lost = under_way.into_iter().map(|(scan, enrolment)| {
-            let why = "it was not on disk when the station ended".into();
-            let doubts = vec![Doubt::NotWritten { why }];
-            let enrolled = enrolled(scan, &enrolment, EnrolledOutcome::Lost, doubts);
-            StoredScan { enrolment, enrolled, kept: None }
-        });
-        last.extend(lost);
+        let why = "it was not on disk when the station ended";
+        last.extend(under_way.into_iter().map(|(scan, of)| StoredScan::lost(scan, of, why)));
         last
     }
 }
@@ -168,9 +171,12 @@ impl StoreWriter {
             };
             match next {
                 Ok(Task::Store(scan)) => self.accept(scan),
-                Ok(Task::KeepRefused(scan)) => {
-                    let refused = self.refused.take_if(|refused| refused.scan.number == scan);
-                    refused.into_iter().for_each(|refused| self.keep(refused));
+                Ok(Task::KeepRefused(scan, enrolment)) => {
+                    let why = "another scan was refused meanwhile";
+                    match self.refused.take_if(|refused| refused.scan.number == scan) {
+                        Some(refused) => self.keep(refused),
+                        None => self.tell(StoredScan::lost(scan, enrolment, why)),
+                    }
                 }
                 Err(RecvTimeoutError::Timeout) => self.retry(),
                 Err(RecvTimeoutError::Disconnected) => break,
@@ -228,7 +234,7 @@ impl StoreWriter {
     /// Writes a scan, and returns the number and the folder of its trial.
     fn write(&mut self, waiting: &WaitingScan) -> Result<(u32, PathBuf), LibraryError> {
         let WaitingScan { scan, enrolment, .. } = waiting;
-        let of = (normal(&enrolment.keep.surface), normal(&enrolment.keep.user));
+        let of = (enrolment.keep.surface.clone(), enrolment.keep.user.clone());
         let known = self.next.get(&of).copied().unwrap_or(1);
         let number = match self.current {
             true => known,
@@ -256,8 +262,7 @@ impl StoreWriter {
     fn report(&self, of: &WaitingScan, outcome: EnrolledOutcome) {
         let WaitingScan { scan, enrolment, doubts, .. } = of;
         let enrolled = enrolled(scan.number, enrolment, outcome, doubts.clone());
-        // Sending fails only if the station has panicked or has stopped waiting for outcomes.
-        let _ = self.send.send(StoredScan { enrolment: enrolment.clone(), enrolled, kept: None });
+        self.tell(StoredScan { enrolment: enrolment.clone(), enrolled, kept: None });
     }
 
     fn kept(&self, of: WaitingScan, (trial, folder): (u32, PathBuf)) {
@@ -265,8 +270,12 @@ impl StoreWriter {
         let enrolled = enrolled(scan.number, &enrolment, EnrolledOutcome::Kept, doubts);
         let session = self.store.session.clone();
         let enrolled = Enrolled { session, trial: Some(trial), folder: Some(folder), ..enrolled };
-        // Sending fails only if the station has panicked or has stopped waiting, as in `report`.
-        let _ = self.send.send(StoredScan { enrolment, enrolled, kept: by.map(|by| (scan, by)) });
+        self.tell(StoredScan { enrolment, enrolled, kept: by.map(|by| (scan, by)) });
+    }
+
+    fn tell(&self, stored: StoredScan) {
+        // Sending fails only if the station has panicked or has stopped waiting for outcomes.
+        let _ = self.send.send(stored);
     }
 
     /// Reads the next free trial numbers, unless the station is ending; sets `current` on success.

@@ -105,7 +105,11 @@ pub(super) fn faults(
             faults.extend(match by {
                 Some(by) => by.flaws_of(scan.truth.as_ref(), id, signal),
                 // Without a library, any channel may rest, but none may be clipped.
-                None => clipped(id, series),
+                None => {
+                    let mut found = SeriesFlaws::of(series).doubts(id, &[]);
+                    found.retain(|doubt| matches!(doubt, Doubt::Clipped { .. }));
+                    found
+                }
             });
         }
         if by_t_star.contains(id) {
@@ -113,12 +117,6 @@ pub(super) fn faults(
         }
     }
     faults
-}
-
-fn clipped(id: &SourceId, series: &Series) -> Vec<Doubt> {
-    let mut found = SeriesFlaws::of(series).doubts(id, &[]);
-    found.retain(|doubt| matches!(doubt, Doubt::Clipped { .. }));
-    found
 }
 
 /// A doubt if a recording holds too few independent samples, judged by its own T*.

@@ -7,6 +7,7 @@ use std::time::Instant;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::answer::Answer;
+use super::certainty::so_far;
 use super::continuous::{Continuous, ContinuousNaming, Heard};
 use super::event::{AnsweredScan, Guess, SurfaceProbability};
 use super::recogniser::{FlawsBySource, Recogniser};
@@ -33,7 +34,7 @@ pub(super) struct Work {
 pub(super) enum WorkerEvent {
     Scan(AnsweredScan),
     Progress(Box<Heard>),
-    /// What the library said of a scan that was kept; `None` if it could not be compared.
+    /// The library's answer to a scan that was kept; `None` if it could not be compared.
     Nearest(Option<Box<Answer>>),
 }
 
@@ -180,7 +181,9 @@ impl Followed {
             let name = |(surface, probability)| SurfaceProbability { surface, probability };
             news.named = named.map(name).collect();
             news.settled = guess.settled.is_some();
-            news.state = by.and_then(|by| by.state_so_far(truth, guess));
+            news.state = by.zip(guess.named.first()).and_then(|(by, (_, probability))| {
+                so_far(guess.p_value, by.rejection(truth), *probability)
+            });
         }
         if let Some((by, follower)) = &self.follower
             && progress.scan_s >= DAMAGE_AFTER_S
@@ -193,8 +196,9 @@ impl Followed {
         news
     }
 
-    /// The ranking of a scan, computed from the sums of its follower, and the flaws of its sources. `None` if the scan was not
-    /// followed, lost samples, or began with another library; then `rank` compares the whole scan.
+    /// The ranking of a scan, computed from the sums of its follower, and the flaws of its sources.
+    /// `None` if the scan was not followed, lost samples, or began with another library; then `rank`
+    /// compares the whole scan.
     fn finish(&mut self, scan: &Scan, by: &Arc<Recogniser>) -> Option<(Ranking, FlawsBySource)> {
         let (followed_by, follower) =
             self.follower.as_mut().filter(|_| self.scan == scan.number)?;

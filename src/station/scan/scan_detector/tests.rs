@@ -7,19 +7,18 @@ use proptest::prelude::*;
 use surfaced_wire::{Channel, Hello, MAX_ENCODED, Message, Samples, encode};
 
 use super::*;
+use crate::device::StreamSpec;
 use crate::device::lines::{Column, Count, LinesEvent, LinesIntake, LinesStream};
 use crate::device::serial::{Intake, IntakeEvent, Value, Wanted};
-use crate::ring::{Sink, Waker, series};
-use crate::scan::Scan;
-use crate::scan::clock::Clock;
+use crate::ring::{Sink, Waker};
 use crate::scan::detect::{DetectorConfig, SensorKind};
 use crate::scan::marked_scan::{Marked, cut};
-use crate::scan::recent_frames::SeriesHistory;
+use crate::scan::{Options, Scan};
 use crate::scene::SourceId;
 use crate::station::config::StationConfig;
 use crate::trial::Signal;
 
-/// What is done to the sensor, in seconds.
+/// The contacts of the sensor, in seconds.
 struct Script {
     taps: Vec<Range<f64>>,
     drags: Vec<Range<f64>>,
@@ -101,14 +100,11 @@ impl Bench {
             }
         };
         let (mut sinks, mut streams) = (Vec::new(), Vec::new());
+        let options = Options { ring_s: 2.0, ..Options::default() };
         for name in ["ac", "at"] {
-            let (sink, tap) = series(1, (2.0 * rate_hz) as usize, Waker::new().0);
-            sinks.push(Sink::Series(sink));
-            let buffer = StreamBuffer::Series { tap, history: SeriesHistory::new(1) };
-            let (clock, observed) = (Clock::new(rate_hz), (0, f64::NEG_INFINITY));
-            let (channels, device, traced) = (1, 0, 0);
-            let stream =
-                Stream { id: id(name), device, rate_hz, channels, buffer, traced, clock, observed };
+            let spec = StreamSpec::series(&id(name), 1, rate_hz);
+            let (sink, stream) = Stream::open(&spec, 0, &options, Waker::new().0);
+            sinks.push(sink);
             streams.push(stream);
         }
         let cut = |name: &str| CutFrom {
@@ -198,7 +194,7 @@ impl Bench {
         self.turn(now_s);
     }
 
-    /// What the collector does in a turn.
+    /// Does the work of a turn of the collector.
     fn turn(&mut self, now_s: f64) {
         for stream in &mut self.streams {
             stream.drain(122.0);

@@ -324,10 +324,4 @@ mod tests {
         assert_eq!(&text[value("a", "y").span()], "3");
         assert_eq!(*value("c", "z").get_ref(), 4);
     }
-
-    #[test]
-    fn errors_point_into_the_file() {
-        let error = merged::<Tables>("[a]\n\nx = \"no\"\n", "[a]\nx = 1\n").unwrap_err();
-        assert!(error.to_string().contains("line 3"), "{error}");
-    }
 }

@@ -79,7 +79,7 @@ pub struct AlertConfig {
     pub hold: Duration,
 }
 
-/// What a rule is for.
+/// The event that causes an alert.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum AlertCause {
     State(AnswerState),

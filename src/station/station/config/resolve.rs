@@ -67,6 +67,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
         );
         return mistake(&file.serve, problem);
     };
+    no_twins(&file)?;
     let sound = file.microphone.sources.clone();
     let stylus = stylus(file.stylus, &scene)?;
     let lines = file.lines.iter().map(|block| lines::lines(block, &scene));
@@ -84,10 +85,6 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     if let Some(camera) = &camera {
         let sources = [&camera.source].into_iter().chain(camera.flash.as_ref().map(|f| &f.source));
         cuts.extend(sources.map(|id| cut(id, id, &scene)));
-    }
-    let mut seen = BTreeSet::new();
-    if let Some(twice) = cuts.iter().find(|cut| !seen.insert(&cut.source)) {
-        return mistake(&file.format, format!("two devices make the source {}", twice.source));
     }
     let sliding = sliding(&file.scan)?;
     let detector = detector(&file.detection)?;
@@ -116,6 +113,29 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     };
     config.detection.groups = groups(&file.detection.listen, &config)?;
     Ok(config)
+}
+
+/// Refuses two devices that make the same source. Sensors of lines come last, since only they have no
+/// defaults, so that the mistake has a place in the file.
+fn no_twins(file: &StationFile) -> Result<(), Mistake> {
+    let StationFile { stylus, microphone, camera, lines, .. } = file;
+    let of_stylus = stylus.sources.iter().filter(|_| stylus.present);
+    let sound = microphone.sources.iter().filter(|_| microphone.present);
+    let flash = Some(&camera.flash_source).filter(|_| camera.flash != FlashName::None);
+    let pictures = [&camera.source].into_iter().chain(flash).filter(|_| camera.present);
+    let named = sound.chain(pictures).map(|name| (name.get_ref(), name.span()));
+    let of_stylus = of_stylus.map(|(name, channels)| (name, channels.span()));
+    let of_lines = lines.iter().flat_map(|lines| &lines.sources);
+    let of_lines = of_lines.map(|(name, columns)| (name, columns.span()));
+    let mut all = of_stylus.chain(named).chain(of_lines);
+    let mut seen = BTreeSet::new();
+    match all.find(|(name, _)| !seen.insert(*name)) {
+        Some((name, at)) => {
+            let problem = format!("two devices make the source {name}; leave one of them out");
+            Err(Mistake { at, problem })
+        }
+        None => Ok(()),
+    }
 }
 
 fn public_address(text: &Spanned<String>) -> Result<Uri, Mistake> {

@@ -148,6 +148,9 @@ fn a_scan_that_was_refused_is_kept_once_somebody_says_so() {
     assert_eq!(refused.outcome, EnrolledOutcome::Refused);
     let short = Doubt::TooShort { scan_s: 0.01, needed_s: 1.0, settled: false };
     assert_eq!(refused.doubts, [short]);
+    thread.keep_refused(2, strict.clone());
+    let lost = stored.recv().unwrap().enrolled;
+    assert_eq!((lost.scan, lost.outcome), (2, EnrolledOutcome::Lost), "another was refused last");
     thread.keep_refused(1, strict);
     let kept = stored.recv().unwrap().enrolled;
     assert_eq!((kept.scan, kept.outcome, kept.trial), (1, EnrolledOutcome::Kept, Some(1)));
