@@ -14,12 +14,12 @@ use super::series::STILL;
 use crate::recognise::features::windowed_frames::sum;
 use crate::seed;
 
-/// Only series of at most so many samples, in the library's median trial, have places. Longer ones have
-/// enough frames.
-const MOST_SAMPLES: usize = 128;
-
 /// Most places of a series.
 const MOST_PLACES: usize = 32;
+
+/// Only series of at most this length, in the library's median trial, have places: a place then has no
+/// more samples than there are places. Longer ones have frames enough.
+const MOST_SAMPLES: usize = MOST_PLACES * MOST_PLACES;
 
 /// Number of times that all trials are turned.
 const TURNS: u64 = 99;
