@@ -280,7 +280,7 @@ mod tests {
         bytes[14] += 1;
         fs::write(&path, &bytes).unwrap();
         let (cache, remark) = Cache::open(folder.path(), "m", 5);
-        assert!(cache.get("beech", 8).is_none() && remark.unwrap().contains("of version 3"));
+        assert!(cache.get("beech", 8).is_none() && remark.unwrap().contains("of version 4"));
         fs::write(&path, "something else").unwrap();
         assert!(Cache::open(folder.path(), "m", 5).1.unwrap().contains("not a cache of surfaced"));
     }

@@ -17,9 +17,10 @@ use crate::seed;
 /// Most places of a series.
 const MOST_PLACES: usize = 32;
 
-/// Only series of at most this length, in the library's median trial, have places: a place then has no
-/// more samples than there are places. Longer ones have frames enough.
-const MOST_SAMPLES: usize = MOST_PLACES * MOST_PLACES;
+/// Only series of at most so many samples, in the library's median trial, have places. Longer ones have
+/// frames enough, and to a library of one person, another hand would look like an unknown surface
+/// more often: it moves the level at all places.
+const MOST_SAMPLES: usize = 128;
 
 /// Number of times that all trials are turned.
 const TURNS: u64 = 99;
