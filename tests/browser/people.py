@@ -124,6 +124,8 @@ def changes_are_listed(browser, station, shots):
 
 def an_operator_is_offered_what_is_allowed(browser, station, shots):
     browser.run("localStorage.clear()")
+    # A page that is still open would ask for the next picture without its cookie.
+    browser.open("about:blank")
     browser.devtools("Network.clearBrowserCookies")
     browser.open(f"{station.url}/?token={OPERATOR}")
     browser.wait("the role", lambda: browser.run("return document.body.dataset.role") == "operator")
