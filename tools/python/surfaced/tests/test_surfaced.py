@@ -23,7 +23,6 @@ CONSTANT = "names rows of equal numbers, which say nothing of a drag and are ref
 EXPECTED_FAILURES = {
     "check_estimators_dtypes": CONSTANT,
     "check_classifier_data_not_an_array": CONSTANT,
-    "check_classifiers_train": "asks for 83 % right by rows of two numbers, which have no spectrum",
 }
 
 
