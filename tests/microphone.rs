@@ -8,6 +8,7 @@ use std::path::Path;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
+use common::http::SOON;
 use common::sound::{SINK, Server};
 use common::{id, shared};
 use realfft::RealFftPlanner;
@@ -80,7 +81,7 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
     let begin = Instant::now();
     let length = Duration::from_secs_f64(sound_s + 2.0 * MARGIN_S);
     while playing.as_ref().is_none_or(|(since, _)| since.elapsed() < length) {
-        assert!(begin.elapsed() < Duration::from_secs(120), "the microphone never streamed");
+        assert!(begin.elapsed() < SOON, "the microphone never streamed");
         let _ = woken.recv_timeout(Duration::from_millis(10));
         tap.drain(|piece| match piece {
             Piece::Samples(samples) => recorded.extend_from_slice(samples),

@@ -8,6 +8,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use common::http::SOON;
 use common::shared_lmt108;
 use common::sound::{SINK, Server};
 use crossbeam_channel::unbounded;
@@ -65,7 +66,7 @@ fn dragging_sounds_are_named_against_the_other_trials() {
     let mut log = String::new();
     // The next line of JSON, or the line for people that holds this.
     let mut until = |text: Option<&str>| -> String {
-        let limit = Instant::now() + Duration::from_secs(120);
+        let limit = Instant::now() + SOON;
         loop {
             let (json, line) = lines.recv_deadline(limit).unwrap_or_else(|_| panic!("{log}"));
             log.push_str(&line);

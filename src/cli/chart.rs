@@ -40,7 +40,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Done {
-    args.figure.check()?;
+    args.figure.check(&[("json", "JSON")])?;
     if is_earlier(&args.lib) {
         let problem = "expected recordings; earlier charts are drawn by `tools/peers/run --draw`";
         return Err(Failure::usage_at(&args.lib, problem));

@@ -47,12 +47,15 @@ impl From<LookArgs> for Look {
 }
 
 impl FigureArgs {
-    /// Refuses a picture named `.json`, since the file of its numbers has that name, and one that
-    /// [`draw`] would refuse after the work.
-    pub(super) fn check(&self) -> Done {
-        if self.out.extension().is_some_and(|e| e == "json") {
-            let problem = "name the picture, such as chart.svg; the JSON is written beside it";
-            return Err(Failure::usage_at(&self.out, problem));
+    /// Refuses a picture named like a file that is `beside` it, of which each has an extension and a
+    /// noun, and one that [`draw`] would refuse after the work.
+    pub(super) fn check(&self, beside: &[(&str, &str)]) -> Done {
+        for (extension, what) in beside {
+            if self.out.extension().is_some_and(|named| named == *extension) {
+                let problem =
+                    format!("name the picture, such as chart.svg; the {what} is written beside it");
+                return Err(Failure::usage_at(&self.out, problem));
+            }
         }
         can_draw(&self.out)
     }

@@ -46,11 +46,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Done {
-    args.figure.check()?;
-    if args.figure.out.extension().is_some_and(|extension| extension == "md") {
-        let problem = "name the picture, such as stress.svg; the table is written beside it";
-        return Err(Failure::usage_at(&args.figure.out, problem));
-    }
+    args.figure.check(&[("json", "JSON"), ("md", "table")])?;
     let report = if is_earlier(&args.lib) {
         earlier(&args.lib)?
     } else {

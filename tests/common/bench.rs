@@ -19,6 +19,7 @@ use surfaced::record::{TrialOptions, write_trial};
 use surfaced::scene::Scene;
 use surfaced::trial::{EXPERT, Trial, TrialKey};
 
+use crate::common::http::SOON;
 use crate::common::scripted::{self, Noise, Sample};
 use crate::common::stylus::Fake;
 
@@ -162,7 +163,7 @@ impl Surfaced {
 
     /// The next line of JSON, while `serve` is called again and again.
     pub fn line_while(&self, mut serve: impl FnMut()) -> Value {
-        let limit = Instant::now() + Duration::from_secs(120);
+        let limit = Instant::now() + SOON;
         loop {
             if let Ok(line) = self.lines.try_recv() {
                 return line;
@@ -184,7 +185,7 @@ impl Surfaced {
 
     /// Waits until it has said this, while the stylus keeps sending.
     pub fn until_said(&self, text: &str, mut fake: Option<&mut Fake>) {
-        let limit = Instant::now() + Duration::from_secs(120);
+        let limit = Instant::now() + SOON;
         while !self.said().contains(text) {
             assert!(Instant::now() < limit, "`{text}` was not said in: {}", self.said());
             match &mut fake {
@@ -207,7 +208,7 @@ impl Surfaced {
 
     /// Waits for its end, while `serve` is called again and again.
     pub fn end_while(&mut self, mut serve: impl FnMut()) -> ExitStatus {
-        let limit = Instant::now() + Duration::from_secs(120);
+        let limit = Instant::now() + SOON;
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return status;

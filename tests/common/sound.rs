@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use super::http::SOON;
+
 /// The null sink.
 pub const SINK: &str = "drag";
 
@@ -62,7 +64,7 @@ impl Server {
         let begin = Instant::now();
         while !self.client("pactl").arg("info").output().unwrap().status.success() {
             let log = || std::fs::read_to_string(self.dir.path().join("log")).unwrap();
-            assert!(begin.elapsed() < Duration::from_secs(120), "no sound server: {}", log());
+            assert!(begin.elapsed() < SOON, "no sound server: {}", log());
             std::thread::sleep(Duration::from_millis(100));
         }
     }

@@ -16,6 +16,7 @@ use surfaced::scene::Scene;
 use surfaced::trial::Signal;
 
 use crate::bench::Surfaced;
+use crate::common::http::SOON;
 use crate::run_serve::served;
 
 /// Seconds of rest, of a tap, of the pause after it, and of the drag.
@@ -377,7 +378,7 @@ fn mosquitto_sub_is_a_sensor() {
     let mut broker =
         Command::new("mosquitto").args(["-p", &free]).stderr(Stdio::null()).spawn().unwrap();
     let up = || std::net::TcpStream::connect(format!("127.0.0.1:{free}")).is_ok();
-    let limit = Instant::now() + Duration::from_secs(120);
+    let limit = Instant::now() + SOON;
     while !up() && Instant::now() < limit {
         wait();
     }

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use crate::bench::{Bench, CHANNELS, SCANNED, opened, synthetic, trial};
 use crate::common;
+use crate::common::http::SOON;
 use rustix::termios::{Winsize, tcsetwinsize};
 use serde_json::Value;
 use serialport::{SerialPort, TTYPort};
@@ -292,7 +293,7 @@ fn a_missing_library_is_made_where_that_is_asked_for_or_agreed_to_on_a_terminal(
             .spawn()
             .unwrap();
         let until = |text: &str| {
-            let limit = Instant::now() + Duration::from_secs(120);
+            let limit = Instant::now() + SOON;
             while !shown.lock().unwrap().contains(text) {
                 assert!(Instant::now() < limit, "{text}: {}", shown.lock().unwrap());
                 std::thread::sleep(Duration::from_millis(20));
@@ -352,7 +353,7 @@ fn on_a_terminal_keys_are_answered_at_once_and_every_line_stands_above_the_statu
         .unwrap();
     let mut fake = bench.stylus();
     fake.wait_for_start();
-    let limit = Instant::now() + Duration::from_secs(120);
+    let limit = Instant::now() + SOON;
     for (key, says) in [
         (&b""[..], "tap a surface"),
         (b" ", "the key begins a scan"),

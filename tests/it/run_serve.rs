@@ -4,10 +4,10 @@
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use crate::bench::{Bench, CHANNELS, SCANNED, Surfaced, opened, synthetic, trial};
-use crate::common::http::Client;
+use crate::common::http::{Client, SOON};
 use crate::common::stylus::Fake;
 use serde_json::{Value, json};
 
@@ -26,7 +26,7 @@ fn until(
     fake: &mut Fake,
     mut wanted: impl FnMut(&Value) -> bool,
 ) -> Value {
-    let limit = Instant::now() + Duration::from_secs(120);
+    let limit = Instant::now() + SOON;
     loop {
         let json = station.get(path).json();
         if wanted(&json) {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crate::common::http::SOON;
 use crate::common::stylus::{Fake, NAMES, RATE_HZ, value};
 use crossbeam_channel::Receiver;
 use surfaced::device::serial::{Selector, Stylus};
@@ -96,7 +97,7 @@ impl Bench {
 
     /// Waits until the device was in this state for the `nth` time.
     fn until(&mut self, state: DeviceState, nth: usize) {
-        let limit = Instant::now() + Duration::from_secs(120);
+        let limit = Instant::now() + SOON;
         while self.states.iter().filter(|s| **s == state).count() < nth {
             assert!(Instant::now() < limit, "{:?} {:?}", self.states, self.texts);
             std::thread::sleep(Duration::from_millis(5));
@@ -364,7 +365,7 @@ fn the_light_is_asked_for_until_it_is_on() {
     let thread = std::thread::spawn(move || stylus.run(&mut [], &control).unwrap());
     fake.wait_for_start();
     fake.deaf = 2;
-    let limit = Instant::now() + Duration::from_secs(120);
+    let limit = Instant::now() + SOON;
     while !light.is_on() {
         assert!(Instant::now() < limit, "{:?}", fake.commands);
         fake.obey();

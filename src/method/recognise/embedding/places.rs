@@ -102,7 +102,7 @@ pub(super) struct PlaceEmbedder {
 }
 
 /// A trial of a library: its surface, the means of its places, and its statistics.
-pub(super) type Placed<'t> = (&'t str, &'t [f32], Statistics);
+pub(super) type Placed<'t> = (&'t str, &'t [f32], &'t Statistics);
 
 impl PlaceEmbedder {
     /// Takes means from the `trials` of a library; `None` if the place says nothing about the surface.

@@ -70,16 +70,17 @@ impl SeriesEmbedder {
         let deviation = |c: usize| median(all.iter().map(|stats| stats.deviations[c]).collect());
         let length = median(trials.iter().map(|(_, trial)| trial.samples as f64).collect());
         let deviations = (0..views.channels()).map(deviation).collect();
-        let placed = trials.iter().zip(all);
-        let placed: Vec<_> = placed
-            .map(|((surface, trial), stats)| (*surface, trial.whole.places.as_slice(), stats))
-            .collect();
-        let embedder = |places| PlaceEmbedder::new(places, views.channels(), &placed);
+        let places = views.places.and_then(|places| {
+            let placed = trials.iter().zip(&all);
+            let placed = placed
+                .map(|((surface, trial), stats)| (*surface, trial.whole.places.as_slice(), stats));
+            PlaceEmbedder::new(places, views.channels(), &placed.collect::<Vec<_>>())
+        });
         let rests: Vec<&[f32]> = trials.iter().map(|(_, trial)| trial.rests.as_slice()).collect();
         Self {
             frames,
             deviations,
-            places: views.places.and_then(embedder),
+            places,
             ranked: length >= FEWEST_RANKED,
             rests: usual_rests(&rests),
             views,
