@@ -385,7 +385,7 @@ fn broker(port: u16, lines: &str, folder: &Path) -> Option<Ending> {
     Some(broker)
 }
 
-/// What a subscriber gets: the topic and the message of each line.
+/// The lines that a subscriber gets: the topic and the message of each line.
 struct Subscriber {
     _child: Ending,
     lines: Receiver<(String, Value)>,
@@ -460,7 +460,7 @@ fn answers_wait_for_the_broker_and_a_restart_and_come_once_and_in_order_and_the_
     seen.dedup();
     let first = seen.iter().position(|scan| *scan < 6).unwrap_or(0);
     assert!(seen[first..].is_sorted_by(|a, b| b - a == 1), "{seen:?}");
-    // What is retained comes in any order.
+    // Retained messages come in any order.
     assert_eq!(Subscriber::of(port).next(ANSWER, |_| true)["scan"], 6);
     let about =
         Subscriber::of(port).next("homeassistant/sensor/surfaced_press-3/surface/config", |_| true);

@@ -67,7 +67,7 @@ pub(super) struct CsvArgs {
     /// Column with the number of the trial
     #[arg(long, value_name = "COLUMN")]
     trial: Option<String>,
-    /// What names the session, one sitting of one person: a column, a pattern of the file names with
+    /// The session, one sitting of one person: a column, a pattern of the file names with
     /// {session}, `file` (each file is a session), or `none` (default: {session} in --names, else none)
     #[arg(long, value_name = "COLUMN|PATTERN|file|none")]
     session: Option<String>,
@@ -81,7 +81,7 @@ pub(super) struct CsvArgs {
     /// only one of two or three dimensions)
     #[arg(long, value_name = "ARRAY")]
     variable: Option<String>,
-    /// What to do where more than 5 samples in a row are missing; fewer are filled in, up to 5 % of a channel
+    /// How to treat gaps of more than 5 samples in a row; shorter ones are filled in, up to 5 % of a channel
     #[arg(long, default_value = "cut", value_parser = one_of(GAPS))]
     gaps: Gaps,
     /// Count Excel's days from 1904, as old Macs do

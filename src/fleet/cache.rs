@@ -143,31 +143,35 @@ impl Cache {
         self.entries.values().filter_map(head)
     }
 
-    /// The newest answers first. At most `most`, of one station or of all, from before `before_ms`.
+    /// The newest answers first, of one station or of all, from before `before_ms`: `most` and those of
+    /// the last one's millisecond, so that the next page begins where this one ends.
     pub(super) fn newest(
         &self,
         most: usize,
         station: Option<&str>,
         before_ms: u64,
     ) -> Result<Vec<String>, HistoryError> {
-        let wanted = self.spans(station, before_ms).rev().take(most);
-        wanted.map(|span| self.log.answer_text(span)).collect()
+        let mut all = self.spans(station, before_ms).rev();
+        let mut wanted: Vec<_> = all.by_ref().take(most).collect();
+        let last_ms = wanted.last().map(|(ms, _)| *ms);
+        wanted.extend(all.take_while(|(ms, _)| Some(*ms) == last_ms));
+        wanted.into_iter().map(|(_, span)| self.log.answer_text(span)).collect()
     }
 
     pub(super) fn snapshot(&self, station: Option<&str>) -> Result<Snapshot, HistoryError> {
-        let spans = self.spans(station, u64::MAX).collect();
+        let spans = self.spans(station, u64::MAX).map(|(_, span)| span).collect();
         Ok(Snapshot { log: self.log.share()?, spans })
     }
 
-    /// The places of the answers of one station or of all, from before `before_ms`.
+    /// Times and places of the answers of one station or of all, from before `before_ms`.
     fn spans(
         &self,
         station: Option<&str>,
         before_ms: u64,
-    ) -> impl DoubleEndedIterator<Item = Span> {
+    ) -> impl DoubleEndedIterator<Item = (u64, Span)> {
         let entries = self.entries.range(..(before_ms, String::new(), String::new()));
         let wanted = entries.filter(move |(key, _)| station.is_none_or(|name| key.2 == name));
-        wanted.map(|(_, entry)| entry.span)
+        wanted.map(|(key, entry)| (key.0, entry.span))
     }
 }
 
@@ -224,6 +228,11 @@ mod tests {
         let newest = cache.newest(2, Some("a"), 1_790_000_000_004).unwrap();
         assert!(newest[0].contains("\"scan\":3") && newest[1].contains("\"scan\":1"), "{newest:?}");
         assert_eq!(cache.since(1_790_000_000_004).count(), 2);
+        let pages = [(u64::MAX, 2), (1_790_000_000_004, 1), (1_790_000_000_003, 1)];
+        for (before_ms, count) in pages {
+            let page = cache.newest(1, None, before_ms).unwrap();
+            assert_eq!(page.len(), count, "both answers of a millisecond are on one page: {page:?}");
+        }
     }
 
     #[test]

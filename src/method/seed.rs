@@ -44,26 +44,10 @@ pub fn normal(rng: &mut impl Rng) -> f64 {
 /// variance 1 (Irwin and Hall). Its magnitude is at most 3.47, its kurtosis 2.7.
 #[inline]
 pub(crate) fn nearly_normal(rng: &mut impl Rng) -> f32 {
-    nearly_normal_of(rng.next_u64())
-}
-
-#[inline]
-fn nearly_normal_of(x: u64) -> f32 {
     const SCALE: f32 = 1.732_050_8 / 65_536.0;
+    let x = rng.next_u64();
     let sum = (x & 0xffff) + (x >> 16 & 0xffff) + (x >> 32 & 0xffff) + (x >> 48);
     (sum as f32 + 2.0 - 131_072.0) * SCALE
-}
-
-/// Sets each of `numbers` to what [`nearly_normal`] would give, several at once.
-pub(crate) fn nearly_normals(rng: &mut impl Rng, numbers: &mut [f32]) {
-    let mut bytes = [0; 8 * 64];
-    for some in numbers.chunks_mut(bytes.len() / 8) {
-        let bytes = &mut bytes[..8 * some.len()];
-        rng.fill_bytes(bytes);
-        for (number, drawn) in some.iter_mut().zip(bytes.as_chunks().0) {
-            *number = nearly_normal_of(u64::from_le_bytes(*drawn));
-        }
-    }
 }
 
 #[cfg(test)]
@@ -81,23 +65,6 @@ mod tests {
         assert_eq!(draw(1, "mi2"), draw(1, "mi2"));
         assert_ne!(draw(1, "mi2"), draw(1, "mi1"));
         assert_ne!(draw(1, "mi2"), draw(2, "mi2"));
-    }
-
-    #[test]
-    fn numbers_drawn_at_once_are_those_drawn_one_by_one() {
-        for count in [0, 1, 63, 64, 65, 1000] {
-            let (mut one_by_one, mut at_once) = (rng(1, &[b"noise"]), rng(1, &[b"noise"]));
-            assert_eq!(uniform(&mut one_by_one), uniform(&mut at_once));
-            let mut numbers = vec![0.0; count];
-            nearly_normals(&mut at_once, &mut numbers);
-            let expected: Vec<f32> = (0..count).map(|_| nearly_normal(&mut one_by_one)).collect();
-            assert_eq!(numbers, expected);
-            assert_eq!(
-                uniform(&mut one_by_one),
-                uniform(&mut at_once),
-                "{count}: as much is drawn"
-            );
-        }
     }
 
     #[test]

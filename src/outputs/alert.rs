@@ -264,7 +264,7 @@ mod tests {
             limit: 0.1,
         };
         let mut watch = watch(AlertCause::Drift, (1, 1), 2);
-        // What has drifted, second by second; the numbers change with each scan.
+        // The charts that have drifted, second by second; the numbers change with each scan.
         let seen = ["", "o", "o", "o", "oa", "oa", "oa", "", "a", "oa"];
         let said: Vec<(u64, usize)> = (0..)
             .zip(seen)

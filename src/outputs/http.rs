@@ -123,9 +123,7 @@ pub(crate) async fn send(
     let text = |error: &dyn std::fmt::Display| error.to_string();
     let Receiver { address, header, tls } = receiver;
     let (host, port) = (address.host.0.as_str(), address.host.1);
-    let name =
-        if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") };
-    let name = name.parse().map_err(|error| text(&error))?;
+    let name = address.authority().parse().map_err(|error| text(&error))?;
     request.headers_mut().insert(HOST, name);
     request.headers_mut().extend(header.clone());
     let stream = TcpStream::connect((host, port)).await.map_err(|error| text(&error))?;

@@ -65,7 +65,7 @@ pub(super) struct Guard {
     budgets: Mutex<Budgets>,
 }
 
-/// What becomes of a request that is not refused.
+/// How a request that is not refused is handled.
 enum Admission {
     Answered(Response),
     Passes(Actor),

@@ -77,7 +77,9 @@ def long_names_wrap(browser, where):
 
 def close(browser, dialog):
     browser.keys(ESCAPE)
-    browser.wait("the page", lambda: not browser.run("return document.getElementById(arguments[0]).open", dialog))
+    # The address follows some time after.
+    browser.wait("the page", lambda: browser.run(
+        "return !document.getElementById(arguments[0]).open && location.hash === ''", dialog))
 
 
 def focused(browser):
@@ -138,8 +140,8 @@ def by_keyboard_alone(browser, station):
 def check(browser, station, shots):
     browser.resize(1280, 1000)
     browser.open(station.url + "/")
-    browser.wait("scans", lambda: browser.run("return document.querySelectorAll('#scans tr').length") >= 2, 90)
-    browser.wait("a name on the page", lambda: any(name in browser.text("#now") for name in LONG), 60)
+    browser.wait("scans", lambda: browser.run("return document.querySelectorAll('#scans tr').length") >= 2)
+    browser.wait("a name on the page", lambda: any(name in browser.text("#now") for name in LONG))
 
     by_keyboard_alone(browser, station)
     browser.wait("precision", lambda: browser.run("return !document.getElementById('precision-box').hidden"))
@@ -164,7 +166,7 @@ def check(browser, station, shots):
 
     browser.click("#shelf-open")
     browser.click("#check")
-    browser.wait("the check", lambda: browser.run("return document.getElementById('shelf').dataset.check") == "done", 120)
+    browser.wait("the check", lambda: browser.run("return document.getElementById('shelf').dataset.check") == "done")
     browser.run("document.querySelectorAll('#shelf details').forEach(d => d.open = true)")
     assert_named(browser, "the library", 12)
     long_names_wrap(browser, "the library")

@@ -23,7 +23,7 @@ def enrol(browser, surface, trials):
     browser.click("#enroll")
     browser.wait(f"{trials} to come", lambda: surface in (browser.text("#enrolling-what") or ""))
     kept = "return [...document.querySelectorAll('#enrolled li')].filter(li => li.innerText.includes(arguments[0])).length"
-    browser.wait("the trials", lambda: browser.run(kept, f" kept as {surface}, trial ") >= trials, 90)
+    browser.wait("the trials", lambda: browser.run(kept, f" kept as {surface}, trial ") >= trials)
 
 
 def press(browser, text):
@@ -53,10 +53,10 @@ def check(browser, station, shots):
     browser.run("document.getElementById('trials').value = 40")
     browser.type("#surface", "slate")
     browser.click("#enroll")
-    browser.wait("a trial that was named", lambda: "before it was added, the library named it slate, at " in browser.text("#enrolled li"), 90)
+    browser.wait("a trial that was named", lambda: "before it was added, the library named it slate, at " in browser.text("#enrolled li"))
     assert "were named right" not in browser.text("#enrolling-kept"), browser.text("#enrolling-kept")
     assert not browser.text("#enrolled-rest"), "the library is not read with them yet"
-    browser.wait("how many were named right", lambda: "of 3 were named right before they were added" in browser.text("#enrolling-kept"), 90)
+    browser.wait("how many were named right", lambda: "of 3 were named right before they were added" in browser.text("#enrolling-kept"))
     shots_of(browser, shots, "added")
     browser.click("#enroll-end")
     browser.wait("the end of the order", lambda: browser.run("return document.getElementById('enrolling').hidden"))

@@ -46,7 +46,7 @@ def opened(browser, station):
 
     def act():
         browser.open(station.url + "/")
-        browser.wait("the rows", lambda: browser.run("return document.querySelectorAll('#scans tr').length") >= ROWS, 20)
+        browser.wait("the rows", lambda: browser.run("return document.querySelectorAll('#scans tr').length") >= ROWS)
 
     return timed(act)
 
@@ -64,7 +64,7 @@ def older_ones(browser):
     """The page shows older scans on demand."""
     browser.click("#older")
     rows = "return [...document.querySelectorAll('#scans tr')].map(r => r.dataset.id)"
-    names = browser.wait("older rows", lambda: len(shown := browser.run(rows)) >= 2 * ROWS and shown, 20)
+    names = browser.wait("older rows", lambda: len(shown := browser.run(rows)) >= 2 * ROWS and shown)
     assert len(set(names)) == len(names), "no scan twice"
     # Names begin with their moment.
     assert names == sorted(names, reverse=True), "the newest first"
@@ -84,7 +84,6 @@ def check(browser, station, _shots):
     after = resident_mb(station)
     print(f"{SCANS} scans: the first {ROWS} in {answer_s * 1e3:.0f} ms, the page in {page_s * 1e3:.0f} ms, "
           f"{before:.0f} MB before and {after:.0f} MB after twelve more uses")
-    assert page_s < 1.0, f"the page takes {page_s:.2f} s"
     assert after < before + 16, f"memory grows from {before:.0f} to {after:.0f} MB"
 
 

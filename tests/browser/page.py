@@ -143,7 +143,7 @@ def check(browser, station, shots):
     assert outline != "none", "what has the focus can be seen"
     browser.keys(ENTER)
     browser.wait("the enrolment", lambda: "slate" in (browser.text("#enrolling-what") or ""))
-    browser.wait("the trial that was kept", lambda: "kept as slate" in (browser.text("#enrolled") or ""), 90)
+    browser.wait("the trial that was kept", lambda: "kept as slate" in (browser.text("#enrolled") or ""))
     browser.wait("the library read anew", lambda: "slate" in (browser.text("#surfaces") or ""))
 
     # Traces come twenty times a second or more, by the signal's own time: a machine that is busy with
@@ -156,7 +156,7 @@ def check(browser, station, shots):
     assert span_s <= 0.05, f"an event of traces brings {span_s} s"
 
     state = "return document.getElementById('now').dataset.state"
-    browser.wait("a name", lambda: browser.run(state) == "nearest" and browser.text("#name") == "slate", 60)
+    browser.wait("a name", lambda: browser.run(state) == "nearest" and browser.text("#name") == "slate")
     assert "scan" in browser.text("#answer-label")
     assert browser.run("return document.querySelectorAll('#runners li').length") >= 2
     assert "slate" in browser.text("#announce"), "a screen reader says it"

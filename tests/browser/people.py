@@ -47,7 +47,7 @@ def a_name_is_asked_once_a_shift(browser, station, shots):
     browser.open(f"{station.url}/?token={ADMINISTRATOR}")
     browser.wait("the role", lambda: browser.run("return document.body.dataset.role") == "administrator")
     assert seen(browser, "person-form") and not seen(browser, "person-known")
-    browser.wait("scans, which do not wait for a name", lambda: len(rows(browser)) >= 3, 90)
+    browser.wait("scans, which do not wait for a name", lambda: len(rows(browser)) >= 3)
     shots_of(browser, shots, "person")
     browser.type("#person-name", PERSON + ENTER)
     browser.wait("the name", lambda: PERSON in (browser.text("#person-known") or ""))
@@ -67,7 +67,7 @@ def a_name_is_asked_once_a_shift(browser, station, shots):
 
 
 def many_are_corrected_and_undone(browser, station, shots):
-    browser.wait("scans", lambda: len(rows(browser)) >= 3, 60)
+    browser.wait("scans", lambda: len(rows(browser)) >= 3)
     browser.click("#select-open")
     chosen = rows(browser)[:3]
     for one in chosen:
@@ -135,7 +135,7 @@ def an_operator_is_offered_what_is_allowed(browser, station, shots):
         assert not seen(browser, name), name
     browser.click("#person-skip")
     browser.wait("skipped", lambda: "without a name" in (browser.text("#person-known") or ""))
-    browser.wait("scans", lambda: len(rows(browser)) >= 1, 60)
+    browser.wait("scans", lambda: len(rows(browser)) >= 1)
     shots_of(browser, shots, "operator")
     one = rows(browser)[0]
     browser.run("document.querySelector(`#scans tr[data-id='${arguments[0]}'] button`).click()", one)

@@ -56,9 +56,9 @@ def check(browser, url, shots):
     browser.wait("the form for the token", lambda: browser.run("return !!document.querySelector('input[name=token]')"))
     browser.run(f"document.querySelector('input[name=token]').value = '{TOKEN}'; document.forms[0].submit()")
     link = lambda: browser.run("return document.body.dataset.link ?? document.getElementById('link')?.dataset.state")
-    browser.wait("the page is connected", lambda: link() == "connected", 60)
+    browser.wait("the page is connected", lambda: link() == "connected")
     assert browser.run("return location.href") == url + "/"
-    browser.wait("a library", lambda: (browser.text("#surfaces") or "") != "", 60)
+    browser.wait("a library", lambda: (browser.text("#surfaces") or "") != "")
     sent = "return fetch('api/v1/start', { method: 'POST' }).then((answer) => answer.status)"
     assert browser.run(sent) == 202, "its own pages may send commands"
     for scheme, width in [("light", 1280), ("dark", 360)]:
@@ -69,7 +69,7 @@ def check(browser, url, shots):
     browser.run("document.querySelector('a[href*=kiosk]').click()")
     browser.wait("the kiosk", lambda: browser.run("return document.body.dataset.view") == "kiosk")
     assert browser.run("return location.href") == url + "/?view=kiosk"
-    browser.wait("the kiosk is connected", lambda: link() == "connected", 60)
+    browser.wait("the kiosk is connected", lambda: link() == "connected")
     elsewhere = [to for to in requests(browser) if to.startswith("http") and not to.startswith(url + "/")]
     assert not elsewhere, f"all is in the folder, but for {elsewhere}"
     errors = [entry["message"] for entry in browser.log("browser") if entry["level"] == "SEVERE" and " 401 " not in entry["message"]]

@@ -42,7 +42,7 @@ def give_past(stage, scans, every_s, lines):
     surfaced, library, data = stage
     station = Station(surfaced, library, data)
     try:
-        answer = Browser.wait("an answer", lambda: get(station, "/api/v1/scans?limit=1")["scans"], 60)[0]
+        answer = Browser.wait("an answer", lambda: get(station, "/api/v1/scans?limit=1")["scans"])[0]
     finally:
         station.end()
     for added in ("correction", "became", "became_by", "kept"):
@@ -83,19 +83,15 @@ def newest(station):
     return scans[0] if scans else None
 
 
-def until(browser, what, wanted, seconds=60):
-    return browser.wait(what, wanted, seconds)
-
-
 def open_newest(browser, station):
     """Opens the newest scan that is whole, not corrected, and whose signals are kept, by its row; gives it."""
     fresh = lambda scan: scan["kept"] and not scan["spoiled"] and not scan["correction"]
-    scan = until(browser, "a scan that is kept", lambda: next(
+    scan = browser.wait("a scan that is kept", lambda: next(
         filter(fresh, get(station, "/api/v1/scans?limit=5")["scans"]), None))
     row = f"#scans tr[data-id='{scan['id']}'] button"
-    until(browser, "its row", lambda: browser.run("return !!document.querySelector(arguments[0])", row))
+    browser.wait("its row", lambda: browser.run("return !!document.querySelector(arguments[0])", row))
     browser.run("document.querySelector(arguments[0]).click()", row)
-    until(browser, "the scan, opened", lambda: browser.run(
+    browser.wait("the scan, opened", lambda: browser.run(
         "return document.getElementById('scan').dataset.shown") == scan["id"])
     return scan
 
@@ -109,7 +105,7 @@ def opens_and_says_why(browser, station, shots):
     assert count("#scan-body .ranking li") == 2
     pictures = browser.run("return [...document.querySelectorAll('#scan-body img')].map(i => i.alt)")
     assert any("nearest" in alt for alt in pictures) and any("this scan" in alt for alt in pictures), pictures
-    until(browser, "the pictures", lambda: browser.run(
+    browser.wait("the pictures", lambda: browser.run(
         "return [...document.querySelectorAll('#scan-body img')].every(i => i.naturalWidth === 320)"))
     with urllib.request.urlopen(f"{station.url}/api/v1/scans/{scan['id']}/mi2.wav") as sound:
         assert sound.read(4) == b"RIFF" and sound.headers["Content-Type"] == "audio/wav"
@@ -122,24 +118,24 @@ def correct_and_keep(browser, station):
     browser.click("#was-other")
     # A scan that was named slate, thanks to the trial kept before, was named right.
     said = lambda: browser.text("#was-now") or ""
-    until(browser, "the correction", lambda: "it was slate" in said() or "right" in said())
+    browser.wait("the correction", lambda: "it was slate" in said() or "right" in said())
     browser.click("#keep")
-    until(browser, "the trial", lambda: "slate/expert-" in (browser.text("#was-now") or ""))
+    browser.wait("the trial", lambda: "slate/expert-" in (browser.text("#was-now") or ""))
     browser.keys("\ue00c")
-    until(browser, "the dialog closed", lambda: not browser.run("return document.getElementById('scan').open"))
+    browser.wait("the dialog closed", lambda: not browser.run("return document.getElementById('scan').open"))
 
 
 def a_wrong_answer_is_corrected(browser, station, shots):
     """Corrects two scans, and sees the next ones named right."""
     before = newest(station)["scan"]
     correct_and_keep(browser, station)
-    until(browser, "another scan", lambda: newest(station)["scan"] > before)
+    browser.wait("another scan", lambda: newest(station)["scan"] > before)
     right = int(open_newest(browser, station)["surface"] == "slate")
     correct_and_keep(browser, station)
     after = newest(station)["scan"]
     slate = lambda: newest(station)["scan"] > after + 1 and newest(station)["surface"] == "slate"
-    until(browser, "the next scan named slate", slate, 120)
-    until(browser, "the name on the page", lambda: "slate" in browser.text("#name"))
+    browser.wait("the next scan named slate", slate)
+    browser.wait("the name on the page", lambda: "slate" in browser.text("#name"))
     badges = browser.run("return [...document.querySelectorAll('#scans .badge')].map(b => b.innerText)")
     assert "in the library" in badges, badges
     precision = get(station, "/api/v1/history")["precision"]
@@ -151,29 +147,29 @@ def the_library_is_checked_and_mended(browser, station, shots, wrong):
     """Finds the trial with the wrong label, removes it, sees the verdicts change, and takes it back."""
     browser.click("#shelf-open")
     state = lambda: browser.run("return document.getElementById('shelf').dataset.check")
-    until(browser, "the trials", lambda: browser.run("return document.querySelectorAll('#shelf-trials tbody tr').length") > 12)
+    browser.wait("the trials", lambda: browser.run("return document.querySelectorAll('#shelf-trials tbody tr').length") > 12)
     browser.click("#check")
-    until(browser, "the check", lambda: state() == "done", 120)
+    browser.wait("the check", lambda: state() == "done")
     verdicts = "return [...document.querySelectorAll('#shelf-trials .wrong')].map(w => w.closest('tr').dataset.trial)"
     found = browser.run(verdicts)
     mislabelled = next(iter(t for t in found if t.startswith(wrong + "/")), None)
     assert mislabelled, f"the trial with the wrong label is named otherwise: {found}"
     shots_of(browser, shots, "library")
     browser.run("document.querySelector(arguments[0]).click()", f"#shelf-trials tr[data-trial='{mislabelled}'] button:last-child")
-    until(browser, "the trial gone", lambda: mislabelled not in browser.run(
+    browser.wait("the trial gone", lambda: mislabelled not in browser.run(
         "return [...document.querySelectorAll('#shelf-trials tr')].map(t => t.dataset.trial)"))
-    until(browser, "the verdicts anew", lambda: state() == "done" and mislabelled not in browser.run(verdicts), 120)
+    browser.wait("the verdicts anew", lambda: state() == "done" and mislabelled not in browser.run(verdicts))
     assert (Path(station.library) / ".removed" / mislabelled).is_dir(), "it can come back"
     assert "remove" in browser.text("#undo")
     browser.click("#undo")
-    until(browser, "the trial back", lambda: (Path(station.library) / mislabelled).is_dir())
+    browser.wait("the trial back", lambda: (Path(station.library) / mislabelled).is_dir())
     browser.keys("\ue00c")
 
 
 def a_stalled_device_is_grey(browser, station, shots):
     """Stops the station's process: within a second, no trace looks alive."""
     stalled = "return document.querySelectorAll('.plot:not(.camera)[data-stalled]').length"
-    until(browser, "live traces", lambda: browser.run(stalled) == 0)
+    browser.wait("live traces", lambda: browser.run(stalled) == 0)
     station.process.send_signal(signal.SIGSTOP)
     try:
         time.sleep(1)
@@ -183,26 +179,26 @@ def a_stalled_device_is_grey(browser, station, shots):
             browser.screenshot(Path(shots) / "stalled.png")
     finally:
         station.process.send_signal(signal.SIGCONT)
-    until(browser, "live traces again", lambda: browser.run(stalled) == 0)
+    browser.wait("live traces again", lambda: browser.run(stalled) == 0)
 
 
 def the_camera_shows_its_region_and_its_light(browser, shots):
     """What a station with a camera says of it, said here by the test: the recordings' are cut already."""
     camera = ".camera[data-source=ca1]"
     text = lambda: browser.text(f"{camera} div") or ""
-    until(browser, "a picture", lambda: browser.run(
+    browser.wait("a picture", lambda: browser.run(
         "return document.querySelector(arguments[0] + ' img')?.naturalWidth === 320", camera))
-    until(browser, "what is compared", lambda: "all of it is compared" in text())
+    browser.wait("what is compared", lambda: "all of it is compared" in text())
     view = {"source": "ca1", "region": {"left": 0.25, "top": 0, "width": 0.5, "height": 1}, "flash": "on"}
     browser.run("import('/camera.js').then(({ view }) => view(arguments[0]))", view)
-    until(browser, "the light", lambda: "flash on" in text() and "inside the frame" in text())
+    browser.wait("the light", lambda: "flash on" in text() and "inside the frame" in text())
     left, width, whole = browser.run(
         "const [region, view] = ['.region', '.view'].map(s => document.querySelector(arguments[0] + ' ' + s).getBoundingClientRect());"
         "return [(region.left - view.left) / view.width, region.width / view.width, view.width]", camera)
     assert abs(left - 0.25) < 0.03 and abs(width - 0.5) < 0.03 and whole > 50, (left, width, whole)
     shots_of(browser, shots, "camera")
     browser.run("import('/camera.js').then(({ view }) => view(null))")
-    until(browser, "the camera as before", lambda: "all of it is compared" in text())
+    browser.wait("the camera as before", lambda: "all of it is compared" in text())
     # Recordings have no whole picture; that the page asked for one is the test's doing.
     browser.log("browser")
 
@@ -237,7 +233,7 @@ def main():
             browser.open(station.url + "/")
             rows = lambda: browser.run("return [...document.querySelectorAll('#scans tr')].map(r => r.dataset.id)")
             kept = {scan["id"] for scan in before}
-            until(browser, "the history", lambda: kept <= set(rows()))
+            browser.wait("the history", lambda: kept <= set(rows()))
             badges = browser.run("return [...document.querySelectorAll('#scans .badge')].map(b => b.innerText)")
             assert "it was slate" in badges, f"what was said is remembered: {badges}"
             console = [entry for entry in browser.log("browser") if "ERR_" not in entry["message"]]

@@ -126,13 +126,13 @@ class Browser:
         assert not found, f"{where}: {found}"
 
     @staticmethod
-    def wait(what, condition, seconds=30):
-        """Waits until `condition()` is true, and gives its value."""
-        end = time.monotonic() + seconds
+    def wait(what, condition):
+        """Waits until `condition()` is true, two minutes at most, and gives its value."""
+        end = time.monotonic() + 120
         while True:
             value = condition()
             if value:
                 return value
             if time.monotonic() > end:
-                raise AssertionError(f"not within {seconds} s: {what}")
+                raise AssertionError(f"not within two minutes: {what}")
             time.sleep(0.05)

@@ -100,7 +100,7 @@ fn check((server, orders): &(Server, Receiver<Command>), method: &str, request: 
     let body = &answer[end + 4..];
     let status: u16 = head.split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0);
     assert!((200..500).contains(&status), "{said}: {head}");
-    // What the HTTP library refuses reaches no handler.
+    // A request that the HTTP library refuses reaches no handler.
     let is_handled = head.contains("content-security-policy: default-src 'none'");
     assert!(is_handled || body.is_empty() && matches!(status, 400 | 414 | 431), "{said}: {head}");
     if head.contains("content-type: application/json") && method != "HEAD" {

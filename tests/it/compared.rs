@@ -158,7 +158,7 @@ fn a_table_splits_trials_and_what_does_not_fit_is_named_by_line_or_trial() {
     let without: Vec<&str> = text.lines().filter(|line| !line.starts_with(&all[5])).collect();
     std::fs::write(&table, without.join("\n")).unwrap();
     refused(&fixed, &[&all[5], "has no line"]);
-    // What --where leaves out may have a line.
+    // A trial that --where leaves out may have a line.
     write(&|i| if i % 4 == 0 { "test" } else { "train" });
     let some = document(&[&fixed[..], &["--where", "trial<=3", "--json"]].concat());
     assert_eq!(some["library_trials"], 6);

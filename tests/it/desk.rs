@@ -56,7 +56,7 @@ fn seconds(line: &str) -> String {
     words.split(' ').next().unwrap().to_string()
 }
 
-/// What a live station says of a library, which its stylus can be compared with.
+/// The answer of a live station about a library that its stylus can be compared with.
 fn at_the_station(library: &Path) -> String {
     let bench = Bench::new();
     let run = bench.surfaced(&["run", "--library", text(library), "--serve=127.0.0.1:0"]);

@@ -43,7 +43,7 @@ fn frames(columns: Vec<Column>, text: &[String]) -> (Vec<Vec<f32>>, Option<Strin
     (frames, intake.refused)
 }
 
-/// What a survey finds to be channels, and the frames that follow from it.
+/// The channels that a survey finds, and the frames that follow from them.
 fn learnt(text: &[String]) -> Vec<Vec<f32>> {
     let survey = survey(text);
     assert_eq!(survey.problem(), None);
@@ -281,7 +281,7 @@ fn hexadecimal_needs_its_0x() {
 
 #[test]
 fn clocks_and_constant_columns_are_no_channels_and_that_is_said() {
-    // What `ros2 topic echo --csv` prints of sensor_msgs/msg/Imu.
+    // The output of `ros2 topic echo --csv` for sensor_msgs/msg/Imu.
     let text: Vec<String> = (0..ROWS)
         .map(|i| {
             let ([x, y, z], zeros) = (numbers(i), ",0.0".repeat(9));

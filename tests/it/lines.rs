@@ -58,7 +58,7 @@ impl Accelerometer {
 
 /// A sensor that prints `ax,ay,az` in real time, whoever listens.
 struct Sensor {
-    /// What is printed next; rest after it.
+    /// The next lines to print; rest after them.
     tape: Arc<Mutex<std::collections::VecDeque<[f64; 3]>>>,
     accelerometer: Accelerometer,
     end: Arc<AtomicBool>,
@@ -352,7 +352,7 @@ fn is_there(program: &str) -> bool {
 
 #[test]
 fn ros2_topic_echo_csv_of_an_imu_is_a_sensor() {
-    // What it prints of sensor_msgs/msg/Imu: sec, nanosec, frame_id, orientation and its covariance,
+    // Its output for sensor_msgs/msg/Imu: sec, nanosec, frame_id, orientation and its covariance,
     // angular velocity and its, linear acceleration and its.
     let line = |i: u64, [x, y, z]: [f64; 3]| {
         let covariance = ",0.0".repeat(9);

@@ -120,7 +120,7 @@ fn the_tables_run_on_the_database_s_own_files_and_agree_with_eval() {
     }
 }
 
-/// A report but for the command line that made it.
+/// A report without the command line that made it.
 fn without_command(json: &[u8]) -> Value {
     let mut report: Value = serde_json::from_slice(json).unwrap();
     report["made_by"].as_object_mut().unwrap().remove("command").unwrap();

@@ -206,7 +206,7 @@ fn the_audit_log_says_who_changed_what_and_stays_when_scans_go() {
     served.orders.try_iter().for_each(drop);
     assert_eq!(anna("reload", ""), 202);
     assert_eq!(anna("enroll", r#"{"surface": "fir", "user": "ben", "trials": 2}"#), 202);
-    // What is refused, or only begins a scan, changes nothing.
+    // A request that is refused, or only begins a scan, changes nothing.
     assert_eq!(anna("start", ""), 202);
     assert_eq!(anna("scans/9/correct", "{}"), 404);
     let fields = ["person", "role", "action", "subject", "before", "after"];

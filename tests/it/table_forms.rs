@@ -51,7 +51,7 @@ fn gz(text: &str) -> Vec<u8> {
     packer.finish().unwrap()
 }
 
-/// What an import made of one file.
+/// The result of the import of one file.
 pub(crate) struct Imported {
     output: Output,
     out: PathBuf,

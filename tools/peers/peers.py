@@ -75,7 +75,7 @@ def parse() -> argparse.Namespace:
         default=list(METHODS),
         help=f"some of {','.join(METHODS)} (default: all)",
     )
-    parser.add_argument("--folds", type=positive, help="only the first so many folds")
+    parser.add_argument("--folds", type=positive, help="only this many folds, from the first")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, help="results as JSON")
     parser.add_argument("--chart", type=Path, help="JSON of `surfaced chart`, to be joined")

@@ -42,7 +42,7 @@ pub const CHANNELS: [Channel<'static>; STYLUS_CHANNELS] = [
     Channel { name: "metal", scale: 1.0 / 32_767.0, unit: "" },
 ];
 
-/// What `init` found out.
+/// The findings of `init`.
 pub struct Setup {
     /// The crystal did not start; the internal oscillator, accurate to 1 %, replaces it.
     pub crystal_failed: bool,

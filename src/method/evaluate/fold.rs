@@ -239,9 +239,9 @@ fn natural(name: &str) -> (&str, u64) {
     (stem, number.parse().unwrap_or(0))
 }
 
-/// The name of a trial's session.
+/// The name of a trial's session. No name of a person or session holds a slash.
 fn session_name((user, session): (&str, Option<&str>)) -> String {
-    let user = if user == EXPERT { String::new() } else { format!("{user} ") };
+    let user = if user == EXPERT { String::new() } else { format!("{user}/") };
     format!("{user}{}", session.unwrap_or("without session"))
 }
 
@@ -405,11 +405,14 @@ mod tests {
             let user = user.to_string();
             sessions(&[session]).into_iter().map(move |key| TrialKey { user: user.clone(), ..key })
         };
-        let keys: Vec<TrialKey> =
-            [("anna", "b c"), ("anna b", "c")].into_iter().flat_map(of).collect();
+        let keys: Vec<TrialKey> = [("anna", "b c"), ("anna b", "c"), (EXPERT, "anna b c")]
+            .into_iter()
+            .flat_map(of)
+            .collect();
         let folds = folds(Protocol::LeaveOneSessionOut, &keys).unwrap();
-        assert_eq!(folds.len(), 2);
-        assert!(folds.iter().all(|fold| fold.queries.len() == 4 && fold.library.len() == 4));
+        let names: BTreeSet<&str> = folds.iter().map(|fold| fold.name.as_str()).collect();
+        assert_eq!(names, ["anna b c", "anna b/c", "anna/b c"].into());
+        assert!(folds.iter().all(|fold| fold.queries.len() == 4 && fold.library.len() == 8));
     }
 
     #[test]

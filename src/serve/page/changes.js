@@ -14,7 +14,7 @@ const WORDS = {
   undo: "took a step back:", reload: "read the library anew",
 };
 
-// What it was and is, in words.
+// The text of a change: old and new value.
 function change({ action, before, after }) {
   if (action === "enroll") return `: ${after}`;
   if (before === null && after === null) return action === "correct" ? ": not reviewed" : "";

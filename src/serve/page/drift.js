@@ -26,7 +26,7 @@ function shape(tag, attributes, text) {
   return element;
 }
 
-// What a chart says, in words.
+// The text of a chart.
 function summary(chart, { needed, within }) {
   if (chart.average === null) return `Not yet known: ${many(chart.scans, "scan")}; it takes ${needed + 1}.`;
   const moved = number(chart.average - chart.centre, chart);
@@ -77,7 +77,7 @@ function section(reference, drift) {
   box.append(make("h3", reference.surface));
   box.append(make("p", `${many(reference.scans, "scan")} since ${dated(reference.since_unix_ms)}`, "soft"));
   const grid = make("div", undefined, "figures");
-  // What has drifted comes first; the order is the station's otherwise.
+  // Charts that have drifted come first; the order is the station's otherwise.
   const charts = [...reference.series].sort((a, b) => b.drifted - a.drifted);
   grid.append(...charts.map((chart) => figure(chart, drift)));
   box.append(grid);

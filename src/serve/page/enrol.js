@@ -11,7 +11,7 @@ let standing = null;
 // Handles a scan that was kept or refused.
 export const add = (enrolled) => (newest = [enrolled, ...newest].slice(0, 3));
 
-// What the library that was in use made of a trial before it was added, as far as it gave an answer.
+// The answer of the library in use to a trial before it was added, if it gave one.
 function before({ surface, nearest, probability, known }) {
   if (known === null) return [];
   if (known === 0) return [`the library in use has no ${surface} yet, so it could not name it`];

@@ -24,7 +24,7 @@ export function onChange(act) {
   select.follow(() => scans, act);
 }
 
-// What the filter asks for, as parameters of a request; empty if it lets all through.
+// The filter as parameters of a request; empty if it lets all through.
 function filter() {
   const of = (id) => $(`filter-${id}`).value.trim();
   const ms = (id) => (of(id) ? String(new Date(of(id)).getTime()) : "");

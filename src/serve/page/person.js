@@ -9,7 +9,7 @@ const LOOK_EVERY_MS = 60_000;
 // Where the browser stores nothing, the name is known until the page is left.
 let held = null;
 
-// What was said in this shift, `{ name, until }`, where no name means that it was skipped; else null.
+// The answer of this shift, `{ name, until }`, where no name means that it was skipped; else null.
 function known() {
   try {
     held = JSON.parse(localStorage.getItem(KEY)) ?? held;

@@ -9,7 +9,7 @@ let on = false;
 let looks = 0;
 let scans = () => [];
 let changed = () => {};
-// What the last correction replaced: pairs of an id and its correction before.
+// The corrections that the last one replaced: pairs of an id and its correction before.
 let replaced = [];
 
 // Sets the functions that give the scans of the list, and that show the list anew.

@@ -25,6 +25,8 @@ const QUEUE: usize = 16;
 #[derive(Debug)]
 pub struct Keeper {
     scans: Option<Sender<Arc<AnsweredScan>>>,
+    /// The scans that no thread has taken yet.
+    waiting: Receiver<Arc<AnsweredScan>>,
     work: Arc<Work>,
     end: End,
 }
@@ -80,7 +82,7 @@ impl Keeper {
         let (working, ended) = bounded::<Infallible>(0);
         let without_notes = Mutex::default();
         let work = Arc::new(Work { history, scene, devices, session, without_notes });
-        let (writer, annotator) = (work.clone(), work.clone());
+        let (writer, annotator, waiting) = (work.clone(), work.clone(), to_keep.clone());
         let thread = |name: &str| std::thread::Builder::new().name(name.into());
         thread("history").spawn(move || writer.write_all(&to_keep, &notes))?;
         // Notes may take as long as naming a scan, so a second thread writes them. It ends after the
@@ -89,7 +91,7 @@ impl Keeper {
             let _working = working;
             annotator.note_all(&to_note);
         })?;
-        Ok(Self { scans: Some(scans), work, end: End::of(ended) })
+        Ok(Self { scans: Some(scans), waiting, work, end: End::of(ended) })
     }
 }
 
@@ -104,22 +106,28 @@ impl Listener for Keeper {
         if let (StationEvent::Scan(scan), Some(scans)) = (event, &self.scans)
             && scans.try_send(scan.clone()).is_err()
         {
-            tracing::warn!("scan {} is not in the history: the disk is too slow", scan.answer.scan);
+            tell_lost(scan);
         }
     }
 }
 
 impl Drop for Keeper {
-    /// Waits until all is written or the station must end, and reports scans without notes as kept.
+    /// Waits until all is written or the station must end. Reports scans without notes as kept, and
+    /// those that still wait as lost.
     fn drop(&mut self) {
         self.scans = None;
         if !self.end.wait(Duration::MAX) {
+            self.waiting.try_iter().for_each(|scan| tell_lost(&scan));
             let Work { history, .. } = &*self.work;
             for id in std::mem::take(&mut *self.work.without_notes()) {
                 history.note(history.kept(&id));
             }
         }
     }
+}
+
+fn tell_lost(scan: &AnsweredScan) {
+    tracing::warn!("scan {} is not in the history: the disk is too slow", scan.answer.scan);
 }
 
 impl Work {

@@ -68,7 +68,7 @@ pub struct Answer {
     pub levels: Vec<ChannelLevel>,
     /// How long the drag should last, in seconds; `None` if that is not known.
     pub needed_s: Option<f64>,
-    /// What is known against the scan and its answer. In JSON, lists of lines stand beside `doubts`:
+    /// Doubts about the scan and its answer. In JSON, lists of lines stand beside `doubts`:
     /// `reasons` for a state other than [`AnswerState::Named`], `spoiled`, `damage` and `remarks`.
     #[serde(flatten, serialize_with = "account::of_answer")]
     pub doubts: Vec<Doubt>,

@@ -7,6 +7,8 @@
 //! to trust level. Place and gain are drawn once for each copy; stretch, noise and loss once for each
 //! source of a copy. All draws depend only on the trial's samples and the seed, never on its name.
 
+use std::sync::LazyLock;
+
 use rand_chacha::ChaCha8Rng;
 
 use super::lanes::dot;
@@ -98,15 +100,37 @@ fn noise(db: f64, deviations: &[f64]) -> Vec<f32> {
     deviations.iter().map(|deviation| (share * deviation) as f32).collect()
 }
 
-/// Adds white noise with these deviations to the channels of interleaved samples.
+/// Number of draws of white noise that all copies share; prime, so that no frame meets the same draws
+/// again. To draw each anew would take a sixth of the time of a library.
+const DRAWS: usize = 65_521;
+
+static NOISE: LazyLock<Vec<f32>> = LazyLock::new(|| {
+    let mut rng = seed::rng(0, &[b"noise"]);
+    (0..DRAWS).map(|_| seed::nearly_normal(&mut rng)).collect()
+});
+
+/// Adds white noise with these deviations to the channels of interleaved samples: shared draws from a
+/// drawn place on.
 fn add_noise(rng: &mut ChaCha8Rng, noise: &[f32], samples: &mut [f32]) {
-    let mut draws = vec![0.0; samples.len()];
-    seed::nearly_normals(rng, &mut draws);
-    if let [noise] = noise {
-        samples.iter_mut().zip(&draws).for_each(|(x, draw)| *x += noise * draw);
-    } else {
-        let noise = noise.iter().cycle();
-        samples.iter_mut().zip(&draws).zip(noise).for_each(|((x, draw), noise)| *x += noise * draw);
+    let (channels, mut rest) = (noise.len(), samples);
+    let mut draws = &NOISE[(seed::uniform(rng) * (DRAWS - channels) as f64) as usize..];
+    while !rest.is_empty() {
+        if draws.len() < channels {
+            draws = &NOISE;
+        }
+        let count = rest.len().min(draws.len() / channels * channels);
+        let (some, after) = rest.split_at_mut(count);
+        if let [noise] = noise {
+            some.iter_mut().zip(draws).for_each(|(x, draw)| *x += noise * draw);
+        } else {
+            for (frame, draws) in some.chunks_exact_mut(channels).zip(draws.chunks_exact(channels))
+            {
+                for channel in 0..channels {
+                    frame[channel] += noise[channel] * draws[channel];
+                }
+            }
+        }
+        (rest, draws) = (after, &draws[count..]);
     }
 }
 
@@ -120,29 +144,32 @@ fn twin(rng: &mut ChaCha8Rng, deviations: &[f64], samples: &[f32]) -> Vec<f32> {
     let lost = if seed::uniform(rng) < 0.5 { lost } else { 0.0 };
     let last = samples.len() / channels - 1;
     let frames = ((last as f64 / pace) as usize + 1).max(1);
-    let mut twin = Vec::with_capacity(frames * channels);
-    for i in 0..frames {
-        if lost > 0.0 && i > 0 && seed::uniform(rng) < lost {
-            continue;
-        }
-        let at = i as f64 * pace;
-        let before = (at as usize).min(last);
-        let (after, part) = ((before + 1).min(last), (at - before as f64) as f32);
+    let mut twin = vec![0.0; frames * channels];
+    // Places between samples, in units of 2⁻³² samples.
+    let (mut at, step) = (0u64, (pace * 4_294_967_296.0) as u64);
+    for frame in twin.chunks_exact_mut(channels) {
+        let before = ((at >> 32) as usize).min(last);
+        let (after, part) = ((before + 1).min(last), at as u32 as f32 / 4_294_967_296.0);
         for channel in 0..channels {
-            let (a, b) =
-                (samples[before * channels + channel], samples[after * channels + channel]);
-            twin.push(a + part * (b - a));
+            let x = samples[before * channels + channel];
+            frame[channel] = x + part * (samples[after * channels + channel] - x);
         }
-        if lost > 0.0 {
-            // In turn with the draws of what is lost.
-            let kept = twin.len() - channels;
-            let noisy = twin[kept..].iter_mut().zip(&noise);
-            noisy.for_each(|(x, noise)| *x += noise * seed::nearly_normal(rng));
+        at += step;
+    }
+    if lost > 0.0 {
+        // Each frame after the first is lost or not, so the numbers kept between two are geometric.
+        let mut kept = 1;
+        let mut from = 1;
+        while from < frames {
+            let run = ((1.0 - seed::uniform(rng)).ln() / (1.0 - lost).ln()) as usize;
+            let end = from.saturating_add(run).min(frames);
+            twin.copy_within(from * channels..end * channels, kept * channels);
+            kept += end - from;
+            from = end + 1;
         }
+        twin.truncate(kept * channels);
     }
-    if lost == 0.0 {
-        add_noise(rng, &noise, &mut twin);
-    }
+    add_noise(rng, &noise, &mut twin);
     twin
 }
 

@@ -29,7 +29,7 @@ impl Piece {
     }
 }
 
-/// What waited, and the samples after it; a whole series, before which nothing waits, is not copied.
+/// The samples that waited, and those after them; if none waited, nothing is copied.
 pub(super) fn joined<'a>(pending: &mut Vec<f32>, samples: &'a [f32]) -> Cow<'a, [f32]> {
     if pending.is_empty() {
         return samples.into();
@@ -96,7 +96,7 @@ impl Growing {
         Piece { frames, moments, places }
     }
 
-    /// What a series that ends here has beside its complete frames: padded frames, and its moments.
+    /// The padded frames and the moments of a series that ends here, without its complete frames.
     pub(super) fn end(&self) -> Piece {
         let padded = |number: usize| match self.begun[number] {
             true => PackedFrames::default(),

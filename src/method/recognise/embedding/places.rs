@@ -17,8 +17,8 @@ use crate::seed;
 /// Most places of a series.
 const MOST_PLACES: usize = 32;
 
-/// Only series of at most so many samples, in the library's median trial, have places. Longer ones have
-/// frames enough, and to a library of one person, another hand would look like an unknown surface
+/// Places exist only if the library's median trial has at most this many samples. Longer trials
+/// have frames enough, and to a library of one person, another hand would look like an unknown surface
 /// more often: it moves the level at all places.
 const MOST_SAMPLES: usize = 128;
 

@@ -11,6 +11,7 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use multiversion::multiversion;
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
@@ -213,10 +214,7 @@ impl Workspace {
                 let of_channel = samples[channel..].iter().step_by(view.channels);
                 self.input.iter_mut().zip(of_channel).for_each(|(slot, x)| *slot = *x);
             }
-            let mean = mean(&self.input);
-            for (slot, w) in self.input.iter_mut().zip(&self.window) {
-                *slot = (*slot - mean) * w;
-            }
+            let mean = windowed(&mut self.input, &self.window);
             self.plan
                 .process_with_scratch(&mut self.input, &mut self.output, &mut self.scratch)
                 // Fails only if a buffer has another length.
@@ -259,29 +257,42 @@ impl Workspace {
     }
 }
 
+/// Subtracts the mean of a frame, which is given, and multiplies the frame by a window.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn windowed(frame: &mut [f32], window: &[f32]) -> f32 {
+    let mean = mean(frame);
+    for i in 0..frame.len().min(window.len()) {
+        frame[i] = (frame[i] - mean) * window[i];
+    }
+    mean
+}
+
 /// Σ |X|², by four sums, so that no addition waits for the one before.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn power(bins: &[Complex<f32>]) -> f32 {
     let (chunks, rest) = bins.as_chunks::<4>();
     let mut lanes = [0f32; 4];
-    for chunk in chunks {
+    for i in 0..chunks.len() {
         for lane in 0..4 {
-            lanes[lane] += chunk[lane].norm_sqr();
+            lanes[lane] += chunks[i][lane].norm_sqr();
         }
     }
     lanes.iter().sum::<f32>() + rest.iter().map(Complex::norm_sqr).sum::<f32>()
 }
 
+#[inline(always)]
 fn mean(samples: &[f32]) -> f32 {
     (sum(samples) / samples.len().max(1) as f64) as f32
 }
 
 /// Sum of the samples, by eight sums in f64, so that no addition waits for the one before.
+#[inline(always)]
 pub(crate) fn sum(samples: &[f32]) -> f64 {
     let mut lanes = [0f64; 8];
     let (chunks, rest) = samples.as_chunks::<8>();
-    for chunk in chunks {
+    for i in 0..chunks.len() {
         for lane in 0..8 {
-            lanes[lane] += f64::from(chunk[lane]);
+            lanes[lane] += f64::from(chunks[i][lane]);
         }
     }
     for lane in 0..rest.len() {

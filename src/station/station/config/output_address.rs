@@ -102,7 +102,7 @@ pub struct CoilAddress {
 impl std::fmt::Display for CoilAddress {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { host, unit, coil } = self;
-        write!(f, "modbus://{}:{}/{unit}/{coil}", host.0, host.1)
+        write!(f, "modbus://{}/{unit}/{coil}", authority(host))
     }
 }
 
@@ -120,6 +120,13 @@ impl FromStr for CoilAddress {
             "expected host, unit and coil, counted from 0, such as \"modbus://10.0.3.7:502/1/12\"",
         )?;
         Ok(Self { host, unit, coil })
+    }
+}
+
+impl HttpAddress {
+    /// Host and port as a request names them.
+    pub fn authority(&self) -> String {
+        authority(&self.host)
     }
 }
 
@@ -160,15 +167,20 @@ impl std::fmt::Debug for MqttAddress {
 impl std::fmt::Display for MqttAddress {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let scheme = if self.tls.is_some() { "mqtts" } else { "mqtt" };
-        write!(f, "{scheme}://{}:{}/{}", self.host.0, self.host.1, self.prefix)
+        write!(f, "{scheme}://{}/{}", authority(&self.host), self.prefix)
     }
 }
 
 impl std::fmt::Display for HttpAddress {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let scheme = if self.tls.is_some() { "https" } else { "http" };
-        write!(f, "{scheme}://{}:{}{}", self.host.0, self.host.1, self.path)
+        write!(f, "{scheme}://{}{}", self.authority(), self.path)
     }
+}
+
+/// Host and port as an address has them, an IPv6 address in brackets.
+fn authority((host, port): &(String, u16)) -> String {
+    if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") }
 }
 
 /// Whether a text is valid as one segment of a topic on every broker.
@@ -271,6 +283,16 @@ mod tests {
         for text in ["%", "%4", "a%zz", "%+4", "%ff", "%é"] {
             assert_eq!(percent_decoded(text), None, "{text}");
         }
+    }
+
+    #[test]
+    fn an_address_is_shown_as_it_is_written() {
+        for text in ["mqtts://[::1]:8883/hall-3", "mqtt://broker:1883/surfaced"] {
+            assert_eq!(text.parse::<MqttAddress>().unwrap().to_string(), text);
+        }
+        let (http, coil) = ("http://[fe80::1]:80/answers?a=1", "modbus://[::1]:502/1/12");
+        assert_eq!(http.parse::<HttpAddress>().unwrap().to_string(), http);
+        assert_eq!(coil.parse::<CoilAddress>().unwrap().to_string(), coil);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! What the Python package `surfaced` computes in Rust. `python/surfaced` checks and documents it.
+//! The part of the Python package `surfaced` that is computed in Rust. `python/surfaced` checks and documents it.
 
 use std::path::PathBuf;
 use std::sync::Arc;
