@@ -107,7 +107,7 @@ impl Device for Replay {
             return Err(DeviceError::Failed(not_a_speed(&factor.to_string())));
         }
         link.state(DeviceState::Opening, "reading the first trial");
-        let loaded = load_ahead(self.entries.clone())?;
+        let loaded = load_ahead(self.entries.clone(), self.speed)?;
         let mut joined = None;
         for entry in &self.entries {
             let trial = match next(&loaded, link)? {
@@ -139,8 +139,10 @@ impl Device for Replay {
 type LoadedTrial = Result<Trial, String>;
 
 /// Reads trials on a new thread, one ahead. The thread ends once the receiver is dropped.
-fn load_ahead(entries: Vec<Entry>) -> Result<Receiver<LoadedTrial>, DeviceError> {
+fn load_ahead(entries: Vec<Entry>, speed: Speed) -> Result<Receiver<LoadedTrial>, DeviceError> {
     let (sender, receiver) = crossbeam_channel::bounded(0);
+    // When a trial begins, the one before is named, as at a station, which reads no trials then.
+    let pause_s = if let Speed::RealTime(factor) = speed { 0.1 / factor } else { 0.0 };
     let work = move || {
         for entry in entries {
             // A decoder may panic on a damaged file; the replay goes on with the next trial.
@@ -152,6 +154,7 @@ fn load_ahead(entries: Vec<Entry>) -> Result<Receiver<LoadedTrial>, DeviceError>
             if sender.send(trial).is_err() {
                 return;
             }
+            std::thread::sleep(Duration::from_secs_f64(pause_s));
         }
     };
     std::thread::Builder::new().name("replay-load".into()).spawn(work).map_err(|error| {
