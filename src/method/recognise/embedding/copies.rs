@@ -101,7 +101,7 @@ fn noise(db: f64, deviations: &[f64]) -> Vec<f32> {
 }
 
 /// Number of draws of white noise that all copies share; prime, so that no frame meets the same draws
-/// again. To draw each anew would take a sixth of the time of a library.
+/// again. To draw each anew would take a tenth of the time of a library.
 const DRAWS: usize = 65_521;
 
 static NOISE: LazyLock<Vec<f32>> = LazyLock::new(|| {
