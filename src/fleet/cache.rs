@@ -231,7 +231,7 @@ mod tests {
         let pages = [(u64::MAX, 2), (1_790_000_000_004, 1), (1_790_000_000_003, 1)];
         for (before_ms, count) in pages {
             let page = cache.newest(1, None, before_ms).unwrap();
-            assert_eq!(page.len(), count, "both answers of a millisecond are on one page: {page:?}");
+            assert_eq!(page.len(), count, "both of a millisecond: {page:?}");
         }
     }
 
