@@ -272,9 +272,9 @@ fn windowed(frame: &mut [f32], window: &[f32]) -> f32 {
 fn power(bins: &[Complex<f32>]) -> f32 {
     let (chunks, rest) = bins.as_chunks::<4>();
     let mut lanes = [0f32; 4];
-    for i in 0..chunks.len() {
+    for chunk in chunks {
         for lane in 0..4 {
-            lanes[lane] += chunks[i][lane].norm_sqr();
+            lanes[lane] += chunk[lane].norm_sqr();
         }
     }
     lanes.iter().sum::<f32>() + rest.iter().map(Complex::norm_sqr).sum::<f32>()
@@ -290,9 +290,9 @@ fn mean(samples: &[f32]) -> f32 {
 pub(crate) fn sum(samples: &[f32]) -> f64 {
     let mut lanes = [0f64; 8];
     let (chunks, rest) = samples.as_chunks::<8>();
-    for i in 0..chunks.len() {
+    for chunk in chunks {
         for lane in 0..8 {
-            lanes[lane] += f64::from(chunks[i][lane]);
+            lanes[lane] += f64::from(chunk[lane]);
         }
     }
     for lane in 0..rest.len() {
