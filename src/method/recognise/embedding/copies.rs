@@ -222,6 +222,18 @@ mod tests {
     }
 
     #[test]
+    fn noise_is_as_loud_as_asked_on_each_channel_of_a_series_of_any_length() {
+        let asked = [0.5, 0.0, 2.0];
+        for frames in [2000, DRAWS] {
+            let mut samples = vec![0.0; 3 * frames];
+            add_noise(&mut rng(1, 1, "noise"), &asked.map(|x| x as f32), &mut samples);
+            for (found, asked) in deviations(3, &samples).iter().zip(asked) {
+                assert!((found - asked).abs() <= 0.05 * asked, "{found} instead of {asked}");
+            }
+        }
+    }
+
+    #[test]
     fn a_twin_is_as_long_as_clock_and_losses_leave_it() {
         for digest in 1..30 {
             let copy = copies(digest, 1)[EXCERPTS];
