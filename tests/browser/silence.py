@@ -14,6 +14,7 @@ import socket
 import sys
 import tempfile
 import threading
+import time
 from pathlib import Path
 
 from page import Live
@@ -62,7 +63,9 @@ class Proxy:
 def shows_nothing_present(stage, name):
     """The card is grey and says since when; the name is gone, and its scan has its time."""
     browser = stage.browser
+    begin = time.monotonic()
     stage.until("offline")
+    print(f"{name}: grey after {time.monotonic() - begin:.1f} s")
     assert re.fullmatch(SINCE, browser.text("#word")), browser.text("#word")
     assert browser.text("#name") == "", browser.text("#now")
     assert re.fullmatch(r"last scan, \d\d:\d\d", browser.text("#at")), browser.text("#at")

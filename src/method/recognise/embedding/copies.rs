@@ -100,8 +100,8 @@ fn noise(db: f64, deviations: &[f64]) -> Vec<f32> {
     deviations.iter().map(|deviation| (share * deviation) as f32).collect()
 }
 
-/// Number of draws of white noise that all copies share; prime, so that no frame meets the same draws
-/// again. To draw each anew would take a tenth of the time of a library.
+/// Number of draws of white noise that all copies share; prime, so that the frames of a long sound
+/// meet other draws in each round. To draw each anew would take a tenth of the time of a library.
 const DRAWS: usize = 65_521;
 
 static NOISE: LazyLock<Vec<f32>> = LazyLock::new(|| {
@@ -145,11 +145,12 @@ fn twin(rng: &mut ChaCha8Rng, deviations: &[f64], samples: &[f32]) -> Vec<f32> {
     let last = samples.len() / channels - 1;
     let frames = ((last as f64 / pace) as usize + 1).max(1);
     let mut twin = vec![0.0; frames * channels];
-    // Places between samples, in units of 2⁻³² samples.
-    let (mut at, step) = (0u64, (pace * 4_294_967_296.0) as u64);
+    // Places between samples, in parts of a sample.
+    const PARTS: f64 = 4_294_967_296.0;
+    let (mut at, step) = (0u64, (pace * PARTS) as u64);
     for frame in twin.chunks_exact_mut(channels) {
         let before = ((at >> 32) as usize).min(last);
-        let (after, part) = ((before + 1).min(last), at as u32 as f32 / 4_294_967_296.0);
+        let (after, part) = ((before + 1).min(last), at as u32 as f32 / PARTS as f32);
         for channel in 0..channels {
             let x = samples[before * channels + channel];
             frame[channel] = x + part * (samples[after * channels + channel] - x);
@@ -158,8 +159,7 @@ fn twin(rng: &mut ChaCha8Rng, deviations: &[f64], samples: &[f32]) -> Vec<f32> {
     }
     if lost > 0.0 {
         // Each frame after the first is lost or not, so the numbers kept between two are geometric.
-        let mut kept = 1;
-        let mut from = 1;
+        let (mut kept, mut from) = (1, 1);
         while from < frames {
             let run = ((1.0 - seed::uniform(rng)).ln() / (1.0 - lost).ln()) as usize;
             let end = from.saturating_add(run).min(frames);

@@ -289,9 +289,9 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
     sums[0] = frames as f32;
     let past = before.len() / channels;
     // Each channel, preceded by the samples before the block that lagged products need.
-    let joined = [before, samples].concat();
+    let with_before = [before, samples].concat();
     let all: Vec<Vec<f32>> =
-        (0..channels).map(|c| less(&joined, (channels, c), reference[c])).collect();
+        (0..channels).map(|c| less(&with_before, (channels, c), reference[c])).collect();
     for (c, of_channel) in all.iter().enumerate() {
         let of_block = &of_channel[past..];
         let [sum, cubes, fourths] = powers(of_block);
