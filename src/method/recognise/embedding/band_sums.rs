@@ -21,8 +21,8 @@ use multiversion::multiversion;
 use serde::{Deserialize, Serialize};
 
 use super::fourier::{BAND_FEATURES, BandScale, LANES, add_up};
-use super::lanes::{extremes, ln, total};
-use crate::recognise::features::windowed_frames::sum;
+use super::lanes::{extremes, total};
+use crate::recognise::features::windowed_frames::{ln, sum};
 
 /// Number of bins in one unit of ln power.
 const BINS: f32 = 8.0;

@@ -13,6 +13,7 @@
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use serde::{Deserialize, Serialize};
 
+use super::lanes::dot;
 use super::linear::{cholesky, lower_gram, solve_lower, solve_lower_transposed};
 use super::packed;
 
@@ -215,13 +216,17 @@ impl Discriminant {
     /// Squared distance of each vector, shape (n, d), to each class mean; infinite for classes without
     /// training vectors.
     pub(crate) fn distances(&self, vectors: ArrayView2<'_, f32>) -> Vec<Vec<f64>> {
-        let projected = if vectors.nrows() == 1 {
-            // One row is multiplied faster as a vector.
-            self.projection.dot(&vectors.row(0)).insert_axis(Axis(0))
-        } else {
-            vectors.dot(&self.projection.t())
+        // One row is multiplied faster as a vector.
+        let one = if vectors.nrows() == 1 { vectors.to_slice() } else { None };
+        let projected = match one {
+            Some(one) => {
+                let product = |row: ArrayView1<'_, f32>| dot(row.to_slice().expect("a row in one piece"), one);
+                let products = self.projection.rows().into_iter().map(product);
+                products.collect::<Array1<f64>>().insert_axis(Axis(0))
+            }
+            None => vectors.dot(&self.projection.t()).mapv(f64::from),
         };
-        let u = projected.mapv(f64::from) - &self.origin;
+        let u = projected - &self.origin;
         let square = |row: ArrayView1<'_, f64>| row.dot(&row);
         let means: Vec<f64> = self.means.rows().into_iter().map(square).collect();
         let distances = |(u, inner): (ArrayView1<'_, f64>, ArrayView1<'_, f64>)| {
@@ -232,7 +237,10 @@ impl Discriminant {
             };
             inner.iter().enumerate().map(of_class).collect()
         };
-        let inner = u.dot(&self.means.t());
+        let inner = match one {
+            Some(_) => self.means.dot(&u.row(0)).insert_axis(Axis(0)),
+            None => u.dot(&self.means.t()),
+        };
         u.rows().into_iter().zip(inner.rows()).map(distances).collect()
     }
 }

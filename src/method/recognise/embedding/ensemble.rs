@@ -179,11 +179,14 @@ fn gathered<'v>(
     rows: impl ExactSizeIterator<Item = ArrayView1<'v, f32>>,
     columns: &[usize],
 ) -> Array2<f32> {
-    let mut own = Array2::zeros((rows.len(), columns.len()));
-    for (mut own, row) in own.rows_mut().into_iter().zip(rows) {
-        own.iter_mut().zip(columns).for_each(|(x, &column)| *x = row[column]);
+    let shape = (rows.len(), columns.len());
+    let mut own = Vec::with_capacity(shape.0 * shape.1);
+    for row in rows {
+        let row = row.to_slice().expect("a row in one piece");
+        own.extend(columns.iter().map(|&column| row[column]));
     }
-    own
+    // There are as many values as the shape has.
+    Array2::from_shape_vec(shape, own).expect("rows of equal length")
 }
 
 /// `size` of the columns, drawn without replacement; in ascending order.
@@ -215,7 +218,7 @@ fn log_share(distances: &[f64], tau: f64) -> impl Fn(f64) -> f64 {
     let scale = 0.5 / tau;
     let total = match equal {
         Some(_) => 0.0,
-        None => distances.iter().map(|d| (scale * (least - d)).exp()).sum::<f64>().ln(),
+        None => distances.iter().map(|d| share(scale * (least - d))).sum::<f64>().ln(),
     };
     move |d| equal.unwrap_or(scale * (least - d) - total)
 }
@@ -226,5 +229,10 @@ fn log_mean(logs: impl Iterator<Item = f64> + Clone) -> f64 {
     if most == f64::NEG_INFINITY {
         return most;
     }
-    most + (logs.map(|x| (x - most).exp()).sum::<f64>() / n).ln()
+    most + (logs.map(|x| share(x - most)).sum::<f64>() / n).ln()
+}
+
+/// e^x of an x of at most 0; 0 if that is too little to change a sum that has 1 in it.
+fn share(x: f64) -> f64 {
+    if x < -40.0 { 0.0 } else { x.exp() }
 }

@@ -126,6 +126,20 @@ mod tests {
     }
 
     #[test]
+    fn what_is_slower_than_a_frame_passes_if_the_band_begins_near_0_hz() {
+        let slow = tones(4000, &[0.5]);
+        let passed = |from_hz: f64| {
+            let view = FrameView::of_points(256, 1000.0, 1, (from_hz, 120.0), 40);
+            let mut passed = Passed::new(&view);
+            passed.add(&view.whole_frames_and_passed(&slow).1)
+        };
+        // Most of the time, the 3.9 Hz of a bin hold a tone of 0.5 Hz.
+        let expected = deviation(&slow);
+        assert!((deviation(&passed(0.1)) / expected - 1.0).abs() < 0.1);
+        assert!(deviation(&passed(2.0)) < 0.1 * expected);
+    }
+
+    #[test]
     fn a_series_shorter_than_a_frame_is_limited_too() {
         let view = FrameView::of_points(256, 1000.0, 1, (20.0, 120.0), 40);
         let inside = short(&view, &tones(150, &[60.0]));

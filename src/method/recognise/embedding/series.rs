@@ -13,12 +13,11 @@ use super::band_sums::{BandSums, Counts, ViewEmbedder, median};
 use super::eigen::{EigenPairs, push_upper};
 use super::frames::{SeriesFrames, SourceViews};
 use super::growing::Piece;
-use super::lanes::ln;
 use super::moments::{LOUDNESS, MOMENTS, MOST_LAGGED, Moments, Statistics};
 use super::packed::PackedFrames;
 use super::places::PlaceEmbedder;
 use super::quantiles::QUANTILES;
-use crate::recognise::features::windowed_frames::FrameView;
+use crate::recognise::features::windowed_frames::{FrameView, ln};
 use crate::trial::usual_rests;
 
 /// Lags in samples; the joint covariance is of the series shifted by each of them.

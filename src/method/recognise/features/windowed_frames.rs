@@ -29,6 +29,9 @@ pub struct FrameView {
     pub channels: usize,
     /// The first bin of each band, and the end of the last band.
     pub edges: Vec<usize>,
+    /// Whether the mean of a frame belongs to the bands. It holds the frequencies below half a bin, most
+    /// of which must lie above the lower end.
+    pub holds_mean: bool,
 }
 
 /// The number of samples in a frame of `frame_s` seconds, rounded (in log2) to a power of two.
@@ -46,7 +49,9 @@ impl FrameView {
         band_hz: (f64, f64),
         bands: usize,
     ) -> Self {
-        Self { points, rate_hz, channels, edges: band_edges(points, rate_hz, band_hz, bands) }
+        let edges = band_edges(points, rate_hz, band_hz, bands);
+        let holds_mean = band_hz.0 * points as f64 / rate_hz < 0.25;
+        Self { points, rate_hz, channels, edges, holds_mean }
     }
 
     /// Samples from the beginning of one frame to the beginning of the next.
@@ -223,17 +228,17 @@ impl Workspace {
                 let bins = &self.output[view.edges[band]..view.edges[band + 1]];
                 let power = power(bins);
                 // Samples far above full scale must not give infinite values.
-                let mean = (power * self.scale / bins.len() as f32).min(f32::MAX);
-                *slot = (mean + POWER_FLOOR).ln();
+                *slot = (power * self.scale / bins.len() as f32).min(f32::MAX);
             }
+            logarithms(bands);
             if !part.is_empty() {
                 self.pass_back(view, mean, part, channel);
             }
         }
     }
 
-    /// Writes the samples of one channel within the bands, from the spectrum in `output`. The windowed
-    /// mean belongs to them if the bands begin at 0 Hz.
+    /// Writes the samples of one channel within the bands, from the spectrum in `output` and the mean of
+    /// the frame.
     fn pass_back(&mut self, view: &FrameView, mean: f32, part: &mut [f32], channel: usize) {
         let points = part.len() / view.channels;
         let plan = self.back.entry(points);
@@ -249,11 +254,11 @@ impl Workspace {
         let mut samples = plan.make_output_vec();
         // Fails only if a buffer has another length.
         plan.process(&mut bins, &mut samples).expect("buffers of the plan's own lengths");
-        let mean = if first == 0 { mean } else { 0.0 };
+        let mean = if view.holds_mean { mean } else { 0.0 };
         let step = view.points / points;
-        for (i, x) in samples.iter().enumerate() {
-            part[i * view.channels + channel] = x + mean * self.window[i * step];
-        }
+        let slots = part[channel..].iter_mut().step_by(view.channels);
+        let window = self.window.iter().step_by(step);
+        slots.zip(&samples).zip(window).for_each(|((slot, x), w)| *slot = x + mean * w);
     }
 }
 
@@ -301,9 +306,55 @@ pub(crate) fn sum(samples: &[f32]) -> f64 {
     lanes.iter().sum()
 }
 
+/// ln x of a positive normal number, with an error of 1e-15 or of as much of ln x; NaN of what is not
+/// finite. Unlike `f64::ln`, it is no function call.
+#[inline(always)]
+pub(crate) fn ln(x: f64) -> f64 {
+    const ROOT_HALF: u64 = std::f64::consts::FRAC_1_SQRT_2.to_bits();
+    // x = 2^exponent·m, with m from √½ to √2.
+    let exponent = (x.to_bits().wrapping_sub(ROOT_HALF) as i64 >> 52) as i32;
+    let m = f64::from_bits(x.to_bits().wrapping_sub((exponent as u64) << 52));
+    // ln m = 2·artanh s
+    let s = (m - 1.0) / (m + 1.0);
+    let z = s * s;
+    let odd = 1.0 / 3.0
+        + z * (1.0 / 5.0
+            + z * (1.0 / 7.0
+                + z * (1.0 / 9.0
+                    + z * (1.0 / 11.0
+                        + z * (1.0 / 13.0
+                            + z * (1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0))))))));
+    // 0, or NaN
+    let not_finite = 0.0 * x;
+    f64::from(exponent) * std::f64::consts::LN_2 + 2.0 * (s + s * z * odd) + not_finite
+}
+
+/// The ln of each power, to which [`POWER_FLOOR`] is added.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+fn logarithms(powers: &mut [f32]) {
+    for power in powers {
+        *power = ln(f64::from(*power + POWER_FLOOR)) as f32;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_logarithm_is_that_of_the_standard_library() {
+        let near_one = (-2000..2000).map(|i| 1.0 + f64::from(i) * 1e-4);
+        let all = (-3000..3000).map(|i| (f64::from(i) * 0.037).exp());
+        for x in near_one.chain(all).chain([1.0, f64::MIN_POSITIVE, f64::MAX]) {
+            let error = (ln(x) - x.ln()).abs();
+            assert!(error <= 1e-15 * x.ln().abs().max(1.0), "{x}: {error}");
+        }
+        assert!(ln(f64::NAN).is_nan() && ln(f64::INFINITY).is_nan());
+    }
 
     /// Duration of a frame in seconds, and number of bands.
     const VIEWS: [(f64, usize); 2] = [(0.0464, 40), (0.0116, 24)];
