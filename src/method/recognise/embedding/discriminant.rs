@@ -216,17 +216,18 @@ impl Discriminant {
     /// Squared distance of each vector, shape (n, d), to each class mean; infinite for classes without
     /// training vectors.
     pub(crate) fn distances(&self, vectors: ArrayView2<'_, f32>) -> Vec<Vec<f64>> {
-        // One row is multiplied faster as a vector.
-        let one = if vectors.nrows() == 1 { vectors.to_slice() } else { None };
-        let projected = match one {
-            Some(one) => {
-                let product = |row: ArrayView1<'_, f32>| dot(row.to_slice().expect("a row in one piece"), one);
-                let products = self.projection.rows().into_iter().map(product);
-                products.collect::<Array1<f64>>().insert_axis(Axis(0))
-            }
-            None => vectors.dot(&self.projection.t()).mapv(f64::from),
+        let one = vectors.to_slice().filter(|_| vectors.nrows() == 1);
+        let (u, inner) = if let (Some(one), Some(rows)) = (one, self.projection.as_slice()) {
+            // One row is multiplied faster as a vector.
+            let projected = rows.chunks_exact(one.len().max(1)).map(|row| dot(row, one));
+            let u = projected.collect::<Array1<f64>>() - &self.origin;
+            let inner = self.means.dot(&u);
+            (u.insert_axis(Axis(0)), inner.insert_axis(Axis(0)))
+        } else {
+            let u = vectors.dot(&self.projection.t()).mapv(f64::from) - &self.origin;
+            let inner = u.dot(&self.means.t());
+            (u, inner)
         };
-        let u = projected - &self.origin;
         let square = |row: ArrayView1<'_, f64>| row.dot(&row);
         let means: Vec<f64> = self.means.rows().into_iter().map(square).collect();
         let distances = |(u, inner): (ArrayView1<'_, f64>, ArrayView1<'_, f64>)| {
@@ -236,10 +237,6 @@ impl Discriminant {
                 false => f64::INFINITY,
             };
             inner.iter().enumerate().map(of_class).collect()
-        };
-        let inner = match one {
-            Some(_) => self.means.dot(&u.row(0)).insert_axis(Axis(0)),
-            None => u.dot(&self.means.t()),
         };
         u.rows().into_iter().zip(inner.rows()).map(distances).collect()
     }
