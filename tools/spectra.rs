@@ -5,7 +5,7 @@
 //!
 //! Each series becomes 28 samples a channel: ln of the mean power in 28 equal bands up to half its rate.
 //! Protocols are those that the data allow, leaving people out if there are several; accuracies are means
-//! over seeds 1 to 12, since one seed may lie 9 points from the next.
+//! over seeds 1 to 12, since one seed may lie ten points from the next.
 
 use std::error::Error;
 use std::path::Path;
@@ -30,14 +30,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         });
         let entries: Vec<_> = library.entries.into_iter().map(|e| e.changed(spectra)).collect();
         let keys: Vec<_> = entries.iter().map(|entry| entry.key.clone()).collect();
-        let across = [Protocol::ExpertVsUsers, Protocol::AllVsOneUser];
-        let mut asked: Vec<_> = across.map(|p| (p, folds(p, &keys))).into();
-        asked.retain(|(_, folds)| folds.is_ok());
+        let mut asked = vec![Protocol::ExpertVsUsers, Protocol::AllVsOneUser];
+        asked.retain(|&protocol| folds(protocol, &keys).is_ok());
         if asked.is_empty() {
-            asked.push((Protocol::LeaveOneTrialOut, folds(Protocol::LeaveOneTrialOut, &keys)));
+            asked.push(Protocol::LeaveOneTrialOut);
         }
-        for (protocol, folds) in asked {
-            let folds = folds?;
+        for protocol in asked {
+            let folds = folds(protocol, &keys)?;
             let accuracy = |method: &dyn Method| -> Result<f64, Box<dyn Error>> {
                 let run = Evaluation::new(&scene, &entries, &folds).prepare(method)?;
                 Ok(100.0 * run.measure()?.outcome.share.value())

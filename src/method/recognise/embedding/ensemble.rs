@@ -179,14 +179,11 @@ fn gathered<'v>(
     rows: impl ExactSizeIterator<Item = ArrayView1<'v, f32>>,
     columns: &[usize],
 ) -> Array2<f32> {
-    let shape = (rows.len(), columns.len());
-    let mut own = Vec::with_capacity(shape.0 * shape.1);
-    for row in rows {
-        let row = row.to_slice().expect("a row in one piece");
-        own.extend(columns.iter().map(|&column| row[column]));
+    let mut own = Array2::zeros((rows.len(), columns.len()));
+    for (mut own, row) in own.rows_mut().into_iter().zip(rows) {
+        own.iter_mut().zip(columns).for_each(|(x, &column)| *x = row[column]);
     }
-    // There are as many values as the shape has.
-    Array2::from_shape_vec(shape, own).expect("rows of equal length")
+    own
 }
 
 /// `size` of the columns, drawn without replacement; in ascending order.

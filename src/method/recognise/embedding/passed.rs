@@ -133,7 +133,7 @@ mod tests {
             let mut passed = Passed::new(&view);
             passed.add(&view.whole_frames_and_passed(&slow).1)
         };
-        // Most of the time, the 3.9 Hz of a bin hold a tone of 0.5 Hz.
+        // A bin is 3.9 Hz wide, so the tone is in the means of frames.
         let expected = deviation(&slow);
         assert!((deviation(&passed(0.1)) / expected - 1.0).abs() < 0.1);
         assert!(deviation(&passed(2.0)) < 0.1 * expected);
