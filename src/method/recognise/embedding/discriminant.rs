@@ -1,9 +1,9 @@
 //! The shrinkage discriminant of one member: linear discriminant analysis of a subspace of the features.
 //! One is trained on all trials, and one for each group on the trials outside the group.
 //!
-//! The scatter W pools all training vectors, each minus the mean of its class. So what noise and a short
-//! scan do to the features counts as scatter. The class mean m_c is over the vectors of whole scans:
-//! trials and their twins, not excerpts, whose features differ with their length. The metric is
+//! The training vectors of a class are in two parts: of whole scans, that is trials and their twins, and
+//! of excerpts, whose features differ with their length. The class mean m_c is that of the whole scans.
+//! The scatter W pools all vectors, each minus the mean of its part. The metric is
 //! S = (1 − γ)·W + γ·(tr W/d)·I. The shrinkage γ is estimated (Ledoit and Wolf 2004, "A well-conditioned estimator for large-dimensional
 //! covariance matrices"); each trial with its copies counts as one observation. The distances
 //! ‖u − m_c‖² are computed in the space that the class means span after whitening by S. They order
@@ -43,44 +43,24 @@ pub(crate) struct Discriminant {
 /// Classes, groups and trials of the rows of training vectors.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Rows {
-    /// Class of each row.
-    pub class: Vec<usize>,
-    /// Whether a row is of a whole scan, and not of an excerpt.
-    pub whole: Vec<bool>,
+    /// Part of each row: of class c, c for whole scans and C + c for excerpts.
+    pub part: Vec<usize>,
     /// Group of each row. Groups are left out one at a time.
     pub groups: Vec<usize>,
     /// Trial of each row.
     pub trials: Vec<usize>,
+    /// Number C of classes.
     pub classes: usize,
     pub group_count: usize,
 }
 
 impl Rows {
-    /// Number of rows of each class, among those that `keep` chooses.
+    /// Number of rows of each part, among those that `keep` chooses.
     fn counts(&self, keep: impl Fn(usize) -> bool) -> Vec<f64> {
-        let mut counts = vec![0.0; self.classes];
-        let kept = (0..self.class.len()).filter(|&row| keep(row));
-        kept.for_each(|row| counts[self.class[row]] += 1.0);
+        let mut counts = vec![0.0; 2 * self.classes];
+        let kept = (0..self.part.len()).filter(|&row| keep(row));
+        kept.for_each(|row| counts[self.part[row]] += 1.0);
         counts
-    }
-
-    /// The class means m_c over the rows of whole scans that `keep` chooses, shape (C, d). `means` are
-    /// the means of all rows, and `residuals` are the rows minus those.
-    fn class_means(
-        &self,
-        means: &Array2<f64>,
-        residuals: &Array2<f32>,
-        keep: impl Fn(usize) -> bool,
-    ) -> Array2<f64> {
-        let keep = |row: usize| self.whole[row] && keep(row);
-        let counts = self.counts(keep);
-        let mut moved = means.clone();
-        for row in (0..self.class.len()).filter(|&row| keep(row)) {
-            let share = 1.0 / counts[self.class[row]];
-            let mut mean = moved.row_mut(self.class[row]);
-            mean.zip_mut_with(&residuals.row(row), |mean, &x| *mean += share * f64::from(x));
-        }
-        moved
     }
 }
 
@@ -95,25 +75,24 @@ impl Discriminant {
     ) -> (Option<Self>, Vec<Option<Self>>) {
         let total = total_variance(&vectors.view());
         let counts = rows.counts(|_| true);
-        let (means, residuals) = residuals(vectors, &rows.class, &counts);
+        let (means, residuals) = residuals(vectors, &rows.part, &counts);
         let scatter = lower_gram(&residuals.view());
         let shrinkage = shrinkage(&residuals, &scatter, &rows.trials);
-        let of = |scatter: Array2<f64>, left_out: Option<usize>| {
-            let stays = |row: usize| Some(rows.groups[row]) != left_out;
-            let means = rows.class_means(&means, &residuals, stays);
-            Self::of_scatter(scatter, &rows.counts(stays), means, total?, shrinkage)
+        let of = |scatter: Array2<f64>, counts: &[f64], means: Array2<f64>| {
+            Self::of_scatter(scatter, counts, means, total?, shrinkage)
         };
         let without = |group: usize| {
-            let lost = left_out(&residuals, rows, group, &counts);
+            let stay = rows.counts(|row| rows.groups[row] != group);
+            let (lost, moved) = left_out(&residuals, rows, group, (&counts, &stay));
             let mut left = lower_gram(&lost.view());
             left.zip_mut_with(&scatter, |left, all| *left = all - *left);
-            of(left, Some(group))
+            of(left, &stay, &means - &moved)
         };
         let without = (0..groups).map(without).collect();
-        (of(scatter, None), without)
+        (of(scatter, &counts, means.clone()), without)
     }
 
-    /// Takes the lower triangle of Σ r·rᵀ, the number of rows of each class, and the class means.
+    /// Takes the lower triangle of Σ r·rᵀ, and the number of rows and the mean of each part.
     fn of_scatter(
         mut factor: Array2<f64>,
         counts: &[f64],
@@ -122,7 +101,8 @@ impl Discriminant {
         shrinkage: f64,
     ) -> Option<Self> {
         let freedom: f64 = counts.iter().filter(|n| **n > 0.5).map(|n| n - 1.0).sum();
-        let present: Vec<bool> = counts.iter().map(|n| *n > 0.5).collect();
+        let means = means.slice_move(s![..counts.len() / 2, ..]);
+        let present: Vec<bool> = counts[..means.nrows()].iter().map(|n| *n > 0.5).collect();
         let known: Vec<usize> = (0..present.len()).filter(|&class| present[class]).collect();
         if known.len() < 2 || freedom < 0.5 {
             return None;
@@ -253,21 +233,21 @@ fn total_variance(vectors: &ArrayView2<'_, f32>) -> Option<f64> {
     (total > 1e-5 * square / n / dims).then_some(total)
 }
 
-/// The mean of each class, shape (C, d), and the vectors minus the mean of their class.
+/// The mean of each part, shape (2C, d), and the vectors minus the mean of their part.
 fn residuals(
     mut vectors: Array2<f32>,
-    class: &[usize],
+    part: &[usize],
     counts: &[f64],
 ) -> (Array2<f64>, Array2<f32>) {
     let mut means = Array2::<f64>::zeros((counts.len(), vectors.ncols()));
-    for (row, &class) in vectors.rows().into_iter().zip(class) {
-        means.row_mut(class).zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
+    for (row, &part) in vectors.rows().into_iter().zip(part) {
+        means.row_mut(part).zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
     }
     for (mut mean, &n) in means.rows_mut().into_iter().zip(counts) {
         mean /= f64::max(n, 1.0);
     }
-    for (mut row, &class) in vectors.rows_mut().into_iter().zip(class) {
-        row.zip_mut_with(&means.row(class), |x, mean| *x -= *mean as f32);
+    for (mut row, &part) in vectors.rows_mut().into_iter().zip(part) {
+        row.zip_mut_with(&means.row(part), |x, mean| *x -= *mean as f32);
     }
     (means, vectors)
 }
@@ -295,28 +275,35 @@ fn shrinkage(residuals: &Array2<f32>, scatter: &Array2<f64>, trials: &[usize]) -
     if shrinkage.is_nan() { SHRINKAGE.1 } else { shrinkage.clamp(SHRINKAGE.0, SHRINKAGE.1) }
 }
 
-/// Rows whose scatter is what the scatter loses without a group. The mean of a class with n rows moves
-/// when k of them leave: Σ r·rᵀ loses Σ_group r·rᵀ + s·sᵀ/(n − k), with s = Σ_group r. That is the scatter
-/// of r + β·s, where (1 + β·k)² = n/(n − k).
-fn left_out(residuals: &Array2<f32>, rows: &Rows, group: usize, counts: &[f64]) -> Array2<f32> {
+/// Rows whose scatter is what the scatter loses without a group, and what the means of parts lose, shape
+/// (2C, d). The mean of n rows moves by −s/(n − k) when k of them leave, whose residuals sum to s: Σ r·rᵀ
+/// loses Σ_group r·rᵀ + s·sᵀ/(n − k). That is the scatter of r + β·s, where (1 + β·k)² = n/(n − k).
+fn left_out(
+    residuals: &Array2<f32>,
+    rows: &Rows,
+    group: usize,
+    (counts, stay): (&[f64], &[f64]),
+) -> (Array2<f32>, Array2<f64>) {
     let members: Vec<usize> =
-        (0..rows.class.len()).filter(|&row| rows.groups[row] == group).collect();
-    let leaving = rows.counts(|row| rows.groups[row] == group);
+        (0..rows.part.len()).filter(|&row| rows.groups[row] == group).collect();
     let mut sums = Array2::<f64>::zeros((counts.len(), residuals.ncols()));
-    let mut moved = residuals.select(Axis(0), &members);
-    for (row, &member) in moved.rows().into_iter().zip(&members) {
-        let mut sum = sums.row_mut(rows.class[member]);
+    let mut lost = residuals.select(Axis(0), &members);
+    for (row, &member) in lost.rows().into_iter().zip(&members) {
+        let mut sum = sums.row_mut(rows.part[member]);
         sum.zip_mut_with(&row, |sum, &x| *sum += f64::from(x));
     }
-    for (mut row, &member) in moved.rows_mut().into_iter().zip(&members) {
-        let class = rows.class[member];
-        let (n, k) = (counts[class], leaving[class]);
-        if n - k > 0.5 {
-            let beta = ((n / (n - k)).sqrt() - 1.0) / k;
-            row.zip_mut_with(&sums.row(class), |x, sum| *x += (beta * sum) as f32);
+    for (mut row, &member) in lost.rows_mut().into_iter().zip(&members) {
+        let part = rows.part[member];
+        let (n, stay) = (counts[part], stay[part]);
+        if stay > 0.5 {
+            let beta = ((n / stay).sqrt() - 1.0) / (n - stay);
+            row.zip_mut_with(&sums.row(part), |x, sum| *x += (beta * sum) as f32);
         }
     }
-    moved
+    for (mut sum, &stay) in sums.rows_mut().into_iter().zip(stay) {
+        sum /= stay.max(1.0);
+    }
+    (lost, sums)
 }
 
 #[cfg(test)]
@@ -336,8 +323,9 @@ mod tests {
     /// Every third vector of a class is of an excerpt.
     fn rows(class: &[usize], groups: Vec<usize>, classes: usize) -> Rows {
         Rows {
-            class: class.to_vec(),
-            whole: (0..class.len()).map(|i| i / 3 % 3 != 2).collect(),
+            part: (0..class.len())
+                .map(|i| class[i] + classes * usize::from(i / 3 % 3 == 2))
+                .collect(),
             group_count: groups.iter().max().map_or(0, |last| last + 1),
             groups,
             trials: (0..class.len()).collect(),
@@ -357,25 +345,19 @@ mod tests {
         vector: ArrayView1<'_, f32>,
     ) -> Vec<f64> {
         let z = vectors.mapv(f64::from);
-        let (_, rest) = residuals(vectors.clone(), &rows.class, &rows.counts(|_| true));
+        let (_, rest) = residuals(vectors.clone(), &rows.part, &rows.counts(|_| true));
         let gamma = shrinkage(&rest, &lower_gram(&rest.view()), &rows.trials);
-        let mut means = Array2::<f64>::zeros((rows.classes, z.ncols()));
+        let mut means = Array2::<f64>::zeros((2 * rows.classes, z.ncols()));
         let (mut freedom, mut w) = (0.0, Array2::<f64>::zeros((z.ncols(), z.ncols())));
-        for class in 0..rows.classes {
-            let of = |whole: bool| -> Vec<usize> {
-                let of_class = kept.iter().copied().filter(|&i| rows.class[i] == class);
-                of_class.filter(|&i| rows.whole[i] || !whole).collect()
-            };
-            let mean_of =
-                |members: &[usize]| z.select(Axis(0), members).mean_axis(Axis(0)).unwrap();
-            let members = of(false);
-            let mean = mean_of(&members);
+        for (part, mut mean) in means.rows_mut().into_iter().enumerate() {
+            let members: Vec<usize> =
+                kept.iter().copied().filter(|&i| rows.part[i] == part).collect();
+            mean.assign(&z.select(Axis(0), &members).mean_axis(Axis(0)).unwrap());
             for &i in &members {
                 let r = (&z.row(i) - &mean).insert_axis(Axis(1));
                 w += &r.dot(&r.t());
             }
             freedom += members.len() as f64 - 1.0;
-            means.row_mut(class).assign(&mean_of(&of(true)));
         }
         let ridge = gamma * w.diag().sum() / freedom / z.ncols() as f64;
         let metric = w * ((1.0 - gamma) / freedom) + Array2::<f64>::eye(z.ncols()) * ridge;
@@ -385,7 +367,7 @@ mod tests {
             solve_lower(&factor, &mut d);
             d.iter().map(|x| x * x).sum::<f64>()
         };
-        means.rows().into_iter().map(distance).collect()
+        means.rows().into_iter().take(rows.classes).map(distance).collect()
     }
 
     fn distances(of: &Discriminant, vector: ArrayView1<'_, f32>) -> Vec<f64> {

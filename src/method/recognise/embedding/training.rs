@@ -66,19 +66,16 @@ impl Training {
             }
             let columns = ndarray::s![stretch.columns.clone()];
             let none = (0.0f32, Array1::<f32>::zeros(stretch.columns.len()));
-            let mut sums = vec![[none.clone(), none]; rows.classes];
-            let slot = |row: usize| (rows.class[row], usize::from(rows.whole[row]));
+            let mut sums = vec![none; 2 * rows.classes];
             for (row, values) in vectors.rows().into_iter().enumerate() {
                 if present[rows.trials[row]][s] {
-                    let (class, whole) = slot(row);
-                    let (count, sum) = &mut sums[class][whole];
+                    let (count, sum) = &mut sums[rows.part[row]];
                     *count += 1.0;
                     *sum += &values.slice(columns);
                 }
             }
             for (row, mut values) in vectors.rows_mut().into_iter().enumerate() {
-                let (class, whole) = slot(row);
-                let (count, sum) = &sums[class][whole];
+                let (count, sum) = &sums[rows.part[row]];
                 if !present[rows.trials[row]][s] && *count > 0.0 {
                     values.slice_mut(columns).assign(&(sum / *count));
                 }
@@ -117,10 +114,13 @@ impl Training {
 /// Classes, groups and trials of the training vectors of a library, `count` in all.
 fn rows(labels: &Labels, count: usize) -> Rows {
     let places: Vec<_> = (0..count).map(|row| place(row, labels.class.len())).collect();
+    let part = |&(trial, vector): &(usize, usize)| {
+        // The trial itself comes before the excerpts, its twin after them.
+        let is_excerpt = (1..=EXCERPTS).contains(&vector);
+        labels.class[trial] + labels.classes * usize::from(is_excerpt)
+    };
     Rows {
-        class: places.iter().map(|&(trial, _)| labels.class[trial]).collect(),
-        // The trial itself, and its twin after the excerpts.
-        whole: places.iter().map(|&(_, vector)| vector == 0 || vector > EXCERPTS).collect(),
+        part: places.iter().map(part).collect(),
         groups: places.iter().map(|&(trial, _)| labels.group[trial]).collect(),
         trials: places.iter().map(|&(trial, _)| trial).collect(),
         classes: labels.classes,
