@@ -3,8 +3,8 @@
 //!
 //! The training vectors of a class are in two parts: of whole scans, that is trials and their twins, and of
 //! excerpts, whose features differ with their length. The class mean m_c is that of the whole scans. The
-//! scatter W pools all vectors, each minus the mean of its part. The metric is S = (1 − γ)·W + γ·(tr
-//! W/d)·I. The shrinkage γ is estimated (Ledoit and Wolf 2004, "A well-conditioned estimator for
+//! scatter W pools all vectors, each minus the mean of its part. The metric is S =
+//! (1 − γ)·W + γ·(tr W/d)·I. The shrinkage γ is estimated (Ledoit and Wolf 2004, "A well-conditioned estimator for
 //! large-dimensional covariance matrices"); each trial with its copies counts as one observation. The
 //! distances ‖u − m_c‖² are computed in the space that the class means span after whitening by S. They
 //! order classes like the full Mahalanobis distance, since directions outside that space do not separate
