@@ -3,12 +3,12 @@
 //!
 //! The training vectors of a class are in two parts: of whole scans, that is trials and their twins, and of
 //! excerpts, whose features differ with their length. The class mean m_c is that of the whole scans. The
-//! scatter W pools all vectors, each minus the mean of its part. The metric is S =
-//! (1 − γ)·W + γ·(tr W/d)·I. The shrinkage γ is estimated (Ledoit and Wolf 2004, "A well-conditioned estimator for
-//! large-dimensional covariance matrices"); each trial with its copies counts as one observation. The
-//! distances ‖u − m_c‖² are computed in the space that the class means span after whitening by S. They
-//! order classes like the full Mahalanobis distance, since directions outside that space do not separate
-//! classes.
+//! scatter W pools all vectors, each minus the mean of its part. The metric is
+//! S = (1 − γ)·W + γ·(tr W/d)·I. The shrinkage γ is estimated (Ledoit and Wolf 2004, "A well-conditioned
+//! estimator for large-dimensional covariance matrices"); each trial with its copies counts as one
+//! observation. The distances ‖u − m_c‖² are computed in the space that the class means span after
+//! whitening by S. They order classes like the full Mahalanobis distance, since directions outside that
+//! space do not separate classes.
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use serde::{Deserialize, Serialize};
@@ -67,7 +67,7 @@ impl Rows {
 impl Discriminant {
     /// Trains on all vectors, shape (N, d), and on those outside each of the first `groups` groups.
     ///
-    /// Gives `None` if all vectors are equal, no class has two, or fewer than two classes occur.
+    /// Gives `None` if all vectors are equal, no part has two, or fewer than two classes occur.
     pub(crate) fn train(
         vectors: Array2<f32>,
         rows: &Rows,
@@ -89,7 +89,7 @@ impl Discriminant {
             of(left, &stay, &means - &moved)
         };
         let without = (0..groups).map(without).collect();
-        (of(scatter, &counts, means.clone()), without)
+        (of(scatter, &counts, means), without)
     }
 
     /// Takes the lower triangle of Σ r·rᵀ, and the number of rows and the mean of each part.
