@@ -1,4 +1,4 @@
-//! The shape of a library: the rates, channels and lengths of its sources.
+//! The shape of a library: how many trials it has, and the rates, channels and lengths of its sources.
 
 use std::collections::BTreeMap;
 
@@ -9,9 +9,11 @@ use crate::library::{Entry, LibraryError, Outline, Outlines};
 use crate::scene::SourceId;
 use crate::seed;
 
-/// The shape of each source of a library, except pictures.
+/// The number of trials of a library, and the shape of each source except pictures.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LibraryShape {
+    /// Number of trials.
+    pub(super) trials: usize,
     pub(super) sources: BTreeMap<SourceId, SourceShape>,
 }
 
@@ -43,7 +45,8 @@ impl LibraryShape {
             let Outline { rate_hz, channels, .. } = *outlines.first()?;
             Some((id, SourceShape { rate_hz, channels, median_frames: lengths[lengths.len() / 2] }))
         };
-        Ok(Self { sources: by_source.into_iter().filter_map(shape).collect() })
+        let sources = by_source.into_iter().filter_map(shape).collect();
+        Ok(Self { trials: entries.len(), sources })
     }
 
     /// The shape of a source; `None` if the source is a picture, or no trial has it.
@@ -52,6 +55,6 @@ impl LibraryShape {
     }
 
     pub fn key(&self) -> u64 {
-        seed::stable_hash(&[format!("{:?}", self.sources).as_bytes()])
+        seed::stable_hash(&[format!("{self:?}").as_bytes()])
     }
 }

@@ -10,6 +10,7 @@
 use std::sync::LazyLock;
 
 use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
 
 use super::lanes::dot;
 use super::moments::{less, means};
@@ -17,8 +18,12 @@ use crate::seed;
 
 pub(super) const EXCERPTS: usize = 3;
 
-/// Number of copies of each trial: the excerpts, then the twin.
-pub(super) const COPIES: usize = EXCERPTS + 1;
+/// Number of copies of each trial of a small library: the excerpts, then the twin.
+const COPIES: usize = EXCERPTS + 1;
+
+/// About as many copies are enough for a member's scatter. In a library with more trials than a quarter
+/// of it, each trial has fewer copies than [`COPIES`].
+const MOST_COPIES: usize = 1600;
 
 /// Length of an excerpt, as a share of its trial.
 pub(super) const SHARE: f64 = 0.4;
@@ -41,8 +46,8 @@ const EXCERPT_NOISE_DB: (f64, f64) = (10.0, 60.0);
 /// Share of samples that is lost in half of the twins, as a power of ten: least and most.
 const LOST_LOG10: (f64, f64) = (-3.0, -1.0);
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Copy {
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Copy {
     /// Start of an excerpt, as a share of the latest possible start; `None` for the twin.
     pub place: Option<f64>,
     pub ln_gain: f64,
@@ -51,15 +56,26 @@ pub(super) struct Copy {
     pub quarter: usize,
 }
 
-/// The copies of the trial with the given digest of its samples.
-pub(super) fn copies(digest: u64, seed: u64) -> [Copy; COPIES] {
+/// Number of copies of each trial of a library with this many trials.
+pub(super) fn count(trials: usize) -> usize {
+    (MOST_COPIES / trials.max(1)).clamp(1, COPIES)
+}
+
+/// The copies of the trial with the given digest of its samples, in a library with this many trials. If
+/// they are fewer than [`COPIES`], a drawn one is the first.
+pub(super) fn copies(digest: u64, seed: u64, trials: usize) -> Vec<Copy> {
     let mut rng = rng(digest, seed, "copies");
-    std::array::from_fn(|i| Copy {
+    let mut all = std::array::from_fn::<_, COPIES, _>(|i| Copy {
         place: (i < EXCERPTS).then(|| seed::uniform(&mut rng)),
         ln_gain: LN_GAIN * seed::normal(&mut rng),
         picture_ln_gain: PICTURE_LN_GAIN * seed::normal(&mut rng),
         quarter: i,
-    })
+    });
+    let count = count(trials);
+    if count < COPIES {
+        all.rotate_left((seed::uniform(&mut rng) * COPIES as f64) as usize);
+    }
+    all[..count].to_vec()
 }
 
 fn rng(digest: u64, seed: u64, purpose: &str) -> ChaCha8Rng {
@@ -194,30 +210,48 @@ mod tests {
 
     #[test]
     fn copies_depend_on_samples_and_seed_alone() {
-        assert_eq!(copies(1, 1), copies(1, 1));
-        assert_ne!(copies(1, 1), copies(2, 1));
-        assert_ne!(copies(1, 1), copies(1, 2));
-        assert_eq!(copies(1, 1).map(|copy| copy.place.is_none()), [false, false, false, true]);
+        assert_eq!(copies(1, 1, 9), copies(1, 1, 9));
+        assert_ne!(copies(1, 1, 9), copies(2, 1, 9));
+        assert_ne!(copies(1, 1, 9), copies(1, 2, 9));
+        let is_twin = |copy: &Copy| copy.place.is_none();
+        assert_eq!(
+            copies(1, 1, 9).iter().map(is_twin).collect::<Vec<_>>(),
+            [false, false, false, true]
+        );
         let of = |source| {
             let wave = wave();
-            samples(&copies(1, 1)[EXCERPTS], (1, 1, source), &deviations(1, &wave), &wave)
+            samples(&copies(1, 1, 9)[EXCERPTS], (1, 1, source), &deviations(1, &wave), &wave)
         };
         assert_eq!(of("ac"), of("ac"));
         assert_ne!(of("ac"), of("fr"));
     }
 
     #[test]
+    fn trials_of_a_large_library_have_fewer_copies_and_all_kinds_are_equally_frequent() {
+        let counts = [0, 1, 400, 401, 534, 801, 100_000].map(count);
+        assert_eq!(counts, [4, 4, 4, 3, 2, 1, 1]);
+        for trials in [600, 2000] {
+            let mut of_kind = [0; COPIES];
+            for copy in (0..800).flat_map(|digest| copies(digest, 1, trials)) {
+                of_kind[copy.quarter] += 1;
+            }
+            let expected = 800 * count(trials) / COPIES;
+            assert!(of_kind.iter().all(|n: &usize| n.abs_diff(expected) < 50), "{of_kind:?}");
+        }
+    }
+
+    #[test]
     fn an_excerpt_is_cut_to_the_sample_and_only_the_first_stays_clean() {
         let given: Vec<f32> = (0..2 * 1001).map(|i| i as f32).collect();
         for digest in 1..50 {
-            for copy in &copies(digest, 3)[..EXCERPTS] {
+            for copy in &copies(digest, 3, 9)[..EXCERPTS] {
                 let cut = samples(copy, (digest, 3, "ac"), &deviations(2, &given), &given);
                 assert_eq!(cut.len(), 800);
                 let clean = cut[0] % 2.0 == 0.0 && cut.windows(2).all(|w| w[1] == w[0] + 1.0);
                 assert_eq!(clean, copy.quarter == 0);
             }
         }
-        let copy = copies(1, 3)[0];
+        let copy = copies(1, 3, 9)[0];
         assert_eq!(samples(&copy, (1, 3, "ac"), &[0.0; 2], &given[..2]).len(), 2, "a single frame");
     }
 
@@ -236,7 +270,7 @@ mod tests {
     #[test]
     fn a_twin_is_as_long_as_clock_and_losses_leave_it() {
         for digest in 1..30 {
-            let copy = copies(digest, 1)[EXCERPTS];
+            let copy = copies(digest, 1, 9)[EXCERPTS];
             let twin = samples(&copy, (digest, 1, "ac"), &deviations(1, &wave()), &wave());
             let share = twin.len() as f64 / 2000.0;
             assert!((0.83..1.07).contains(&share), "{share}");

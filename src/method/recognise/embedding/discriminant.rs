@@ -13,7 +13,7 @@
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use serde::{Deserialize, Serialize};
 
-use super::lanes::dot;
+use super::lanes::products;
 use super::linear::{cholesky, lower_gram, solve_lower, solve_lower_transposed};
 use super::packed;
 
@@ -36,6 +36,8 @@ pub(crate) struct Discriminant {
     origin: Array1<f64>,
     /// Class means m_c in that space, shape (C, r).
     means: Array2<f64>,
+    /// ‖m_c‖² of each class.
+    lengths: Vec<f64>,
     /// Whether a class had training vectors.
     present: Vec<bool>,
 }
@@ -158,7 +160,8 @@ impl Discriminant {
         let origin = projection.dot(centre);
         let projection = projection.mapv(|x| x as f32);
         let sound = projection.iter().all(|x| x.is_finite()) && means.iter().all(|x| x.is_finite());
-        sound.then_some(Self { projection, origin, means, present })
+        let lengths = means.rows().into_iter().map(|mean| mean.dot(&mean)).collect();
+        sound.then_some(Self { projection, origin, means, lengths, present })
     }
 
     /// A discriminant that tells nothing apart: all classes are at the same distance.
@@ -167,13 +170,14 @@ impl Discriminant {
             projection: Array2::zeros((0, dims)),
             origin: Array1::zeros(0),
             means: Array2::zeros((classes, 0)),
+            lengths: vec![0.0; classes],
             present: vec![true; classes],
         }
     }
 
     pub(crate) fn is_of(&self, classes: usize, dims: usize) -> bool {
         let space = self.origin.len();
-        self.present.len() == classes
+        [self.present.len(), self.lengths.len()] == [classes; 2]
             && self.means.dim() == (classes, space)
             && self.projection.dim() == (space, dims)
     }
@@ -196,11 +200,10 @@ impl Discriminant {
     /// Squared distance of each vector, shape (n, d), to each class mean; infinite for classes without
     /// training vectors.
     pub(crate) fn distances(&self, vectors: ArrayView2<'_, f32>) -> Vec<Vec<f64>> {
-        let one = vectors.to_slice().filter(|_| vectors.nrows() == 1);
+        let one = vectors.to_slice().filter(|one| vectors.nrows() == 1 && !one.is_empty());
         let (u, inner) = if let (Some(one), Some(rows)) = (one, self.projection.as_slice()) {
             // One row is multiplied faster as a vector.
-            let projected = rows.chunks_exact(one.len().max(1)).map(|row| dot(row, one));
-            let u = projected.collect::<Array1<f64>>() - &self.origin;
+            let u = Array1::from(products(rows, one)).mapv(f64::from) - &self.origin;
             let inner = self.means.dot(&u);
             (u.insert_axis(Axis(0)), inner.insert_axis(Axis(0)))
         } else {
@@ -208,12 +211,10 @@ impl Discriminant {
             let inner = u.dot(&self.means.t());
             (u, inner)
         };
-        let square = |row: ArrayView1<'_, f64>| row.dot(&row);
-        let means: Vec<f64> = self.means.rows().into_iter().map(square).collect();
         let distances = |(u, inner): (ArrayView1<'_, f64>, ArrayView1<'_, f64>)| {
-            let own = square(u);
+            let own = u.dot(&u);
             let of_class = |(class, inner): (usize, &f64)| match self.present[class] {
-                true => (own + means[class] - 2.0 * inner).max(0.0),
+                true => (own + self.lengths[class] - 2.0 * inner).max(0.0),
                 false => f64::INFINITY,
             };
             inner.iter().enumerate().map(of_class).collect()

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::copies::{self, COPIES, Copy, copies};
+use super::copies::{self, Copy, copies};
 use super::growing::{Growing, Piece};
 use super::packed::PackedFrames;
 use super::places::Places;
@@ -127,20 +127,20 @@ impl SeriesFrames {
         Self { whole, samples: series.frames(), rests, views, copies, looks }
     }
 
-    /// Cuts a recording of a library, and its copies, into frames. The trial's digest and the seed
-    /// determine the copies.
+    /// Cuts a recording of a library, and the given copies of it, into frames. The trial's digest and the
+    /// seed determine their noise.
     fn of_library(
         views: SourceViews,
         series: &Series,
         spec: &SourceSpec,
-        (digest, seed): (u64, u64),
+        (copies, digest, seed): (&[Copy], u64, u64),
     ) -> Self {
         let (channels, samples) = (series.channels(), series.samples());
         let source = (digest, seed, spec.id.as_str());
         let deviations = copies::deviations(channels, samples);
         let copy =
             |copy: &Copy| Piece::new(&views, &copies::samples(copy, source, &deviations, samples));
-        let copies = copies(digest, seed).iter().map(copy).collect();
+        let copies = copies.iter().map(copy).collect();
         let (mut growing, mut taken, mut looks) = (Growing::new(&views), 0, Vec::new());
         let mut frames: [PackedFrames; 2] = Default::default();
         let mut grow = |growing: &mut Growing, end: usize| {
@@ -196,18 +196,13 @@ pub struct TrialFrames {
     pub key: TrialKey,
     /// Hash of the samples, whatever the trial is called. It orders a library's trials; 0 for a query.
     pub digest: u64,
-    /// Seed of the copies.
-    pub seed: u64,
+    /// The copies of the trial, in the order of [`SeriesFrames::copies`]; a query has none.
+    pub copies: Vec<Copy>,
     /// The sources of the trial that the scene describes.
     pub sources: BTreeMap<SourceId, SourceFrames>,
 }
 
 impl TrialFrames {
-    /// The copies of the trial, in the order of [`SeriesFrames::copies`].
-    pub(super) fn copies(&self) -> [Copy; COPIES] {
-        copies(self.digest, self.seed)
-    }
-
     pub(super) fn forget_copies(&mut self) {
         for source in self.sources.values_mut() {
             if let SourceFrames::Series(series) = source {
@@ -230,17 +225,20 @@ impl TrialFrames {
     ) -> Result<Self, RecogniseError> {
         // Only copies and the order of a library need it.
         let digest = seed.map_or(0, |_| digest(trial));
+        let copies = seed.map_or_else(Vec::new, |seed| copies(digest, seed, shape.trials));
         let sources = of_known_sources(key, trial, scene, |spec, signal| match signal {
             Signal::Image(image) => SourceFrames::Picture(PictureTiles::new(image)),
             Signal::Series(series) => {
                 let views = SourceViews::new(spec, (series.rate_hz(), series.frames()), shape);
                 SourceFrames::Series(Box::new(match seed {
-                    Some(seed) => SeriesFrames::of_library(views, series, spec, (digest, seed)),
+                    Some(seed) => {
+                        SeriesFrames::of_library(views, series, spec, (&copies, digest, seed))
+                    }
                     None => SeriesFrames::new(views, series),
                 }))
             }
         })?;
-        Ok(Self { key: key.clone(), digest, seed: seed.unwrap_or(0), sources })
+        Ok(Self { key: key.clone(), digest, copies, sources })
     }
 
     /// Hash of how the sources of a scene are cut into frames and copied in a library of this shape.
@@ -252,7 +250,8 @@ impl TrialFrames {
             Some((spec.id.clone(), spec.phase, views))
         };
         let views: Vec<_> = scene.sources().map(view).collect();
-        crate::seed::stable_hash(&[format!("{views:?}").as_bytes(), &seed.to_le_bytes()])
+        let text = format!("{views:?} {}", copies::count(shape.trials));
+        crate::seed::stable_hash(&[text.as_bytes(), &seed.to_le_bytes()])
     }
 }
 
@@ -284,7 +283,7 @@ mod tests {
         let scene = Scene::lmt108();
         let spec = scene.get(id).unwrap();
         let shape = SourceShape { rate_hz, channels: spec.channels, median_frames };
-        let shape = LibraryShape { sources: [(spec.id.clone(), shape)].into() };
+        let shape = LibraryShape { trials: 1, sources: [(spec.id.clone(), shape)].into() };
         SourceViews::new(spec, (at_hz, 100), &shape).frames
     }
 

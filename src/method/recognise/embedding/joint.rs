@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::BandSums;
-use super::copies::{COPIES, Copy};
+use super::copies::Copy;
 use super::frames::{SeriesFrames, SourceFrames, TrialFrames, samples_by};
 use super::picture::PictureEmbedder;
 use super::series::SeriesEmbedder;
@@ -257,8 +257,8 @@ impl JointEmbedder {
         done: impl Fn(&mut Arc<TrialFrames>) + Sync,
     ) -> Array2<f32> {
         let embed = |trial: &mut Arc<TrialFrames>| {
-            let copies = trial.copies();
-            let copies = copies.iter().enumerate().map(|copy| self.features(trial, Some(copy)));
+            let copies =
+                trial.copies.iter().enumerate().map(|copy| self.features(trial, Some(copy)));
             let all: Vec<_> = std::iter::once(self.features(trial, None)).chain(copies).collect();
             done(trial);
             all
@@ -267,14 +267,15 @@ impl JointEmbedder {
             library.par_iter_mut().map(embed).collect();
         let trials = vectors.len();
         let dims = self.stretches.iter().map(|stretch| stretch.embedder.dims()).sum();
-        let mut all = Array2::zeros((trials * (1 + COPIES), dims));
+        let rows = vectors.iter().map(Vec::len).sum();
+        let mut all = Array2::zeros((rows, dims));
         let mut first = 0;
         for (source, stretch) in self.stretches.iter_mut().enumerate() {
             stretch.columns = first..first + stretch.embedder.dims();
             first = stretch.columns.end;
             let mut there = Vec::new();
             for row in 0..all.nrows() {
-                let (trial, vector) = place(row, trials);
+                let (trial, vector) = place(row, (trials, rows));
                 if let Some(features) = vectors[trial][vector][source].take() {
                     let columns = s![row, stretch.columns.clone()];
                     all.slice_mut(columns).assign(&ArrayView1::from(&features));
@@ -361,11 +362,12 @@ fn beginnings(embedder: &SeriesEmbedder, series: &SeriesFrames, looks: &[usize])
     looks.iter().map_while(of_look).collect()
 }
 
-/// The trial of a training row, and the index of its vector in the trial: 0 for the whole, then the
-/// copies.
-pub(super) fn place(row: usize, trials: usize) -> (usize, usize) {
+/// The trial of one of the training rows, and the index of its vector in the trial: 0 for the whole, then
+/// the copies.
+pub(super) fn place(row: usize, (trials, rows): (usize, usize)) -> (usize, usize) {
+    let copies = rows / trials - 1;
     match row.checked_sub(trials) {
         None => (row, 0),
-        Some(copy) => (copy / COPIES, 1 + copy % COPIES),
+        Some(copy) => (copy / copies, 1 + copy % copies),
     }
 }

@@ -54,6 +54,39 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f64 {
     total(&sums)
 }
 
+/// The inner product of each row of a matrix with a vector of at least one number, in f32.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+pub(super) fn products(rows: &[f32], vector: &[f32]) -> Vec<f32> {
+    const WIDE: usize = 32;
+    let (b, last_b) = chunks::<WIDE>(vector, 0.0);
+    let mut all = Vec::with_capacity(rows.len() / vector.len());
+    for row in rows.chunks_exact(vector.len()) {
+        let (a, last_a) = chunks::<WIDE>(row, 0.0);
+        let mut sums = [0f32; WIDE];
+        for lane in 0..WIDE {
+            sums[lane] = last_a[lane] * last_b[lane];
+        }
+        for i in 0..a.len().min(b.len()) {
+            for lane in 0..WIDE {
+                sums[lane] += a[i][lane] * b[i][lane];
+            }
+        }
+        let mut half = WIDE / 2;
+        while half > 0 {
+            for lane in 0..half {
+                sums[lane] += sums[lane + half];
+            }
+            half /= 2;
+        }
+        all.push(sums[0]);
+    }
+    all
+}
+
 #[inline(always)]
 fn add_products(sums: &mut [f64; LANES], a: &[f32; LANES], b: &[f32; LANES]) {
     for lane in 0..LANES {

@@ -8,7 +8,7 @@ use ndarray::ArrayView1;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::copies::{EXCERPTS, SHARE};
+use super::copies::SHARE;
 use super::ensemble::{Answer, Ensemble};
 use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present};
@@ -110,8 +110,9 @@ impl Trained {
             .map(|(scan_s, answers)| calibration(*scan_s, 1, answers))
             .collect();
         if begun.is_empty() || !across_people {
+            let of_each = trials().map(|i| training.excerpts(i).count()).max().unwrap_or(1);
             let excerpts = trials().flat_map(|i| training.excerpts(i).map(move |x| (i, x)));
-            by_length.push(calibration(excerpt_s, EXCERPTS, &answers(excerpts.collect())));
+            by_length.push(calibration(excerpt_s, of_each, &answers(excerpts.collect())));
         }
         // Conformity needs all whole trials or none, the temperature no more than these.
         let sample = evenly(full.len());

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 use serde::{Deserialize, Serialize};
 
-use super::copies::{COPIES, EXCERPTS};
+use super::copies::Copy;
 use super::discriminant::Rows;
 use super::ensemble::Ensemble;
 use super::frames::TrialFrames;
@@ -21,6 +21,8 @@ pub(super) struct Training {
     /// Shape (rows, D): one row for each whole trial, then the rows of each trial's copies.
     #[serde(with = "packed::matrix")]
     vectors: Array2<f32>,
+    /// Whether each row is of an excerpt.
+    excerpts: Vec<bool>,
     #[serde(skip)]
     rows: Rows,
     pub present: Vec<Present>,
@@ -39,21 +41,27 @@ impl Training {
         let forget = |trial: &mut Arc<TrialFrames>| {
             Arc::get_mut(trial).into_iter().for_each(TrialFrames::forget_copies);
         };
+        let is_excerpt = |copy: &Copy| copy.place.is_some();
+        let of_copies = library.iter().flat_map(|trial| trial.copies.iter().map(is_excerpt));
+        let excerpts: Vec<bool> = library.iter().map(|_| false).chain(of_copies).collect();
         let vectors = joint.training_rows(library, forget);
         let present: Vec<Present> = library.iter().map(|trial| joint.present(trial)).collect();
         give_back_memory();
-        let rows = rows(labels, vectors.nrows());
-        let mut training = Self { vectors, rows, present, seed };
+        let rows = rows(labels, &excerpts);
+        let mut training = Self { vectors, excerpts, rows, present, seed };
         training.fill_absent(joint);
         training
     }
 
     /// Checks stored training vectors; `None` if they do not fit these labels or `dims` features.
-    pub(super) fn restored(self, labels: &Labels, dims: usize) -> Option<Self> {
-        let trials = labels.class.len();
-        let fits =
-            self.present.len() == trials && self.vectors.dim() == (trials * (1 + COPIES), dims);
-        fits.then(|| Self { rows: rows(labels, self.vectors.nrows()), ..self })
+    pub(super) fn restored(mut self, labels: &Labels, dims: usize) -> Option<Self> {
+        let (trials, count) = (labels.class.len(), self.excerpts.len());
+        let fits = self.present.len() == trials
+            && self.vectors.dim() == (count, dims)
+            && count >= 2 * trials
+            && count.is_multiple_of(trials.max(1));
+        self.rows = fits.then(|| rows(labels, &self.excerpts))?;
+        Some(self)
     }
 
     /// Sets the columns of a source that a row lacks to the mean of the other rows of its class, whole
@@ -88,8 +96,11 @@ impl Training {
     }
 
     pub(super) fn excerpts(&self, trial: usize) -> impl Iterator<Item = ArrayView1<'_, f32>> {
-        let first = self.present.len() + trial * COPIES;
-        (first..first + EXCERPTS).map(|row| self.vectors.row(row))
+        let trials = self.present.len();
+        let copies = self.excerpts.len() / trials - 1;
+        let first = trials + trial * copies;
+        let excerpts = (first..first + copies).filter(|&row| self.excerpts[row]);
+        excerpts.map(|row| self.vectors.row(row))
     }
 
     pub(super) fn class_mean(&self, labels: &Labels, class: usize) -> Array1<f32> {
@@ -111,18 +122,17 @@ impl Training {
     }
 }
 
-/// Classes, groups and trials of the training vectors of a library, `count` in all.
-fn rows(labels: &Labels, count: usize) -> Rows {
-    let places: Vec<_> = (0..count).map(|row| place(row, labels.class.len())).collect();
-    let part = |&(trial, vector): &(usize, usize)| {
-        // The trial itself comes before the excerpts, its twin after them.
-        let is_excerpt = (1..=EXCERPTS).contains(&vector);
+/// Classes, groups and trials of the training vectors of a library.
+fn rows(labels: &Labels, excerpts: &[bool]) -> Rows {
+    let size = (labels.class.len(), excerpts.len());
+    let trials: Vec<usize> = (0..excerpts.len()).map(|row| place(row, size).0).collect();
+    let part = |(&trial, &is_excerpt): (&usize, &bool)| {
         labels.class[trial] + labels.classes * usize::from(is_excerpt)
     };
     Rows {
-        part: places.iter().map(part).collect(),
-        groups: places.iter().map(|&(trial, _)| labels.group[trial]).collect(),
-        trials: places.iter().map(|&(trial, _)| trial).collect(),
+        part: trials.iter().zip(excerpts).map(part).collect(),
+        groups: trials.iter().map(|&trial| labels.group[trial]).collect(),
+        trials,
         classes: labels.classes,
         group_count: labels.groups,
     }

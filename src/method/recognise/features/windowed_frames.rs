@@ -7,6 +7,7 @@
 //! power + 1e-14). The power of a bin is 2|X|²/(L·Σw²) for samples in units of full scale, so 16-bit
 //! quantisation adds about 8e-14 a bin.
 
+use std::borrow::Cow;
 use std::cell::RefCell;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -82,7 +83,7 @@ impl FrameView {
         }
         let mut padded = vec![0.0; self.points * channels];
         for c in 0..channels {
-            let of_channel: Vec<f32> = samples.iter().skip(c).step_by(channels).copied().collect();
+            let of_channel = of_channel(samples, c, channels);
             let mean = mean(&of_channel);
             let slots = padded.iter_mut().skip(c).step_by(channels);
             slots.zip(&of_channel).for_each(|(slot, x)| *slot = x - mean);
@@ -113,13 +114,18 @@ impl FrameView {
         let mut values = vec![0.0; frames * width];
         let block = passed.unwrap_or(0) * channels;
         let mut parts = vec![0.0; frames * block];
+        // Each channel in one piece, since every sample is read twice.
+        let planes: Vec<Cow<'_, [f32]>> = match channels {
+            1 => vec![samples.into()],
+            _ => (0..channels).map(|c| of_channel(samples, c, channels).into()).collect(),
+        };
         let task = |task: usize, rows: &mut [f32], parts: &mut [f32]| {
             WORKSPACES.with_borrow_mut(|all| {
                 let new = || Workspace::new(self.points);
                 let workspace = all.entry(self.points).or_insert_with(new);
                 for (i, row) in rows.chunks_exact_mut(width).enumerate() {
-                    let start = (task * FRAMES_A_TASK + i) * hop * channels;
-                    let frame = &samples[start..start + self.points * channels];
+                    let start = (task * FRAMES_A_TASK + i) * hop;
+                    let frame = planes.iter().map(|plane| &plane[start..start + self.points]);
                     workspace.frame(self, frame, row, &mut parts[i * block..(i + 1) * block]);
                 }
             });
@@ -209,16 +215,18 @@ impl Workspace {
         }
     }
 
-    /// Transforms one frame of L interleaved samples a channel. Fills `row`, channel by channel, and
+    /// Transforms one frame, the L samples of each channel. Fills `row`, channel by channel, and
     /// `part`, interleaved, with what lies within the bands; `part` may be empty.
-    fn frame(&mut self, view: &FrameView, samples: &[f32], row: &mut [f32], part: &mut [f32]) {
-        for (channel, bands) in row.chunks_exact_mut(view.bands()).enumerate() {
-            if view.channels == 1 {
-                self.input.copy_from_slice(samples);
-            } else {
-                let of_channel = samples[channel..].iter().step_by(view.channels);
-                self.input.iter_mut().zip(of_channel).for_each(|(slot, x)| *slot = *x);
-            }
+    fn frame<'s>(
+        &mut self,
+        view: &FrameView,
+        samples: impl Iterator<Item = &'s [f32]>,
+        row: &mut [f32],
+        part: &mut [f32],
+    ) {
+        let channels = row.chunks_exact_mut(view.bands()).zip(samples);
+        for (channel, (bands, samples)) in channels.enumerate() {
+            self.input.copy_from_slice(samples);
             let mean = windowed(&mut self.input, &self.window);
             self.plan
                 .process_with_scratch(&mut self.input, &mut self.output, &mut self.scratch)
@@ -260,6 +268,11 @@ impl Workspace {
         let window = self.window.iter().step_by(step);
         slots.zip(&samples).zip(window).for_each(|((slot, x), w)| *slot = x + mean * w);
     }
+}
+
+/// One channel of interleaved samples.
+fn of_channel(samples: &[f32], channel: usize, channels: usize) -> Vec<f32> {
+    samples.iter().skip(channel).step_by(channels).copied().collect()
 }
 
 /// Subtracts the mean of a frame, which is given, and multiplies the frame by a window.
