@@ -6,14 +6,8 @@
 //! two bins next to it; the nearer bin gets more. The mean of a function over a histogram is the mean
 //! of its linear interpolation between bins. It is smooth in the samples, and does not cost more the
 //! longer the scan lasts.
-//!
-//! When the stylus leaves the surface, or a serial line repeats its last value, frames are far quieter
-//! than the rest and say nothing about the surface. Which frames are left out depends on the median
-//! loudness, which is known only at the end. So each class of loudness has its own histograms.
 
-use std::borrow::Cow;
 use std::cell::Cell;
-use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::OnceLock;
 
@@ -22,17 +16,10 @@ use serde::{Deserialize, Serialize};
 
 use super::fourier::{BAND_FEATURES, BandScale, LANES, add_up};
 use super::lanes::{extremes, total};
-use crate::recognise::features::windowed_frames::{ln, sum};
+use crate::recognise::features::windowed_frames::ln;
 
 /// Number of bins in one unit of ln power.
 const BINS: f32 = 8.0;
-
-/// Width of a class of loudness, in units of ln power (6.5 dB).
-const LOUDNESS: f32 = 1.5;
-
-/// Frames more than this many classes (26 dB) below the median frame count as off the surface. A
-/// smaller distance would also drop quiet parts of the texture.
-const QUIETER: i32 = 4;
 
 /// Added to P/P̄ (power over mean power) before the logarithm, to hide noise far below the signal.
 const FLOOR: f64 = 1e-4;
@@ -40,6 +27,7 @@ const FLOOR: f64 = 1e-4;
 /// Most P/P̄, e⁸⁰, where a mean is no more than the floor of numbers.
 const MOST: f64 = 5.540_622_384_393_51e34;
 
+/// Histograms of the frames of one view of a series, or of the tiles of a picture. They grow with it.
 #[derive(Clone, Debug)]
 pub(super) struct Counts {
     channels: usize,
@@ -54,27 +42,20 @@ pub(super) struct Counts {
 }
 
 impl Counts {
-    fn new(channels: usize, width: usize) -> Self {
+    /// Starts without frames; `width` is the number of bands of all channels together.
+    pub(super) fn new(channels: usize, width: usize) -> Self {
         Self { channels, width, frames: 0, first: 0, bins: 0, counts: Vec::new() }
     }
 
-    /// The frames of a whole series, shape (frames, width), that are on the surface: what
-    /// [`BandSums::on_surface`] gives for them, without histograms of each class of loudness. The sums
-    /// are the same to the last bit, since packed frames are shared out in whole parts of 1/64.
-    pub(super) fn on_surface(channels: usize, width: usize, values: &[f32]) -> Self {
-        let rows = || values.chunks_exact(width);
-        let classes: Vec<i32> = rows().map(loudness).collect();
-        let mut sorted = classes.clone();
-        sorted.sort_unstable();
-        let least = sorted.get(sorted.len() / 2).map_or(0, |median| median - QUIETER);
-        let loud =
-            || rows().zip(&classes).filter(|(_, class)| **class >= least).map(|(row, _)| row);
-        let mut counts = Self::new(channels, width);
-        if let Some((first, last)) = loud().map(reached).reduce(wider) {
-            counts.reach(first, last);
+    /// Adds frames of ln power, shape (frames, width).
+    pub(super) fn add(&mut self, values: &[f32]) {
+        if let Some((first, last)) = values.chunks_exact(self.width).map(reached).reduce(wider) {
+            self.reach(first, last);
         }
-        loud().for_each(|row| counts.add(row));
-        counts
+        for row in values.chunks_exact(self.width) {
+            count(row, self.first, self.bins, &mut self.counts);
+            self.frames += 1;
+        }
     }
 
     /// Makes room for bins from `first` to `last`.
@@ -94,30 +75,6 @@ impl Counts {
             new[from..from + old.len()].copy_from_slice(old);
         }
         (self.first, self.bins, self.counts) = (first, bins, counts);
-    }
-
-    /// Adds a row whose values lie within reach.
-    fn add(&mut self, row: &[f32]) {
-        count(row, self.first, self.bins, &mut self.counts);
-        self.frames += 1;
-    }
-
-    fn join(&mut self, other: &Self) {
-        if other.bins == 0 {
-            return;
-        }
-        self.reach(other.first, other.first + other.bins as i32 - 1);
-        let from = (other.first - self.first) as usize;
-        let pairs =
-            self.counts.chunks_exact_mut(self.bins).zip(other.counts.chunks_exact(other.bins));
-        for (own, others) in pairs {
-            match self.frames {
-                // Fresh memory is not read, which would cost as much as writing it.
-                0 => own[from..from + others.len()].copy_from_slice(others),
-                _ => own[from..].iter_mut().zip(others).for_each(|(sum, x)| *sum += x),
-            }
-        }
-        self.frames += other.frames;
     }
 
     fn bands(&self) -> usize {
@@ -241,11 +198,6 @@ fn ln_relative(powers: &[f64], scale: f64, relative: &mut [f32]) {
     }
 }
 
-/// The class of loudness of a frame.
-fn loudness(row: &[f32]) -> i32 {
-    floor(sum(row) as f32 / row.len() as f32 / LOUDNESS)
-}
-
 /// The first and the last bin that a frame counts in.
 fn reached(row: &[f32]) -> (i32, i32) {
     let (least, most) = extremes(row);
@@ -261,74 +213,6 @@ fn wider(a: (i32, i32), b: (i32, i32)) -> (i32, i32) {
 fn floor(x: f32) -> i32 {
     let towards_zero = x as i32;
     towards_zero - i32::from(towards_zero as f32 > x)
-}
-
-/// Histograms of the frames of one view of a series, one set for each class of loudness.
-#[derive(Clone, Debug)]
-pub(super) struct BandSums {
-    channels: usize,
-    width: usize,
-    /// Classes of loudness in ascending order, with their histograms.
-    by_loudness: BTreeMap<i32, Counts>,
-}
-
-impl BandSums {
-    /// Starts without frames; `width` is the number of bands of all channels together.
-    pub(super) fn new(channels: usize, width: usize) -> Self {
-        Self { channels, width, by_loudness: BTreeMap::new() }
-    }
-
-    /// Adds frames of ln power, shape (frames, width).
-    pub(super) fn add(&mut self, values: &[f32]) {
-        let rows = values.chunks_exact(self.width);
-        // Room is made for all of them at once.
-        let mut ranges: BTreeMap<i32, (i32, i32)> = BTreeMap::new();
-        let class_of = |row: &[f32]| {
-            let (class, (first, last)) = (loudness(row), reached(row));
-            let range = ranges.entry(class).or_insert((first, last));
-            *range = wider(*range, (first, last));
-            class
-        };
-        let classes: Vec<i32> = rows.clone().map(class_of).collect();
-        for (class, (first, last)) in ranges {
-            let new = || Counts::new(self.channels, self.width);
-            self.by_loudness.entry(class).or_insert_with(new).reach(first, last);
-        }
-        for (row, class) in rows.zip(classes) {
-            if let Some(counts) = self.by_loudness.get_mut(&class) {
-                counts.add(row);
-            }
-        }
-    }
-
-    /// The histograms of the frames on the surface, among all that were added and those in `after`,
-    /// shape (frames, width).
-    pub(super) fn on_surface(&self, after: &[f32]) -> Cow<'_, Counts> {
-        let after: Vec<_> =
-            after.chunks_exact(self.width).map(|row| (loudness(row), row)).collect();
-        let mut frames: BTreeMap<i32, usize> =
-            self.by_loudness.iter().map(|(class, counts)| (*class, counts.frames)).collect();
-        after.iter().for_each(|(class, _)| *frames.entry(*class).or_default() += 1);
-        let (half, mut below) = (frames.values().sum::<usize>() / 2, 0);
-        let median = frames.iter().find(|(_, frames)| {
-            below += *frames;
-            below > half
-        });
-        let least = median.map_or(0, |(class, _)| class - QUIETER);
-        let loud = || self.by_loudness.range(least..).map(|(_, counts)| counts);
-        let after = || after.iter().filter(|(class, _)| *class >= least).map(|(_, row)| *row);
-        if let (Some(counts), None, None) = (loud().next(), loud().nth(1), after().next()) {
-            return Cow::Borrowed(counts);
-        }
-        let mut total = Counts::new(self.channels, self.width);
-        let ranges = loud().map(|counts| (counts.first, counts.end() - 1));
-        if let Some((first, last)) = ranges.chain(after().map(reached)).reduce(wider) {
-            total.reach(first, last);
-        }
-        loud().for_each(|counts| total.join(counts));
-        after().for_each(|row| total.add(row));
-        Cow::Owned(total)
-    }
 }
 
 /// Turns the frames of one view into features. Each band gives features in shape (relative to the

@@ -46,6 +46,13 @@ const EXCERPT_NOISE_DB: (f64, f64) = (10.0, 60.0);
 /// Share of samples that is lost in half of the twins, as a power of ten: least and most.
 const LOST_LOG10: (f64, f64) = (-3.0, -1.0);
 
+/// Share of the twins that leave the surface; greatest share of their time there; share of one stretch of it,
+/// least and most; and the factor on its samples, as a power of ten, least and most.
+const LIFTED_TWINS: f64 = 0.25;
+const LIFTED: f64 = 0.3;
+const LIFTED_AT_ONCE: (f64, f64) = (0.02, 0.2);
+const LIFTED_LOG10: (f64, f64) = (-3.0, -1.0);
+
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Copy {
     /// Start of an excerpt, as a share of the latest possible start; `None` for the twin.
@@ -151,7 +158,7 @@ fn add_noise(rng: &mut ChaCha8Rng, noise: &[f32], samples: &mut [f32]) {
 }
 
 /// A series as a worse sensor would have recorded it: stretched, with white noise. In half of the
-/// cases, single samples are lost and later samples move up.
+/// cases, single samples are lost and later samples move up; in a quarter, the stylus is lifted at times.
 fn twin(rng: &mut ChaCha8Rng, deviations: &[f64], samples: &[f32]) -> Vec<f32> {
     let channels = deviations.len();
     let pace = between(rng, (-LN_STRETCH, LN_STRETCH)).exp();
@@ -185,8 +192,27 @@ fn twin(rng: &mut ChaCha8Rng, deviations: &[f64], samples: &[f32]) -> Vec<f32> {
         }
         twin.truncate(kept * channels);
     }
+    if seed::uniform(rng) < LIFTED_TWINS {
+        lift(rng, deviations, &mut twin);
+    }
     add_noise(rng, &noise, &mut twin);
     twin
+}
+
+/// Weakens the channels that vary in some stretches of interleaved samples, as if the stylus had left the
+/// surface, or a line had paused.
+fn lift(rng: &mut ChaCha8Rng, deviations: &[f64], samples: &mut [f32]) {
+    let frames = samples.len() / deviations.len();
+    let gain = 10f64.powf(between(rng, LIFTED_LOG10)) as f32;
+    let gains: Vec<f32> = deviations.iter().map(|&d| if d > 0.0 { gain } else { 1.0 }).collect();
+    let mut left = (LIFTED * seed::uniform(rng) * frames as f64) as usize;
+    while left > 0 {
+        let length = ((between(rng, LIFTED_AT_ONCE) * frames as f64) as usize).clamp(1, left);
+        let first = (seed::uniform(rng) * (frames - length + 1) as f64) as usize;
+        let stretch = &mut samples[first * gains.len()..(first + length) * gains.len()];
+        stretch.iter_mut().zip(gains.iter().cycle()).for_each(|(x, gain)| *x *= gain);
+        left -= length;
+    }
 }
 
 /// Standard deviation of each channel of interleaved samples.
@@ -265,6 +291,20 @@ mod tests {
                 assert!((found - asked).abs() <= 0.05 * asked, "{found} instead of {asked}");
             }
         }
+    }
+
+    #[test]
+    fn a_quarter_of_the_twins_is_lifted_for_a_part_of_the_time() {
+        let loud: Vec<f32> = (0..2000).map(|i| if i % 2 == 0 { 5.0 } else { 5.2 }).collect();
+        let lifted = |digest| {
+            let copy = copies(digest, 1, 9)[EXCERPTS];
+            let twin = samples(&copy, (digest, 1, "ac"), &deviations(1, &loud), &loud);
+            twin.iter().filter(|x| **x < 2.0).count() as f64 / twin.len() as f64
+        };
+        let shares: Vec<f64> = (0..200).map(lifted).collect();
+        let some = shares.iter().filter(|share| **share > 0.0).count();
+        assert!((30..70).contains(&some), "{some}");
+        assert!(shares.iter().all(|share| *share < LIFTED + 1e-3));
     }
 
     #[test]

@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use super::band_sums::BandSums;
+use super::band_sums::Counts;
 use super::frames::{SourceViews, samples_by};
 use super::growing::Growing;
 use super::joint::{Present, SourceEmbedder, Stretch};
@@ -58,7 +58,7 @@ struct GrowingSeries {
     /// Whether the source has had NaN or infinite samples.
     broken: bool,
     growing: Growing,
-    frames: [BandSums; 2],
+    frames: [Counts; 2],
 }
 
 impl EmbeddingModel {
@@ -319,7 +319,7 @@ impl GrowingSeries {
             samples: 0,
             flaws: SeriesFlaws::new(channels),
             broken: false,
-            frames: views.frames.each_ref().map(|view| BandSums::new(view.channels, view.width())),
+            frames: views.frames.each_ref().map(|view| Counts::new(view.channels, view.width())),
             growing: Growing::new(&views),
             views,
         }

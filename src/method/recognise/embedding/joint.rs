@@ -8,7 +8,7 @@ use ndarray::{Array2, ArrayView1, ArrayViewMut1, ArrayViewMut2, s};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::band_sums::BandSums;
+use super::band_sums::Counts;
 use super::copies::Copy;
 use super::frames::{SeriesFrames, SourceFrames, TrialFrames, samples_by};
 use super::picture::PictureEmbedder;
@@ -347,7 +347,7 @@ pub(super) fn columns(stretches: &[Stretch], present: &Present) -> Vec<usize> {
 fn beginnings(embedder: &SeriesEmbedder, series: &SeriesFrames, looks: &[usize]) -> Vec<Vec<f32>> {
     let (rate_hz, moments_hz) = (series.rate_hz(), series.views.moments_hz());
     let mut sums =
-        series.views.frames.each_ref().map(|view| BandSums::new(view.channels, view.width()));
+        series.views.frames.each_ref().map(|view| Counts::new(view.channels, view.width()));
     let mut taken = [0; 2];
     let of_look = |&number: &usize| {
         let look = series.looks.get(number.checked_sub(1)?)?;

@@ -9,7 +9,7 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::band_sums::{BandSums, Counts, ViewEmbedder, median};
+use super::band_sums::{Counts, ViewEmbedder, median};
 use super::eigen::{EigenPairs, push_upper};
 use super::frames::{SeriesFrames, SourceViews};
 use super::growing::Piece;
@@ -129,30 +129,42 @@ impl SeriesEmbedder {
         moments_hz: f64,
         ln_gain: f64,
     ) -> Vec<f32> {
-        let counts =
-            |view: usize| Cow::Owned(counted(&self.views.frames[view], &piece.frames[view]));
-        self.vector(counts, &piece.moments, places, moments_hz, ln_gain)
+        let counts = [0, 1].map(|view| counted(&self.views.frames[view], &piece.frames[view]));
+        self.vector(counts.each_ref(), &piece.moments, places, moments_hz, ln_gain)
     }
 
     /// The vector of the beginning of a series, from the sums of its complete frames. `end` holds the
     /// frames after these.
-    pub(super) fn growing(&self, sums: &[BandSums; 2], end: &Piece, moments_hz: f64) -> Vec<f32> {
-        let counts = |view: usize| sums[view].on_surface(&end.frames[view].values());
-        self.vector(counts, &end.moments, &end.places, moments_hz, 0.0)
+    pub(super) fn growing(&self, sums: &[Counts; 2], end: &Piece, moments_hz: f64) -> Vec<f32> {
+        let counts = [0, 1].map(|view| {
+            let mut all = Cow::Borrowed(&sums[view]);
+            let after = end.frames[view].values();
+            if !after.is_empty() {
+                all.to_mut().add(&after);
+            }
+            all
+        });
+        self.vector(
+            counts.each_ref().map(AsRef::as_ref),
+            &end.moments,
+            &end.places,
+            moments_hz,
+            0.0,
+        )
     }
 
-    /// The vector of a series, or of a part of it. `counts` gives the frames of a view on the surface.
-    fn vector<'c>(
+    /// The vector of a series, or of a part of it. `counts` holds the frames of each view.
+    fn vector(
         &self,
-        counts: impl Fn(usize) -> Cow<'c, Counts>,
+        counts: [&Counts; 2],
         moments: &Moments,
         places: &[f32],
         moments_hz: f64,
         ln_gain: f64,
     ) -> Vec<f32> {
         let mut vector = Vec::with_capacity(self.dims());
-        for (view, embedder) in self.frames.iter().enumerate() {
-            embedder.push(&counts(view), ln_gain, &mut vector);
+        for (embedder, counts) in self.frames.iter().zip(counts) {
+            embedder.push(counts, ln_gain, &mut vector);
         }
         let stats = moments.statistics(moments_hz, ln_gain);
         if !self.views.passed {
@@ -240,5 +252,7 @@ fn push_atanh(correlations: &[f64], vector: &mut Vec<f32>) {
 }
 
 fn counted(view: &FrameView, frames: &PackedFrames) -> Counts {
-    Counts::on_surface(view.channels, view.width(), &frames.values())
+    let mut counts = Counts::new(view.channels, view.width());
+    counts.add(&frames.values());
+    counts
 }

@@ -16,7 +16,8 @@ use rustfft::{Fft, FftPlanner};
 use serde::{Deserialize, Serialize};
 
 use super::band_sums::Counts;
-use super::lanes::{chunks, dot, powers};
+use super::fourier::LANES;
+use super::lanes::{chunks, dot, powers, total};
 use super::packed::PackedFrames;
 use crate::recognise::features::windowed_frames::sum;
 use crate::trial::Image;
@@ -94,6 +95,7 @@ impl PictureTiles {
     pub(super) fn counts(&self, quarter: Option<usize>) -> Counts {
         let part = quarter.map(pixels_of);
         let lies = |at: usize, within: &Range<usize>| within.start <= at && at + SIDE <= within.end;
+        let mut counts = Counts::new(CHANNELS, Self::width());
         let mut tiles = Vec::new();
         for (tile, row) in self.tiles.values().chunks_exact(Self::width()).enumerate() {
             let (top, left) = (tile / TILES[1] * HOP, tile % TILES[1] * HOP);
@@ -101,7 +103,8 @@ impl PictureTiles {
                 tiles.extend_from_slice(row);
             }
         }
-        Counts::on_surface(CHANNELS, Self::width(), &tiles)
+        counts.add(&tiles);
+        counts
     }
 
     /// Statistics of all pixels, or of those of a quarter. Pairs of pixels across the borders of
@@ -125,13 +128,16 @@ fn pixels_of(quarter: usize) -> (Range<usize>, Range<usize>) {
 
 /// The three channels of a picture, each row by row.
 fn planes(image: &Image) -> [Vec<f32>; CHANNELS] {
-    let (pixels, _) = image.rgb().as_chunks();
-    let mut planes = [(); CHANNELS].map(|()| Vec::with_capacity(pixels.len()));
-    for [r, g, b] in pixels {
-        let (r, g, b) = (f32::from(*r) / 255.0, f32::from(*g) / 255.0, f32::from(*b) / 255.0);
-        planes[0].push((r + g + b) / 3.0);
-        planes[1].push(r - g);
-        planes[2].push((r + g) / 2.0 - b);
+    const UNIT: f32 = 1.0 / 255.0;
+    let (pixels, _) = image.rgb().as_chunks::<3>();
+    let mut planes = [(); CHANNELS].map(|()| vec![0.0; pixels.len()]);
+    let [brightness, red_green, yellow_blue] = &mut planes;
+    let slots = brightness.iter_mut().zip(red_green).zip(yellow_blue);
+    for (pixel, ((brightness, red_green), yellow_blue)) in pixels.iter().zip(slots) {
+        let [r, g, b] = pixel.map(|x| f32::from(x) * UNIT);
+        *brightness = (r + g + b) * (1.0 / 3.0);
+        *red_green = r - g;
+        *yellow_blue = (r + g) * 0.5 - b;
     }
     planes
 }
@@ -163,13 +169,16 @@ impl PixelSums {
         }
         sums.pixels = (rows.len() * columns.len()) as f64;
         let length = columns.len() - REACH;
+        let mut lanes = Lanes::default();
         for r in (rows.start..rows.end - REACH).step_by(ROW_STEP) {
             let of =
                 |(dr, dc)| (0..CHANNELS).map(move |c| row(r + dr, columns.start + dc, c, length));
             let stacked: Vec<&[f32]> = DISPLACED.into_iter().flat_map(of).collect();
-            add_products(&stacked, &mut sums.sums, &mut sums.products);
+            add_products(&stacked, &mut lanes);
             sums.stacks += length as f64;
         }
+        sums.sums = lanes.sums.iter().map(total).collect();
+        sums.products = lanes.products.iter().map(total).collect();
         sums
     }
 
@@ -213,50 +222,52 @@ impl PixelSums {
     }
 }
 
-/// Adds Σ v_i and, for j ≤ i, Σ v_i·v_j over equally long rows.
+/// Σ v_i and, for j ≤ i, Σ v_i·v_j, in lanes that are added up once for all rows of a quarter.
+struct Lanes {
+    sums: Vec<[f32; LANES]>,
+    products: Vec<[f32; LANES]>,
+}
+
+impl Default for Lanes {
+    fn default() -> Self {
+        let lanes = |count| vec![[0.0; LANES]; count];
+        Self { sums: lanes(STACKED), products: lanes(STACKED * (STACKED + 1) / 2) }
+    }
+}
+
+/// Adds equally long rows to the lanes.
 #[multiversion(targets(
     "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
     "x86_64+avx2+fma",
     "aarch64+neon"
 ))]
-fn add_products(rows: &[&[f32]], sums: &mut [f64], products: &mut [f64]) {
-    let mut at = 0;
+fn add_products(rows: &[&[f32]], lanes: &mut Lanes) {
+    let mut products = lanes.products.iter_mut();
     for (i, a) in rows.iter().enumerate() {
-        let (a, last_a) = chunks::<16>(a, 0.0);
-        let mut lanes = last_a;
+        let (a, last_a) = chunks::<LANES>(a, 0.0);
+        let sums = &mut lanes.sums[i];
+        for lane in 0..LANES {
+            sums[lane] += last_a[lane];
+        }
         for chunk in a {
-            for lane in 0..16 {
-                lanes[lane] += chunk[lane];
+            for lane in 0..LANES {
+                sums[lane] += chunk[lane];
             }
         }
-        sums[i] += f64::from(total(lanes));
-        for b in &rows[..=i] {
-            let (b, last_b) = chunks::<16>(b, 0.0);
-            let mut lanes = [0f32; 16];
-            for lane in 0..16 {
-                lanes[lane] = last_a[lane] * last_b[lane];
+        for (b, product) in rows[..=i].iter().zip(&mut products) {
+            let (b, last_b) = chunks::<LANES>(b, 0.0);
+            let mut sums = *product;
+            for lane in 0..LANES {
+                sums[lane] += last_a[lane] * last_b[lane];
             }
             for i in 0..a.len().min(b.len()) {
-                for lane in 0..16 {
-                    lanes[lane] += a[i][lane] * b[i][lane];
+                for lane in 0..LANES {
+                    sums[lane] += a[i][lane] * b[i][lane];
                 }
             }
-            products[at] += f64::from(total(lanes));
-            at += 1;
+            *product = sums;
         }
     }
-}
-
-/// The sum of the lanes, halves first, so that few additions wait for the one before.
-#[inline(always)]
-fn total(mut lanes: [f32; 16]) -> f32 {
-    for lane in 0..8 {
-        lanes[lane] += lanes[lane + 8];
-    }
-    for lane in 0..4 {
-        lanes[lane] += lanes[lane + 4];
-    }
-    (lanes[0] + lanes[2]) + (lanes[1] + lanes[3])
 }
 
 /// The band of each bin of a transformed tile.
