@@ -16,7 +16,7 @@ use super::lanes::dot;
 use super::moments::{less, means};
 use crate::seed;
 
-pub(super) const EXCERPTS: usize = 3;
+const EXCERPTS: usize = 3;
 
 /// Number of copies of each trial of a small library: the excerpts, then the twin.
 const COPIES: usize = EXCERPTS + 1;

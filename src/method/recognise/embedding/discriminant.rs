@@ -203,7 +203,7 @@ impl Discriminant {
         let one = vectors.to_slice().filter(|one| vectors.nrows() == 1 && !one.is_empty());
         let (u, inner) = if let (Some(one), Some(rows)) = (one, self.projection.as_slice()) {
             // One row is multiplied faster as a vector.
-            let u = Array1::from(products(rows, one)).mapv(f64::from) - &self.origin;
+            let u = Array1::from(products(rows, one)) - &self.origin;
             let inner = self.means.dot(&u);
             (u.insert_axis(Axis(0)), inner.insert_axis(Axis(0)))
         } else {

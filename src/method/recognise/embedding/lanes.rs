@@ -54,13 +54,13 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f64 {
     total(&sums)
 }
 
-/// The inner product of each row of a matrix with a vector of at least one number, in f32.
+/// The inner product of each row of a matrix with a vector of at least one number, summed in f32.
 #[multiversion(targets(
     "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
     "x86_64+avx2+fma",
     "aarch64+neon"
 ))]
-pub(super) fn products(rows: &[f32], vector: &[f32]) -> Vec<f32> {
+pub(super) fn products(rows: &[f32], vector: &[f32]) -> Vec<f64> {
     const WIDE: usize = 32;
     let (b, last_b) = chunks::<WIDE>(vector, 0.0);
     let mut all = Vec::with_capacity(rows.len() / vector.len());
@@ -75,14 +75,7 @@ pub(super) fn products(rows: &[f32], vector: &[f32]) -> Vec<f32> {
                 sums[lane] += a[i][lane] * b[i][lane];
             }
         }
-        let mut half = WIDE / 2;
-        while half > 0 {
-            for lane in 0..half {
-                sums[lane] += sums[lane + half];
-            }
-            half /= 2;
-        }
-        all.push(sums[0]);
+        all.push(total(&sums));
     }
     all
 }

@@ -1,19 +1,45 @@
 use super::*;
 
 #[test]
-fn a_series_that_grows_is_counted_like_a_whole_one() {
-    let values: Vec<f32> = frames(80, 0.0).into_iter().chain(frames(9, -20.0)).collect();
-    let mut grown = Counts::new(2, 6);
-    values.chunks(7 * 6).for_each(|piece| grown.add(piece));
-    let whole = counted(&values);
-    assert_eq!(grown.frames, whole.frames);
-    for (x, y) in grown.ln_mean_power().iter().zip(whole.ln_mean_power()) {
-        assert!((x - y).abs() < 1e-6);
+fn a_whole_series_is_counted_as_if_it_had_grown() {
+    for (n, width) in [(0, 6), (1, 6), (2, 6), (7, 2), (240, 6)] {
+        // Steps of 1/512, like packed frames, so that counts are the same to the last bit.
+        let step = |i: usize| ((i * 7919) % 4096) as f32 / 512.0;
+        let off = |i: usize| if i / width % 5 == 3 { 9.0 } else { (i / width % 3) as f32 };
+        let values: Vec<f32> = (0..n * width).map(|i| step(i) - off(i)).collect();
+        let (mut grown, mut whole) = (Counts::new(2, width), Counts::new(2, width));
+        values.chunks(3 * width).for_each(|piece| grown.add(piece));
+        whole.add(&values);
+        assert_eq!((grown.frames, grown.first), (whole.frames, whole.first), "{n}");
+        assert_eq!(grown.ln_mean_power(), whole.ln_mean_power(), "{n}");
+        let bins = (grown.bins.max(1), whole.bins.max(1));
+        let bands = grown.counts.chunks(bins.0).zip(whole.counts.chunks(bins.1));
+        for (grown, whole) in bands {
+            let shared = grown.len().min(whole.len());
+            assert_eq!(grown[..shared], whole[..shared], "{n}");
+            assert!(grown[shared..].iter().chain(&whole[shared..]).all(|x| *x == 0.0));
+        }
     }
-    let mean = (values.iter().map(|&x| f64::from(x).exp()).sum::<f64>() / values.len() as f64).ln();
-    let powers = whole.ln_mean_power().iter().map(|x| x.exp()).sum::<f64>() / 2.0;
-    assert!((powers.ln() - mean).abs() < 3e-3);
-    assert_eq!(counted(&[]).frames, 0);
+}
+
+#[test]
+fn a_quiet_frame_counts_like_any_other_whatever_the_gain() {
+    for gain in [0.0, -12.0, 7.5] {
+        let values = [0.0, 0.2, -20.0, -19.8].map(|x: f32| x + gain);
+        let mut counts = Counts::new(1, 2);
+        counts.add(&values);
+        let power: f64 = values.iter().map(|&x| f64::from(x).exp()).sum::<f64>() / 4.0;
+        assert_eq!(counts.frames, 2);
+        assert!((counts.ln_mean_power()[0] - power.ln()).abs() < 3e-3, "{gain}");
+    }
+}
+
+#[test]
+fn a_scan_that_is_silent_throughout_is_kept() {
+    let mut counts = Counts::new(1, 1);
+    counts.add(&[-32.2; 7]);
+    assert_eq!(counts.frames, 7);
+    assert_eq!(Counts::new(1, 1).frames, 0);
 }
 
 /// Frames of two channels with three bands each.
