@@ -196,7 +196,7 @@ pub struct TrialFrames {
     pub key: TrialKey,
     /// Hash of the samples, whatever the trial is called. It orders a library's trials; 0 for a query.
     pub digest: u64,
-    /// The copies of the trial, in the order of [`SeriesFrames::copies`]; a query has none.
+    /// The copies of the trial, in the order of `SeriesFrames::copies`; a query has none.
     pub copies: Vec<Copy>,
     /// The sources of the trial that the scene describes.
     pub sources: BTreeMap<SourceId, SourceFrames>,
