@@ -10,7 +10,7 @@ use crate::library::Entry;
 use crate::trial::TrialKey;
 
 /// Version of the bytes of [`Prepared::encode`]. Raise it whenever their meaning changes.
-pub(super) const FORMAT: u64 = 10;
+pub(super) const FORMAT: u64 = 11;
 
 /// A trial, prepared for comparison. A clone is cheap.
 #[derive(Clone)]
