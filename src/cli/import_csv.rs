@@ -102,8 +102,11 @@ fn source(text: &str) -> Result<(SourceId, Vec<String>), String> {
 }
 
 fn rate(text: &str) -> Result<f64, String> {
-    let expected = "a whole number of rows a second; for another, give --time";
-    parsed(text, |hz| *hz > 0, expected).map(|hz: u32| f64::from(hz))
+    parsed(
+        text,
+        |hz: &f64| (0.01..1e9).contains(hz),
+        "a number of rows a second, such as 100 or 12.5",
+    )
 }
 
 fn pattern(text: &str) -> Result<NamePattern, String> {
@@ -129,6 +132,11 @@ impl CsvArgs {
 }
 
 pub(super) fn run(args: &CsvArgs) -> Done {
+    let mut ids = BTreeSet::new();
+    if let Some((twice, _)) = args.source.iter().find(|(id, _)| !ids.insert(id)) {
+        let problem = format!("--source names `{twice}` twice; list all its columns at once");
+        return Err(Failure::usage(problem));
+    }
     let (mut tables, mut bad) = (Vec::new(), Vec::new());
     args.tables.iter().try_for_each(|path| find(path, &mut tables, &mut bad))?;
     if tables.is_empty() {
@@ -231,7 +239,13 @@ fn understood(
     let session = args.session.clone().filter(|_| args.session_of().is_none());
     let labels = [args.surface.clone(), args.user.clone(), args.trial.clone(), session];
     let clock = match (args.rate, &args.time) {
-        (Some(rate_hz), _) => Clock::Rate(rate_hz),
+        (Some(rate_hz), _) => {
+            let times = columns::clock(&head, args.time_unit, args.from_1904).ok().flatten();
+            times.iter().for_each(|column| {
+                say!("times in column `{column}` are not used: --rate is given")
+            });
+            Clock::Rate(rate_hz)
+        }
         (None, Some(column)) => Clock::Times { column: column.clone(), unit_s: args.time_unit },
         (None, None) => {
             let found = columns::clock(&head, args.time_unit, args.from_1904).map_err(fail)?;
@@ -248,7 +262,8 @@ fn understood(
         notes.iter().for_each(|note| say!("{note}"));
         sources = found;
     }
-    Ok(Form { sources, clock, labels, ..form(args, most_unpacked) })
+    let units = head.units(&sources).map_err(fail)?;
+    Ok(Form { sources, units, clock, labels, ..form(args, most_unpacked) })
 }
 
 /// How to read an array, whose channels are called 1, 2, …
@@ -274,6 +289,7 @@ fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Result<Form, F
 fn form(args: &CsvArgs, most_unpacked: u64) -> Form {
     Form {
         sources: Vec::new(),
+        units: Vec::new(),
         clock: Clock::Rate(1.0),
         labels: [None, None, None, None],
         // A column then stands among the labels.
@@ -385,7 +401,8 @@ impl Staging {
 /// The summary of an import that is printed.
 #[derive(Default)]
 struct Summary {
-    rates: BTreeMap<SourceId, f64>,
+    /// The lowest and the highest rate of each source.
+    rates: BTreeMap<SourceId, (f64, f64)>,
     /// For each surface: trials, users, seconds.
     surfaces: BTreeMap<String, (usize, BTreeSet<String>, f64)>,
     /// For each source and channel: its value if it never changes within a trial, by trial.
@@ -410,7 +427,9 @@ impl Summary {
     fn add(&mut self, trial: &Trial) {
         for (id, signal) in &trial.signals {
             if let Signal::Series(series) = signal {
-                self.rates.entry(id.clone()).or_insert(series.rate_hz());
+                let hz = series.rate_hz();
+                let (low, high) = self.rates.entry(id.clone()).or_insert((hz, hz));
+                (*low, *high) = (low.min(hz), high.max(hz));
                 self.constants(id, series);
             }
         }
@@ -446,7 +465,11 @@ impl Summary {
 
     fn print(&self, form: &Form) {
         let rows = form.sources.iter().map(|(id, columns)| {
-            let rate = self.rates.get(id).map_or_else(String::new, |rate| format!("{rate} Hz"));
+            let rate = match self.rates.get(id) {
+                None => String::new(),
+                Some((low, high)) if low == high => format!("{low} Hz"),
+                Some((low, high)) => format!("{low} to {high} Hz"),
+            };
             vec![id.to_string(), columns.join(", "), rate]
         });
         show::table(&["source", "columns", ">rate"], rows);

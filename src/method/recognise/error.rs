@@ -15,7 +15,8 @@ pub enum RecogniseError {
     Library(#[from] LibraryError),
     #[error(
         "the library holds {trials} trial(s) of {surfaces} surface(s); naming needs trials of at \
-         least two surfaces: enrol more, or open another library"
+         least two surfaces: enrol more, or open another library. The folder that holds a trial names its \
+         surface"
     )]
     TooFewSurfaces { surfaces: usize, trials: usize },
     #[error("no source in common: the query has {query}; the library has {library}")]

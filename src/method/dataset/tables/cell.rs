@@ -3,13 +3,17 @@
 use super::text::shown;
 
 /// The texts of a missing value, in small letters.
-const MISSING: [&str; 14] = [
+const MISSING: [&str; 18] = [
     "",
     "nan",
     "na",
     "n/a",
     "#n/a",
     "#nv",
+    "#div/0!",
+    "#value!",
+    "#num!",
+    "#ref!",
     "null",
     "none",
     "-",
@@ -119,6 +123,19 @@ impl Numbers {
     }
 }
 
+/// Two cells of a column whose marks are more likely to separate thousands than decimals: `999` and `1,000`,
+/// if all numbers with a mark have groups of three digits, and those without have fewer digits.
+pub(super) fn thousands(cells: &[Vec<u8>]) -> Option<(String, String)> {
+    let texts = cells.iter().filter(|cell| !is_missing(cell)).map(|cell| shown(cell));
+    let (marked, plain): (Vec<_>, Vec<_>) = texts.partition(|text| text.contains([',', '.']));
+    let value = |text: &std::borrow::Cow<'_, str>| text.parse::<i64>().ok().map(i64::abs);
+    let are_short = plain.iter().all(|text| value(text).is_some_and(|value| value < 1000));
+    let long = plain.iter().find(|text| value(text).is_some_and(|value| value >= 100));
+    let are_grouped = are_short && marked.iter().all(|text| by_thousands(text));
+    let (long, marked) = long.zip(marked.first()).filter(|_| are_grouped)?;
+    Some((long.to_string(), marked.to_string()))
+}
+
 /// Whether one kind of mark separates the digits of a whole number into thousands.
 fn by_thousands(text: &str) -> bool {
     let digits = text.trim_start_matches(['-', '+']);
@@ -149,6 +166,21 @@ mod tests {
         }
         for cell in ["", "NaN", "n/a", "#N/A", "-nan(ind)", "NULL"] {
             assert!(Numbers::new(b',').read(cell.as_bytes()).unwrap().is_nan(), "{cell}");
+        }
+    }
+
+    #[test]
+    fn thousands_are_told_from_decimals_by_shorter_numbers_without_a_mark() {
+        for (cells, expected) in [
+            (&["999", "1,000", "-1,001"][..], true),
+            (&["999", "1.000"], true),
+            (&["1,000", "1,001"], false),
+            (&["99", "1,000"], false),
+            (&["999", "1,000", "1,5"], false),
+            (&["999.125", "1000", "1.000"], false),
+        ] {
+            let cells: Vec<Vec<u8>> = cells.iter().map(|cell| cell.as_bytes().to_vec()).collect();
+            assert_eq!(thousands(&cells).is_some(), expected, "{cells:?}");
         }
     }
 

@@ -3,15 +3,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::cell::is_missing;
+use super::cell::{Numbers, is_missing};
 use super::heading::Column;
-use super::stamp::{Stamps, unit_ns};
+use super::stamp::{Stamps, length, unit_ns};
 use super::text::shown;
 use super::{Clock, Head};
 use crate::scene::SourceId;
 
 /// Names of columns of times: letters and digits alone, in small letters.
-const TIMES: [&str; 38] = [
+const TIMES: [&str; 44] = [
     "time",
     "t",
     "timestamp",
@@ -43,6 +43,12 @@ const TIMES: [&str; 38] = [
     "ms",
     "us",
     "ns",
+    "milliseconds",
+    "microseconds",
+    "nanoseconds",
+    "timems",
+    "timeus",
+    "xaxis",
     "sampletime",
     "loggingtime",
     "systemtime",
@@ -70,6 +76,9 @@ const COUNTERS: [&str; 15] = [
     "row",
     "packet",
 ];
+
+/// A column that rises by 1 for so many rows counts them, whatever it is called.
+const SURELY_COUNTED: usize = 50;
 
 /// Names of columns that say what a row belongs to.
 const LABELS: [&str; 26] = [
@@ -107,20 +116,65 @@ fn plain(name: &str) -> String {
     name.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase()
 }
 
-/// Whether a column is one of times by its name.
-pub(crate) fn is_time(column: &Column) -> bool {
-    let base = plain(&column.base);
+/// Whether a name, without its unit, is one of times.
+pub(super) fn is_time_name(name: &str) -> bool {
+    let base = plain(name);
     TIMES.contains(&&*base)
         || TIMES.contains(&base.trim_end_matches(|c: char| c.is_ascii_digit()))
             && base.starts_with("time")
 }
 
+/// Whether a column of a table is one of times by its name. A `T` beside another first column is a
+/// temperature or a torque.
+fn is_time(columns: &[Column], at: usize) -> bool {
+    is_time_name(&columns[at].base) && (at == 0 || columns[at].base != "T")
+}
+
 /// The unit of time that a column's header tells, in ns.
-pub(crate) fn told_unit_ns(column: &Column) -> Option<f64> {
-    let unit = column.unit.as_deref().and_then(unit_ns);
+fn told_unit_ns(column: &Column) -> Option<f64> {
+    let base = plain(&column.base);
+    let counted = |unit: &str| {
+        let digits = unit.bytes().take_while(u8::is_ascii_digit).count();
+        let count = if digits == 0 { 1.0 } else { unit[..digits].parse().ok()? };
+        Some(count * unit_ns(unit[digits..].trim().trim_end_matches('.'))?)
+    };
     // A column may be called `millis`, but `t` or `s` alone says no unit.
-    unit.or_else(|| unit_ns(&plain(&column.base)).filter(|_| column.base.len() > 1))
-        .or_else(|| (plain(&column.base) == "secondselapsed").then_some(1e9))
+    (column.unit.as_deref().and_then(counted))
+        .or_else(|| unit_ns(base.strip_prefix("time").unwrap_or(&base)).filter(|_| base.len() > 1))
+        .or_else(|| (base == "secondselapsed").then_some(1e9))
+}
+
+/// The times in a column of a table, and how they were understood. `unit_s` is their unit in seconds, if
+/// it was given.
+///
+/// # Errors
+/// If the times are of no known form or may have several units, or the header says a unit that is not
+/// known, or not that of the values. The error continues a sentence that begins with the column.
+pub(super) fn stamps(
+    head: &Head,
+    at: usize,
+    unit_s: Option<f64>,
+    from_1904: bool,
+) -> Result<(Stamps, String), String> {
+    let (column, cells) = (&head.layout.columns[at], head.cells(at));
+    let of = |unit_ns: Option<f64>| Stamps::of(&cells, unit_ns, from_1904);
+    if let Some(unit_s) = unit_s {
+        return of(Some(unit_s * 1e9));
+    }
+    let unit = column.unit.as_deref().unwrap_or_default();
+    let advice = "say --time-unit SECONDS, such as 0.001";
+    match (told_unit_ns(column), of(None)) {
+        (Some(told), Ok((Stamps::Numbers { unit_ns, since_1970: true }, _))) if unit_ns != told => {
+            let by_values = length(unit_ns);
+            Err(format!("has the unit `{unit}`, but values in {by_values} since 1970; {advice}"))
+        }
+        (Some(told), _) => of(Some(told)),
+        // Another text, such as a zone or the form of the times, may stand there with dates.
+        (None, Ok((Stamps::Numbers { since_1970: false, .. }, _))) if !unit.is_empty() => {
+            Err(format!("has the unit `{unit}`, which is not known; {advice}"))
+        }
+        (None, found) => found,
+    }
 }
 
 /// The column of times of a table, if one has the name and the values of times.
@@ -129,15 +183,11 @@ pub(crate) fn told_unit_ns(column: &Column) -> Option<f64> {
 /// If two columns are times of different lengths, or the times have several readings.
 pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option<String>, String> {
     let columns = &head.layout.columns;
-    let unit_of =
-        |column: usize| unit_s.map(|unit| unit * 1e9).or_else(|| told_unit_ns(&columns[column]));
     let rises = |column: usize| -> Option<Result<(f64, usize), String>> {
         let cells = head.cells(column);
-        let stamps = match Stamps::of(&cells, unit_of(column), from_1904) {
+        let stamps = match stamps(head, column, unit_s, from_1904) {
             Ok((stamps, _)) => stamps,
-            // A column that rises may be the times, though in which unit is not clear.
-            Err(why) if why.contains("--time-unit") => return Some(Err(why)),
-            Err(_) => return None,
+            Err(why) => return Some(Err(why)),
         };
         let times: Vec<i64> = cells.iter().filter_map(|cell| stamps.read(cell)).collect();
         let back = times.windows(2).filter(|two| two[1] < two[0]).count();
@@ -148,7 +198,7 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
         (times.len() > 1 && back * 5 <= times.len() && long > 0.0)
             .then_some(Ok((long / 1e9, times.len())))
     };
-    let named = (0..columns.len()).filter(|column| is_time(&columns[*column]));
+    let named = (0..columns.len()).filter(|column| is_time(columns, *column));
     let (mut found, mut unclear) = (None::<(usize, f64)>, None);
     for column in named {
         match rises(column) {
@@ -169,23 +219,23 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
             },
         }
     }
-    if let (None, Some(unclear)) = (found, unclear) {
-        return Err(unclear);
-    }
     let by_value = || {
         (0..columns.len()).find(|column| {
-            let cells = head.cells(*column);
-            let stamps = Stamps::of(&cells, unit_of(*column), from_1904);
+            let stamps = stamps(head, *column, unit_s, from_1904);
             let is_when = stamps.is_ok_and(|(stamps, _)| match stamps {
                 Stamps::Numbers { since_1970, .. } => since_1970,
-                Stamps::Dates | Stamps::Clock { .. } => true,
+                Stamps::Dates { .. } | Stamps::Clock { .. } => true,
                 Stamps::Days { .. } => false,
             });
             is_when && matches!(rises(*column), Some(Ok(_)))
         })
     };
-    let column = found.map(|(column, _)| column).or_else(by_value);
-    Ok(column.map(|column| columns[column].name.clone()))
+    match (found.map(|(column, _)| column).or_else(by_value), unclear) {
+        (Some(column), _) => Ok(Some(columns[column].name.clone())),
+        // A column that may be the times, though in which unit is not clear, or with a damaged cell.
+        (None, Some(unclear)) => Err(unclear),
+        (None, None) => Ok(None),
+    }
 }
 
 /// A source, and the names of the columns that are its channels.
@@ -213,14 +263,27 @@ pub fn sources(
     }
     let (mut kept, mut notes) = (Vec::new(), Vec::new());
     for (at, column) in layout.columns.iter().enumerate() {
-        if taken.contains(&at) || !column.is_numeric || is_time(column) {
+        if taken.contains(&at) || is_time(&layout.columns, at) {
             continue;
         }
         let (base, name) = (plain(&column.base), &column.name);
         let cells = head.cells(at);
+        if !column.is_numeric {
+            let numbers = |cell: &&Vec<u8>| {
+                !is_missing(cell) && Numbers::new(layout.delimiter).read(cell).is_err()
+            };
+            notes.extend(cells.iter().find(numbers).map(|cell| {
+                let cell = shown(cell);
+                format!(
+                    "column `{name}` is left out, since most of its cells are no numbers: `{cell}`"
+                )
+            }));
+            continue;
+        }
         let is_pandas =
             ["unnamed", "level", "indexlevel"].iter().any(|name| base.starts_with(name));
-        if (COUNTERS.contains(&&*base) || is_pandas) && counts(cells.iter()) {
+        let may_count = COUNTERS.contains(&&*base) || is_pandas || cells.len() >= SURELY_COUNTED;
+        if may_count && counts(cells.iter()) {
             notes.push(format!("column `{name}` only counts the rows, and is left out"));
         } else if LABELS.contains(&&*base) || is_label(&cells) {
             notes.push(format!(

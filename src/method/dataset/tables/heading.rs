@@ -1,17 +1,19 @@
 //! The names and units of a table's columns, in the lines above its rows.
 
-use super::columns::counts;
+use super::columns::{counts, is_time_name};
 use super::layout::{BOTH_COMMAS, DELIMITERS, owned};
 use super::stamp;
 use super::text::shown;
 use crate::printable::counted;
 
 /// Units of measures that may stand after an underscore or in a row of their own.
-const UNITS: [&str; 50] = [
+const UNITS: [&str; 71] = [
     "g", "mg", "m/s^2", "m/s²", "m/s2", "m/s", "mm/s", "v", "mv", "volt", "volts", "a", "ma", "n",
     "mn", "kn", "pa", "kpa", "hpa", "mbar", "bar", "psi", "°c", "degc", "k", "°f", "%", "hz",
     "khz", "deg", "°", "deg/s", "°/s", "rad", "rad/s", "dps", "t", "mt", "µt", "μt", "ut", "gauss",
-    "m", "mm", "cm", "db", "lx", "counts", "raw", "-",
+    "m", "mm", "cm", "db", "lx", "counts", "raw", "-", "ω", "kω", "mω", "ohm", "kohm", "lsb",
+    "adc", "digits", "strain", "µε", "με", "nm", "n·m", "kg", "kgf", "lb", "lbf", "rpm", "ppm",
+    "lux", "a.u.",
 ];
 
 /// A column of a table.
@@ -95,7 +97,15 @@ impl Names {
                     "line {line} names {found}, but the rows have {width}; {advice}"
                 ));
             }
-            let is_unit = |cell: &String| cell.is_empty() || is_unit(bare(cell));
+            // Below the name of a time, a unit of time begins a row of units, known or not.
+            let has_time = line.cells.len() == width
+                && stamp::unit_ns(bare(&cells[0])).is_some()
+                && above.iter().any(|other| {
+                    other.number < line.number
+                        && other.cells.len() == width
+                        && is_time_name(&shown(&other.cells[0]))
+                });
+            let is_unit = |cell: &String| has_time || cell.is_empty() || is_unit(bare(cell));
             if names.units.is_none()
                 && names.rows.is_empty()
                 && written > 0

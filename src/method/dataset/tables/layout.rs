@@ -100,6 +100,13 @@ impl Layout {
         while start > 1 && holds(&lines[start - 1]) && lines[..start - 1].iter().any(is_named) {
             start -= 1;
         }
+        while start > 0 && is_nothing(&lines[start - 1], width) {
+            start -= 1;
+        }
+        other_table(&lines[..start], lines[start].number, width, delimiter)?;
+        if delimiter == b',' && start == 0 && has_split_decimals(&lines) {
+            return Err(BOTH_COMMAS.to_string());
+        }
         let mut notes = Vec::new();
         if start == 0 && numbers_as_names(&lines) {
             notes.push("the numbers in the first line are names of the columns".to_string());
@@ -156,7 +163,9 @@ impl Layout {
                 return Err(format!("has {found}; the table has {width}{both}"));
             }
         }
-        if matches!(cells.first(), Some([b'#' | b'%', ..]) | Some([b'/', b'/', ..])) {
+        let begins_comment =
+            matches!(cells.first(), Some([b'#' | b'%', ..]) | Some([b'/', b'/', ..]));
+        if begins_comment && !is_missing(cells[0]) {
             return Ok(false);
         }
         Ok(cells.iter().any(|cell| !cell.is_empty()))
@@ -183,6 +192,45 @@ impl Layout {
             _ => Err(format!("several columns are called `{name}`; say which of {}", names())),
         }
     }
+}
+
+/// Whether a line holds the words of missing values alone, as of a sensor that is not ready yet.
+fn is_nothing(line: &HeadLine, width: usize) -> bool {
+    line.cells.len() == width && line.cells.iter().all(|cell| is_missing(cell) && has_word(cell))
+}
+
+/// Refuses rows of numbers of another width above the rows of a table.
+fn other_table(above: &[HeadLine], first: u64, width: usize, delimiter: u8) -> Result<(), String> {
+    /// So many rows are no settings of an instrument.
+    const FEWEST: usize = 3;
+    let is_row = |line: &HeadLine| {
+        let is_value = |cell: &Vec<u8>| is_number(cell, delimiter) || stamp::is_moment(cell);
+        line.cells.len() > 1 && line.cells.len() != width && line.cells.iter().all(is_value)
+    };
+    let are_rows = |lines: &&[HeadLine]| {
+        lines.iter().all(|line| is_row(line) && line.cells.len() == lines[0].cells.len())
+    };
+    let Some(rows) = above.windows(FEWEST).find(are_rows) else { return Ok(()) };
+    Err(format!(
+        "line {} begins rows of {}, and line {first} rows of {width}: these are several tables; put each \
+         in a file of its own",
+        rows[0].number,
+        counted(rows[0].cells.len(), "column")
+    ))
+}
+
+/// Whether each second column holds digits alone, some with zeros before them, as where commas are decimal
+/// marks and separate columns, too.
+fn has_split_decimals(lines: &[HeadLine]) -> bool {
+    let digits = |cell: &Vec<u8>| !cell.is_empty() && cell.iter().all(u8::is_ascii_digit);
+    let parts = || lines.iter().flat_map(|line| line.cells.iter().skip(1).step_by(2));
+    let wholes = || lines.iter().flat_map(|line| line.cells.iter().step_by(2));
+    let is_whole = |cell: &Vec<u8>| digits(&cell.iter().copied().filter(|b| *b != b'-').collect());
+    lines.iter().all(|line| line.cells.len() % 2 == 0)
+        && parts().all(digits)
+        && wholes().all(is_whole)
+        && parts().any(|cell| cell.len() > 1 && cell[0] == b'0')
+        && !wholes().any(|cell| cell.len() > 1 && cell[0] == b'0')
 }
 
 fn no_rows(head: &[(u64, Vec<u8>)]) -> String {

@@ -5,7 +5,7 @@ use super::gather::Rows;
 use crate::trial::Series;
 
 /// The longest run of samples that is filled.
-const MOST_FILLED: usize = 5;
+pub(super) const MOST_FILLED: usize = 5;
 /// The largest share of the samples of a channel that is filled.
 const SHARE_FILLED: f64 = 0.05;
 /// The fewest rows of a part of a trial that was cut.
@@ -171,8 +171,9 @@ fn without_repeated(rows: &mut Rows, width: usize) -> Result<usize, String> {
 
 /// The even grid that the times of a trial lie near.
 struct Grid {
-    /// Nanoseconds from sample to sample.
+    /// Nanoseconds from sample to sample, and from row to row of even ones.
     step: f64,
+    even: f64,
     rate_hz: f64,
     /// How far apart the distances of rows from their places on the grid may lie, in ns.
     tolerance: f64,
@@ -195,18 +196,12 @@ impl Grid {
             }
         }
         let (median, unit) = (median as f64, unit as f64);
-        let one = 1.5 * median + if unit <= 0.5 * median { unit } else { 0.0 };
-        let single: Vec<f64> =
-            steps().map(|step| step as f64).filter(|step| *step <= one).collect();
-        let first = single.iter().sum::<f64>() / single.len() as f64;
-        let (mut total, mut rows, mut count) = (0.0, 0.0, 0.0);
-        for step in steps().map(|step| step as f64).filter(|step| *step <= 6.5 * first) {
-            total += step;
-            rows += 1.0;
-            count += (step / first).round().max(1.0);
-        }
-        // Many steps of twice the length are no lost rows, but coarse times.
-        let step = total / if rows > 20.0 && count > 1.2 * rows { rows } else { count };
+        let is_coarse = unit >= 0.02 * median && sorted.first() != sorted.last();
+        let longer = sorted.iter().filter(|step| **step as f64 > 1.5 * median).count();
+        // One or two lost rows of an exact clock may lie as evenly.
+        let even = even_step(times, unit).filter(|_| is_coarse && (longer == 0 || longer > 2));
+        let refined = |step, _| places(times, step).1.unwrap_or(step);
+        let step = even.unwrap_or_else(|| (0..2).fold(usual_step(times), refined));
         if !(100.0..5.0 * S).contains(&step) {
             return Err(format!(
                 "has a row every {:e} s, which no recording has; is the unit of its times right? see \
@@ -215,16 +210,84 @@ impl Grid {
             ));
         }
         // Times that are written coarsely lie beside the grid, though the samples do not.
-        let tolerance = (2.01 * unit).min(0.95 * step).max(0.04 * step);
-        let is_coarse = unit >= 0.02 * step && sorted.first() != sorted.last();
-        let rate_hz = if is_coarse { roundest(S / step, unit / total) } else { (S / step).round() };
-        Ok(Self { step, rate_hz: rate_hz.max(1.0), tolerance })
+        let most = if even.is_some() { 2.0 } else { 0.95 };
+        let tolerance = (2.01 * unit).min(most * step).max(0.04 * step);
+        let (exact, whole) = (S / step, (S / step).round().max(1.0));
+        let is_exact = |step_ns: i64| {
+            let steps = step_ns as f64 / step;
+            (steps - steps.round()).abs() < 1e-3
+        };
+        // Coarse times tell the rate less well than they tell whether the rows are even.
+        let is_coarse = is_coarse && !steps().all(is_exact);
+        let rate_hz = if is_coarse {
+            let long = steps().fold(0, i64::saturating_add) as f64;
+            roundest(exact, if even.is_some() { unit } else { step } / long).max(1.0)
+        } else if (exact - whole).abs() > 1e-3 * exact && steps().all(is_exact) {
+            // Such as 12.5 Hz.
+            exact
+        } else {
+            whole
+        };
+        let even = if is_coarse { step } else { S / rate_hz };
+        Ok(Self { step, even, rate_hz, tolerance })
     }
 
     /// How many steps a time is long.
     fn steps(&self, ns: i64) -> f64 {
         ns as f64 / self.step
     }
+}
+
+/// The step of times that lie on a straight line, but for the unit in which they are written; `None` if they
+/// do not, such as where rows are lost.
+fn even_step(times: &[i64], unit: f64) -> Option<f64> {
+    let n = times.len() as f64;
+    let at = |time: i64| time.saturating_sub(times[0]) as f64;
+    let (mean_row, mean) = ((n - 1.0) / 2.0, times.iter().map(|time| at(*time)).sum::<f64>() / n);
+    let product = |(row, time): (usize, &i64)| (row as f64 - mean_row) * (at(*time) - mean);
+    let step = times.iter().enumerate().map(product).sum::<f64>() / (n * (n * n - 1.0) / 12.0);
+    let off = |(row, time): (usize, &i64)| at(*time) - row as f64 * step;
+    let (low, high) = (times.iter().enumerate().map(off))
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+    (high - low <= 1.1 * unit).then_some(step)
+}
+
+/// The usual step of times, from the time of several rows, which jitter moves little. Times that rows are
+/// lost in are left out.
+fn usual_step(times: &[i64]) -> f64 {
+    let rows = (times.len() / 3).clamp(1, 8);
+    let long = times.windows(rows + 1).map(|of| of[rows].saturating_sub(of[0]) as f64);
+    let mut long: Vec<f64> = long.collect();
+    long.sort_by(f64::total_cmp);
+    let median = long[long.len() / 2];
+    long.retain(|long| (long - median).abs() <= 0.5 * median / rows as f64);
+    long.iter().sum::<f64>() / (long.len() * rows) as f64
+}
+
+/// The number of steps from each row to the next, and the mean step; none if each is a gap. The place of a row
+/// is near its time, by a phase that follows the times slowly, so that jitter counts as no lost row.
+fn places(times: &[i64], step: f64) -> (Vec<usize>, Option<f64>) {
+    const FOLLOWS: f64 = 0.1;
+    /// A row that is late by a smaller share of a step is not the next but one.
+    const LATE: f64 = 0.6;
+    /// Longer ones say nothing of the step.
+    const LONGEST: f64 = 6.5;
+    // How far the last row lies behind the phase.
+    let (mut late, mut long, mut count) = (0.0, 0.0, 0.0);
+    let mut place = |two: &[i64]| {
+        let ns = two[1].saturating_sub(two[0]) as f64;
+        let steps = (ns / step + late + 1.0 - LATE).floor().max(1.0);
+        late = match ns > LONGEST * step {
+            true => 0.0,
+            false => {
+                (long, count) = (long + ns, count + steps);
+                (1.0 - FOLLOWS) * (ns / step + late - steps)
+            }
+        };
+        steps as usize
+    };
+    let places = times.windows(2).map(&mut place).collect();
+    (places, (count > 0.0).then(|| long / count))
 }
 
 /// The roundest number within a share of `rate_hz`, as far as coarse times tell it; else the nearest one.
@@ -285,7 +348,7 @@ fn piece(
         let filled = if filled.contains(&true) { filled } else { Vec::new() };
         return Ok((Piece { start, rate_hz: rate_hz.unwrap_or(1.0), values, filled }, false));
     };
-    let off = |(row, time): (usize, &i64)| (time - start) as f64 - row as f64 * S / grid.rate_hz;
+    let off = |(row, time): (usize, &i64)| (time - start) as f64 - row as f64 * grid.even;
     let (low, high) = times
         .iter()
         .enumerate()
@@ -317,6 +380,14 @@ fn resample(piece: &mut Piece, times: &[i64], width: usize, grid: &Grid) -> Resu
         return Err(format!("is {:.0} minutes long, too long for a trial", long / S / 60.0));
     }
     let (mut values, mut filled) = (Vec::with_capacity(count * width), Vec::new());
+    let (places, _) = places(times, grid.step);
+    let lost: usize = places.iter().map(|steps| steps - 1).sum();
+    if lost as f64 > SHARE_FILLED * (times.len() + lost) as f64 {
+        return Err(format!(
+            "misses {lost} of {} rows by its times; at most 5 % are filled: if the rows are even, give --rate HZ",
+            times.len() + lost
+        ));
+    }
     let mut before = 0;
     for frame in 0..count {
         let at = frame as f64 * S / piece.rate_hz;
@@ -325,8 +396,7 @@ fn resample(piece: &mut Piece, times: &[i64], width: usize, grid: &Grid) -> Resu
         }
         let step = (times[before + 1] - times[before]) as f64;
         let share = ((at - (times[before] - times[0]) as f64) / step).clamp(0.0, 1.0);
-        let is_lost =
-            grid.steps(times[before + 1] - times[before]) >= 1.5 && (0.01..=0.99).contains(&share);
+        let is_lost = places[before] > 1 && (0.01..=0.99).contains(&share);
         for column in 0..width {
             let [a, b] = [before, before + 1].map(|row| row * width + column);
             values.push(straight(piece.values[a], piece.values[b], share));
@@ -360,19 +430,69 @@ mod tests {
 
     #[test]
     fn uneven_times_are_resampled_by_straight_lines() {
-        let all = mended(&[0, 10, 20, 40], &[0.0, 1.0, 2.0, 4.0], Gaps::Cut).unwrap();
-        assert_eq!(all.pieces[0].values, [0.0, 1.0, 2.0, 3.0, 4.0]);
-        assert_eq!(all.pieces[0].filled, [false, false, false, true, false]);
-        assert_eq!((all.pieces[0].rate_hz, all.pieces.len()), (100.0, 1));
+        let rows = || (0..30_u16).filter(|row| *row != 3);
+        let times: Vec<i64> = rows().map(|row| 10 * i64::from(row)).collect();
+        let values: Vec<f32> = rows().map(f32::from).collect();
+        let all = mended(&times, &values, Gaps::Cut).unwrap();
+        assert_eq!(all.pieces[0].values, (0..30_u16).map(f32::from).collect::<Vec<_>>());
+        let filled = (0..30).filter(|row| all.pieces[0].filled[*row]).collect::<Vec<_>>();
+        assert_eq!((filled, all.pieces[0].rate_hz, all.pieces.len()), (vec![3], 100.0, 1));
+        let said = mended(&[0, 10, 20, 40], &[0.0; 4], Gaps::Cut).unwrap_err();
+        assert!(said.contains("misses 1 of 5 rows"), "{said}");
+    }
+
+    #[test]
+    fn jitter_of_a_clock_is_no_lost_row() {
+        let draw = |row: i64| (row * 7919 + row * row * 104_729).rem_euclid(1009);
+        for (rate_hz, most_ms, one_in, lost) in [
+            (500, 1, 25, 0),
+            (200, 2, 1, 0),
+            (100, 3, 1, 0),
+            (250, 1, 1, 0),
+            (200, 1, 1, 12),
+            (50, 4, 1, 9),
+        ] {
+            let is_lost = |row: &i64| lost == 0 || draw(*row) % 997 >= lost;
+            let rows = || (0..900).filter(is_lost);
+            let late = |row: i64| match draw(row) % one_in {
+                0 => draw(row + 1) % (2 * most_ms + 1) - most_ms,
+                _ => 0,
+            };
+            let mut times: Vec<i64> = rows().map(|row| row * 1000 / rate_hz + late(row)).collect();
+            times.sort_unstable();
+            let values: Vec<f32> = rows().map(|row| row as f32).collect();
+            let all = mended(&times, &values, Gaps::Error).unwrap();
+            assert_eq!(all.pieces[0].rate_hz, rate_hz as f64, "{most_ms} ms");
+            let filled = all.pieces[0].filled.iter().filter(|filled| **filled).count();
+            // Up to two frames lie between the rows beside a lost one.
+            let gone = 900 - times.len();
+            assert!((gone..=2 * gone + 2).contains(&(filled + 2)), "{rate_hz} Hz: {filled} filled");
+        }
     }
 
     #[test]
     fn coarse_times_of_even_samples_leave_the_samples_alone() {
-        for rate_hz in [120, 400, 700, 1000] {
-            let times: Vec<i64> = (0..100).map(|row| row * 1000 / rate_hz).collect();
+        for rate_hz in [120, 400, 700, 870, 900, 952, 960, 1000] {
+            for rows in [100, 2000] {
+                let times: Vec<i64> = (0..rows).map(|row| row * 1000 / rate_hz).collect();
+                let values: Vec<f32> = (0..rows).map(|row| (row % 7) as f32).collect();
+                let all = mended(&times, &values, Gaps::Error).unwrap();
+                assert_eq!(all.pieces[0].values, values, "{rate_hz} Hz");
+                // A few rows by a coarse clock tell the rate to 1 %.
+                let right = rows == 100 || all.pieces[0].rate_hz == rate_hz as f64;
+                assert!(right, "{rate_hz} Hz: {}", all.pieces[0].rate_hz);
+            }
+        }
+    }
+
+    #[test]
+    fn even_rows_keep_their_samples_at_a_rate_that_is_not_whole() {
+        for ms in [80, 400, 30, 16, 1250, 2000] {
+            let times: Vec<i64> = (0..100).map(|row| row * ms).collect();
             let values: Vec<f32> = (0..100).map(|row| (row % 7) as f32).collect();
             let all = mended(&times, &values, Gaps::Error).unwrap();
-            assert_eq!((all.pieces[0].rate_hz, &all.pieces[0].values), (rate_hz as f64, &values));
+            let found = (all.pieces[0].rate_hz, &all.pieces[0].values);
+            assert_eq!(found, (1000.0 / ms as f64, &values));
         }
     }
 

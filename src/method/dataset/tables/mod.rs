@@ -26,7 +26,7 @@ mod text;
 mod zip;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use gather::Rows;
 use layout::Layout;
@@ -47,6 +47,8 @@ use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, checked_session, nor
 /// Lines and bytes that decide how a table is understood.
 const HEAD_LINES: usize = 2000;
 const HEAD_BYTES: usize = 1 << 20;
+/// A trial with more channels than this has at least as many samples.
+const MOST_TURNED: usize = 16;
 
 /// How to find the time of each row of a table.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,6 +77,8 @@ pub enum SessionOf {
 pub struct Form {
     /// Each source, with the names of the columns that are its channels.
     pub sources: Vec<(SourceId, Vec<String>)>,
+    /// The units of these columns in the first table; empty if they need not be the same.
+    pub units: Vec<Option<String>>,
     pub clock: Clock,
     /// The columns with the names of surface, user, trial and session; `None` if there is no such column.
     pub labels: [Option<String>; 4],
@@ -124,7 +128,11 @@ impl Head {
             None => Layout::of(&head)?,
         };
         let mut rows = Vec::new();
-        for (number, line) in head.iter().filter(|(number, _)| *number >= layout.first) {
+        let names = head.iter().find(|(number, _)| *number == layout.names_at);
+        let names = names.map(|(_, line)| line.clone()).unwrap_or_default();
+        let rows_in_it =
+            head.iter().filter(|(number, line)| *number >= layout.first && *line != names);
+        for (number, line) in rows_in_it {
             let mut cells = Vec::new();
             if layout
                 .cells(line, &mut cells)
@@ -133,8 +141,16 @@ impl Head {
                 rows.push(cells.into_iter().map(<[u8]>::to_vec).collect());
             }
         }
-        let names = head.into_iter().find(|(number, _)| *number == layout.names_at);
-        Ok(Self { layout, rows, names: names.map(|(_, line)| line).unwrap_or_default() })
+        Ok(Self { layout, rows, names })
+    }
+
+    /// The units of the columns of these sources.
+    ///
+    /// # Errors
+    /// If a column is not there.
+    pub fn units(&self, sources: &[columns::Wanted]) -> Result<Vec<Option<String>>, String> {
+        let names = sources.iter().flat_map(|(_, columns)| columns);
+        names.map(|name| Ok(self.layout.columns[self.layout.column(name)?].unit.clone())).collect()
     }
 
     /// The first cells of a column.
@@ -213,7 +229,17 @@ fn give(
     said: &mut Said,
     on: OnRead<'_>,
 ) -> Result<(), LibraryError> {
-    let mended = match mend(rows, &form.columns(), form.rate_hz(), form.gaps) {
+    let width = form.columns().len();
+    let widest = form.sources.iter().map(|(_, columns)| columns.len()).max().unwrap_or(0);
+    let samples = rows.values.len() / width.max(1);
+    let turned = (widest > MOST_TURNED && samples < widest).then(|| {
+        format!(
+            "has {samples} rows of {widest} channels; expected a row for each sample: if each row is a \
+             channel or a trial, turn the table, or save it as .npy"
+        )
+    });
+    let mended = turned.map_or_else(|| mend(rows, &form.columns(), form.rate_hz(), form.gaps), Err);
+    let mended = match mended {
         Ok(mended) => mended,
         Err(problem) => {
             said.bad.push(format!("{key} {problem}"));
@@ -235,7 +261,11 @@ fn session_name(text: &str) -> Result<String, String> {
 
 /// The path of a file without its extensions, with `/` on every system: what a [`NamePattern`] fits.
 fn name_of(path: &Path) -> String {
-    let name = path.to_string_lossy().replace('\\', "/");
+    // `./3.csv` lies in a folder with a name, too.
+    let is_relative =
+        |part: Component<'_>| matches!(part, Component::CurDir | Component::ParentDir);
+    let found = path.components().any(is_relative).then(|| path.canonicalize().ok()).flatten();
+    let name = found.as_deref().unwrap_or(path).to_string_lossy().replace('\\', "/");
     let name = name.strip_suffix(".gz").unwrap_or(&name);
     Path::new(name).with_extension("").to_string_lossy().into_owned()
 }
@@ -302,7 +332,8 @@ fn trial(
     {
         let when = std::time::UNIX_EPOCH + std::time::Duration::from_nanos(ns);
         // Dates without a zone are in local time.
-        let is_utc = matches!(stamps, Stamps::Numbers { .. });
+        let is_utc =
+            matches!(stamps, Stamps::Numbers { .. } | Stamps::Dates { have_zone: true, .. });
         let text = utc(when);
         about.started_at = Some(if is_utc { text } else { text.trim_end_matches('Z').to_string() });
     }
@@ -376,6 +407,7 @@ pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
     let fail = |problem: String| LibraryError::file(path, problem);
     let mut form = Form {
         sources: Vec::new(),
+        units: Vec::new(),
         clock: Clock::Rate(100.0),
         labels: [None, None, None, None],
         session: SessionOf::Names,

@@ -13,8 +13,8 @@ pub(crate) enum Stamps {
     Numbers { unit_ns: f64, since_1970: bool },
     /// Excel's days, with the day of 1970-01-01.
     Days { first: f64 },
-    /// Dates with a time, such as ISO 8601.
-    Dates,
+    /// Dates with a time, such as ISO 8601; of `1/2/2024`, the day or the month is the first.
+    Dates { day_first: bool, have_zone: bool },
     /// Times without a date, which begin anew after this many nanoseconds.
     Clock { lasts: i64 },
 }
@@ -48,8 +48,12 @@ impl Stamps {
     ) -> Result<(Self, String), String> {
         let first = cells.iter().find(|cell| !super::cell::is_missing(cell));
         let Some(first) = first else { return Err("holds no times".into()) };
-        if date(first).is_some() {
-            return Ok((Self::Dates, "dates".into()));
+        if date(first, false).or_else(|| date(first, true)).is_some() {
+            let reads = |day_first| move |cell: &Vec<u8>| date(cell, day_first).is_some();
+            // One day after the twelfth shows it for all.
+            let day_first = !cells.iter().all(reads(false)) && cells.iter().all(reads(true));
+            let have_zone = date(first, day_first).is_some_and(|(_, zone)| zone);
+            return Ok((Self::Dates { day_first, have_zone }, "dates".into()));
         }
         if let Some((_, lasts)) = time_of_day(first) {
             return Ok((Self::Clock { lasts }, "times of the day".into()));
@@ -94,7 +98,8 @@ impl Stamps {
             }
             _ if step <= 0.0 => return Err("does not rise".into()),
             // The bounds leave out what two units make plausible rates of.
-            step if !is_whole && step < 0.2 => S,
+            // A shorter one is a share of a day or an hour as likely as of a second.
+            step if !is_whole && (2e-5..0.2).contains(&step) => S,
             step if (1.0..100.0).contains(&step) => 1e6,
             step if (250.0..50_000.0).contains(&step) => 1e3,
             step if (250_000.0..5e9).contains(&step) => 1.0,
@@ -122,7 +127,7 @@ impl Stamps {
     /// no such time.
     pub(super) fn read(&self, cell: &[u8]) -> Option<i64> {
         match *self {
-            Self::Dates => date(cell),
+            Self::Dates { day_first, .. } => Some(date(cell, day_first)?.0),
             Self::Clock { .. } => time_of_day(cell).map(|(time, _)| time),
             Self::Days { first } => in_range((number(cell)? - first) * DAY as f64),
             Self::Numbers { unit_ns, .. } => {
@@ -135,7 +140,7 @@ impl Stamps {
     pub(crate) fn say_when(&self) -> bool {
         match self {
             Self::Numbers { since_1970, .. } => *since_1970,
-            Self::Days { .. } | Self::Dates => true,
+            Self::Days { .. } | Self::Dates { .. } => true,
             Self::Clock { .. } => false,
         }
     }
@@ -148,10 +153,11 @@ pub(crate) fn is_clock(cell: &[u8]) -> bool {
 
 /// Whether a cell holds a date or a time of the day.
 pub(crate) fn is_moment(cell: &[u8]) -> bool {
-    date(cell).is_some() || is_clock(cell)
+    date(cell, false).or_else(|| date(cell, true)).is_some() || is_clock(cell)
 }
 
-fn length(unit_ns: f64) -> String {
+/// A unit of time by its name, or in seconds.
+pub(crate) fn length(unit_ns: f64) -> String {
     match UNITS.iter().find(|(_, unit)| *unit == unit_ns) {
         Some((names, _)) => names[0].replace("us", "µs"),
         None => format!("{} s", unit_ns / S),
@@ -211,31 +217,38 @@ fn days(year: i64, month: i64, day: i64) -> Option<i64> {
     Some(first.duration_since(jiff::civil::date(1970, 1, 1)).as_hours() / 24 + day - 1)
 }
 
-/// A date with a time: `2024-01-31T12:00:00.5+01:00`, `31.01.2024 12:00:00,5`, `1/31/2024 1:00:00 PM`.
-/// Of `1/2/2024`, the month is taken as the first. In ns since 1970, in local time if no zone is said.
-fn date(cell: &[u8]) -> Option<i64> {
+const MONTHS: [&str; 12] =
+    ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"];
+
+/// A date with a time: `2024-01-31T12:00:00.5+01:00`, `31.01.2024 12:00:00,5`, `1/31/2024 1:00:00 PM`,
+/// `31-Jan-2024 12:00:00`. In ns since 1970, in local time if no zone is said; and whether one is.
+fn date(cell: &[u8], day_first: bool) -> Option<(i64, bool)> {
     let text = std::str::from_utf8(cell).ok()?.trim();
     let (day, time) = text.split_once(['T', ' ', '_'])?;
     let mark = day.chars().find(|c| ['-', '/', '.'].contains(c))?;
     let mut parts = day.splitn(3, mark);
     let mut part = || {
         let text = parts.next()?;
-        (text.len() <= 4 && !text.is_empty()).then(|| text.parse::<u16>().ok().map(i64::from))?
+        let month = MONTHS.iter().position(|month| text.eq_ignore_ascii_case(month));
+        let number = month.map(|at| at as u16 + 1).or_else(|| text.parse().ok());
+        (text.len() <= 4).then(|| number.map(i64::from))?
     };
     let (a, b, c) = (part()?, part()?, part()?);
     let (year, month, day) = match mark {
         _ if a > 31 => (a, b, c),
-        '/' if a <= 12 => (c, a, b),
+        '/' if !day_first => (c, a, b),
         _ => (c, b, a),
     };
     let time = time.trim();
-    let (time, zone) = match time.rfind(['+', '-']) {
+    let (bare, zone) = match time.rfind(['+', '-']) {
         Some(at) => (&time[..at], zone_ns(&time[at..])?),
         None => (time.trim_end_matches(['Z', 'z']).trim_end_matches("UTC"), 0),
     };
-    let (time, lasts) = time_of_day(time.trim().as_bytes())?;
+    let has_zone = bare.len() < time.len();
+    let (time, lasts) = time_of_day(bare.trim().as_bytes())?;
     (lasts == DAY).then_some(())?;
-    days(year, month, day)?.checked_mul(DAY)?.checked_add(time - zone)
+    let ns = days(year, month, day)?.checked_mul(DAY)?.checked_add(time - zone)?;
+    Some((ns, has_zone))
 }
 
 /// The zone `+01:00`, `-0530` or `+01` in nanoseconds.
@@ -309,6 +322,8 @@ mod tests {
             ["1700000000125000000", "1700000000130000000", "1700000000135000000"],
             ["2024-01-31T23:59:59.995Z", "2024-02-01T00:00:00.000Z", "2024-02-01T00:00:00.005Z"],
             ["31.01.2024 12:00:00,995", "31.01.2024 12:00:01,000", "31.01.2024 12:00:01,005"],
+            ["12/06/2024 23:59:59.995", "13/06/2024 00:00:00", "13/06/2024 00:00:00.005"],
+            ["12-Jun-2024 12:00:00.000", "12-Jun-2024 12:00:00.005", "12-Jun-2024 12:00:00.010"],
             ["1/31/2024 0:59:59.995 PM", "1/31/2024 1:00:00 PM", "1/31/2024 1:00:00.005 PM"],
             ["23:04:05.995", "23:04:06.000", "23:04:06.005"],
             ["23:04:05:995", "23:04:06:000", "23:04:06:005"],
@@ -334,6 +349,7 @@ mod tests {
             (["0", "0.5", "1"], "2 rows a second in s"),
             (["0", "1", "2"], "milliseconds or rows"),
             (["1", "1", "1"], "does not rise"),
+            (["0.5", "0.500000116", "0.500000231"], "say --time-unit"),
             (["a", "b", "c"], "holds `a`, no time"),
         ] {
             let said = of(&cells).unwrap_err();
@@ -342,7 +358,8 @@ mod tests {
         let seconds = Stamps::Numbers { unit_ns: S, since_1970: false };
         for cell in ["1e300", "99999999999999999999", "", "-", "inf", "2024-13-01 00:00:00"] {
             assert_eq!(seconds.read(cell.as_bytes()), None, "{cell}");
-            assert_eq!(Stamps::Dates.read(cell.as_bytes()), None, "{cell}");
+            let dates = Stamps::Dates { day_first: false, have_zone: true };
+            assert_eq!(dates.read(cell.as_bytes()), None, "{cell}");
         }
     }
 }

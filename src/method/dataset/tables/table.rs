@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use super::cell::Numbers;
+use super::cell::{Numbers, thousands};
 use super::gather::{Gathered, Group};
+use super::mend::MOST_FILLED;
 use super::stamp::Stamps;
 use super::text::{Lines, shortened, shown};
 use super::{Clock, Form, Head, columns, name_of, session_name, trial_number};
@@ -30,15 +31,34 @@ impl<'a> Table<'a> {
         let (mut stamps, mut said) = (None, None);
         if let Clock::Times { column, unit_s } = &form.clock {
             let at = layout.column(column)?;
-            let column = &layout.columns[at];
-            let unit_ns = unit_s.map(|unit| unit * 1e9).or_else(|| columns::told_unit_ns(column));
-            let (known, how) = Stamps::of(&head.cells(at), unit_ns, form.from_1904)
-                .map_err(|problem| format!("column `{}` {problem}", column.name))?;
-            said = Some(format!("times are column `{}`, {how}", column.name));
+            let name = &layout.columns[at].name;
+            let (known, how) = columns::stamps(head, at, *unit_s, form.from_1904)
+                .map_err(|problem| format!("column `{name}` {problem}"))?;
+            said = Some(format!("times are column `{name}`, {how}"));
             stamps = Some((at, known));
         }
         let columns = form.columns();
-        let values = columns.iter().map(|name| layout.column(name)).collect::<Result<_, _>>()?;
+        let values =
+            columns.iter().map(|name| layout.column(name)).collect::<Result<Vec<_>, _>>()?;
+        for (number, (&at, name)) in values.iter().zip(&columns).enumerate() {
+            if let Some((shorter, marked)) = thousands(&head.cells(at)) {
+                return Err(format!(
+                    "column `{name}` holds `{shorter}` and `{marked}`, which may be {} or {}; write \
+                     numbers without separators of thousands",
+                    marked.replace(',', "."),
+                    marked.replace([',', '.'], "")
+                ));
+            }
+            let (own, first) = (&layout.columns[at].unit, form.units.get(number));
+            if first.is_some_and(|first| first != own) {
+                let [own, first] = [Some(own), first]
+                    .map(|unit| unit.and_then(Option::as_deref).unwrap_or("no unit"));
+                return Err(format!(
+                    "column `{name}` has {own}, but {first} in the first table; tables of one library \
+                     have the same units"
+                ));
+            }
+        }
         Ok(Self { head, labels, stamps, said, values })
     }
 
@@ -63,6 +83,11 @@ impl<'a> Table<'a> {
         let mut numbers = Numbers::new(layout.delimiter);
         let mut values = vec![0.0; self.values.len()];
         let (mut label, mut known, mut at) = (Vec::new(), None::<Vec<u8>>, 0);
+        // The trial of each group as its first row writes it.
+        let mut trials: Vec<String> = Vec::new();
+        let is_bare = self.stamps.is_none() && self.labels == [None; 4];
+        // Whether the next row does not follow the one before it in its trial.
+        let mut is_broken = false;
         let mut list = Vec::new();
         while let Some((line, text)) = lines.next()? {
             let mut cells = reused(list);
@@ -70,7 +95,15 @@ impl<'a> Table<'a> {
                 && layout
                     .cells(text, &mut cells)
                     .map_err(|problem| format!("line {line} {problem}: {}", shortened(text)))?;
-            if !there || text == self.head.names.as_slice() {
+            let are_names = there && text == self.head.names.as_slice();
+            is_broken |= are_names;
+            // Where nothing else tells that a sample is missing, a row of empty cells does.
+            let is_empty = is_bare
+                && line >= layout.first
+                && cells.len() == layout.columns.len()
+                && cells.len() > 1
+                && cells.iter().all(|cell| cell.is_empty());
+            if are_names || !there && !is_empty {
                 list = reused(cells);
                 continue;
             }
@@ -86,10 +119,15 @@ impl<'a> Table<'a> {
                         let key = self.key(&cells, &of_name);
                         let key = key.map_err(|problem| format!("line {line}: {problem}"))?;
                         let at = gathered.group(key);
+                        let trial = self.labels[2].map(|column| shown(cells[column]));
+                        same_trial(&mut trials, at, trial.unwrap_or_default().into_owned())
+                            .map_err(|problem| format!("line {line}: {problem}"))?;
                         gathered.places.insert(label.clone(), at);
                         at
                     }
                 };
+                // Without numbers of trials, a surface that comes again is another stretch of rows.
+                is_broken |= self.labels[2].is_none();
                 known = Some(label.clone());
             }
             let group = &mut gathered.groups[at];
@@ -126,9 +164,16 @@ impl<'a> Table<'a> {
                     format!("line {line}, column `{name}`: `{cell}` {problem}")
                 })? as f32;
             }
-            gathered.push(at, time, &values).map_err(|error| {
-                format!("line {line}: cannot keep its rows in {}: {error}", scratch.display())
-            })?;
+            let apart = usize::from(is_broken && time.is_none() && gathered.groups[at].rows > 0);
+            is_broken = false;
+            // A gap of unknown length, which cuts the trial.
+            let nothing = vec![f32::NAN; values.len()];
+            let gap = std::iter::repeat_n(&nothing, apart * (MOST_FILLED + 1));
+            for values in gap.chain([&values]) {
+                gathered.push(at, time, values).map_err(|error| {
+                    format!("line {line}: cannot keep its rows in {}: {error}", scratch.display())
+                })?;
+            }
             list = reused(cells);
         }
         match gathered.groups.is_empty() {
@@ -139,7 +184,7 @@ impl<'a> Table<'a> {
 
     fn key(&self, cells: &[&[u8]], of_name: &[Option<String>; 4]) -> Result<TrialKey, String> {
         let cell = |at: usize| match self.labels[at] {
-            Some(column) => Some(shown(cells[column]).into_owned()),
+            Some(column) => Some(shown(cells[column]).replace("\"\"", "\"")),
             None => of_name[at].clone(),
         };
         let number = cell(2).map(|text| {
@@ -155,6 +200,23 @@ impl<'a> Table<'a> {
         let number = number.transpose()?.unwrap_or(1);
         Ok(TrialKey::new(normal(&surface), normal(&user), number).with_session(session))
     }
+}
+
+/// Remembers how a new group's trial is written; refuses another text for the trial of a known group, unless
+/// both are the same number.
+fn same_trial(trials: &mut Vec<String>, group: usize, text: String) -> Result<(), String> {
+    let number = |text: &str| text.replace(',', ".").parse::<f64>().ok();
+    match trials.get(group) {
+        None => trials.push(text),
+        Some(known)
+            if *known == text || number(&text).is_some_and(|n| number(known) == Some(n)) => {}
+        Some(known) => {
+            return Err(format!(
+                "the trials `{known}` and `{text}` end with one number; give each a number of its own"
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// An empty list in the memory of another one, for cells of the next line.

@@ -63,13 +63,12 @@ impl SourceViews {
         let power_of_two = |points: f64| 1usize << points.log2().round().clamp(0.0, 24.0) as u32;
         let long = power_of_two(wished.min(MOST_OF_TRIAL * median as f64));
         let short = (long / SHORTER).max(FEWEST);
-        // At another rate, frames last as long as in the library, rounded to a power of two.
-        let at_rate =
-            |points: usize| power_of_two(points as f64 * rate_hz / library_hz).max(FEWEST);
         let (low, high) = spec.domain.band_hz().unwrap_or((0.0, UNSAID_HZ));
         let band_hz = (low, high.min(0.5 * library_hz));
         let view = |points: usize, bands| {
-            FrameView::of_points(at_rate(points), rate_hz, spec.channels, band_hz, bands)
+            let of_library =
+                FrameView::of_points(points, library_hz, spec.channels, band_hz, bands);
+            if rate_hz == library_hz { of_library } else { of_library.at_rate(rate_hz) }
         };
         let passed = spec.domain.band_hz().is_some()
             && band_hz.1 - band_hz.0 < NEARLY_ALL * 0.5 * library_hz;
@@ -302,5 +301,18 @@ mod tests {
         let at = |hz| views("mi2", 44_100.0, 211_611, hz);
         assert!(at(48_000.0)[0].comparable(&at(44_100.0)[0]));
         assert_eq!(at(96_000.0)[0].points, 4096);
+        // Of a telephone, compared up to 4 kHz.
+        let mut scene = Scene::lmt108();
+        scene = scene.changed(|spec| spec.end_band_at(4000.0));
+        let spec = scene.get("mi2").unwrap();
+        for library_hz in [8000.0, 16_000.0, 44_100.0, 48_000.0] {
+            let median_frames = (4.0 * library_hz) as usize;
+            let shape = SourceShape { rate_hz: library_hz, channels: 1, median_frames };
+            let shape = LibraryShape { trials: 1, sources: [(spec.id.clone(), shape)].into() };
+            let at = |hz| SourceViews::new(spec, (hz, (4.0 * hz) as usize), &shape);
+            for hz in [8000.0, 11_025.0, 16_000.0, 22_050.0, 44_100.0, 48_000.0, 96_000.0] {
+                assert!(at(hz).comparable(&at(library_hz)), "{hz} in a library of {library_hz} Hz");
+            }
+        }
     }
 }

@@ -55,6 +55,25 @@ impl FrameView {
         Self { points, rate_hz, channels, edges, holds_mean }
     }
 
+    /// Frames of about the same duration and with the same bands at another rate. Frames are longer where the
+    /// bins would else be wider than a band. Bands above half the rate are left out.
+    pub fn at_rate(&self, rate_hz: f64) -> Self {
+        let mut points = (self.points as f64 * rate_hz / self.rate_hz).log2().round().exp2();
+        loop {
+            let bins = self.rate_hz / self.points as f64 / (rate_hz / points);
+            let end = points as usize / 2 + 1;
+            let edges: Vec<usize> =
+                self.edges.iter().map(|edge| (*edge as f64 * bins).round() as usize).collect();
+            let is_narrow = edges.windows(2).any(|two| two[0] >= two[1]);
+            if is_narrow && points < self.points as f64 * 4.0 * (rate_hz / self.rate_hz).max(1.0) {
+                points *= 2.0;
+                continue;
+            }
+            let edges = edges.into_iter().filter(|edge| *edge <= end).collect();
+            return Self { points: points as usize, rate_hz, edges, ..self.clone() };
+        }
+    }
+
     /// Samples from the beginning of one frame to the beginning of the next.
     pub fn hop(&self) -> usize {
         self.points / 2
