@@ -197,8 +197,7 @@ impl Labels {
         self.taken.push(part);
     }
 
-    /// The nearest free place of a text beside a point: its upper left corner. `None` if all places
-    /// within some lines are taken.
+    /// The upper left corner of the nearest free place of a text beside a point; `None` if all are taken.
     fn place(&mut self, (x, y): (i32, i32), (width, height): (i32, i32)) -> Option<(i32, i32)> {
         let (half_w, half_h) = (width / 2, height / 2);
         let places = [9, 16, 24, 34, 46, 60].into_iter().flat_map(|d| {
@@ -223,8 +222,7 @@ impl Labels {
         Some(found)
     }
 
-    /// Writes a text beside a point, with a line to the point if it is not close. Leaves it out if there
-    /// is no room.
+    /// Writes a text beside a point, if there is room, with a line to the point if it is not close.
     pub(crate) fn put(&mut self, area: &Area<'_>, text: &str, at: (i32, i32), size: i32) -> Drawn {
         let (width, height) = (text_width(text, size), size + 1);
         let Some((x, y)) = self.place(at, (width, height)) else { return Ok(()) };
@@ -262,8 +260,7 @@ pub(crate) fn put(area: &Area<'_>, text: impl Into<String>, at: (i32, i32), size
 
 pub(crate) type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
 
-/// Draws the title, if there is one, the grid, and the axes of a panel. `x` and `y` are the ranges of
-/// the axes, each with a description; `name_y` names the grid lines of `y`.
+/// `x` and `y` are the ranges of the axes, each with a description; `name_y` names the grid lines of `y`.
 pub(crate) fn axes<'a, 'b, X: AsRangedCoord<Value = f64>>(
     area: &'a Area<'b>,
     title: &str,

@@ -516,7 +516,8 @@ fn what_would_give_wrong_numbers_without_a_word_is_refused_or_said() {
         ),
         (
             table("", |_, [x, y, _]| {
-                [x, y].map(|x| x.replace(['.', '-'], ",").trim_start_matches(',').into()).join(",")
+                let split = |x: String| x.trim_start_matches('-').replace('.', ",");
+                [x, y].map(split).join(",")
             }),
             rate,
             "decimal marks or separate columns",

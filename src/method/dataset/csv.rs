@@ -5,14 +5,12 @@ use std::path::Path;
 
 use ndarray::Array2;
 
-use crate::library::LibraryError;
-use crate::library::files;
+use crate::library::{LibraryError, files};
 use crate::printable::counted;
 
 /// A row of a table: its line number in the file, and its cells.
 pub(crate) type NumberedRow = (u64, Vec<String>);
 
-/// A CSV table whose cells are still text.
 pub struct CsvTable {
     /// Names of the columns; `1`, `2`, … if the file does not name them.
     pub header: Vec<String>,
@@ -25,17 +23,15 @@ impl CsvTable {
     /// Reads a table, whose columns commas, semicolons, tabs or spaces separate.
     pub fn read(path: &Path) -> Result<Self, LibraryError> {
         let bytes = files::read_bytes(path, files::MOST_TEXT)?;
-        Self::parse(&bytes, false).map_err(|problem| LibraryError::file(path, problem))
+        Self::parse(&bytes, false).map_err(LibraryError::at(path))
     }
 
-    /// Parses the text of a table. The first line names the columns if `named` is true, or if none
-    /// of its cells is a number.
+    /// The first line names the columns if `named` is true, or if none of its cells is a number.
     pub(crate) fn parse(bytes: &[u8], named: bool) -> Result<Self, String> {
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let first = bytes.split(|&byte| byte == b'\n').find(|line| !line.trim_ascii().is_empty());
         let first = first.unwrap_or_default();
-        let count = |mark: u8| first.iter().filter(|&&byte| byte == mark).count();
-        let delimiter = [b';', b'\t', b',', b' '].into_iter().find(|&mark| count(mark) > 0);
+        let delimiter = [b';', b'\t', b',', b' '].into_iter().find(|mark| first.contains(mark));
         let delimiter = delimiter.unwrap_or(b',');
         let mut reader = csv::ReaderBuilder::new()
             .flexible(true)
@@ -76,7 +72,6 @@ impl CsvTable {
         plain.or_else(|| self.comma.then(|| cell.replace(',', ".").parse().ok()).flatten())
     }
 
-    /// The number in the cell of a row; an error if it is no number or not finite.
     pub(crate) fn value(&self, (line, cells): &NumberedRow, column: usize) -> Result<f64, String> {
         let name = &self.header[column];
         self.number(&cells[column]).filter(|value| value.is_finite()).ok_or_else(|| {

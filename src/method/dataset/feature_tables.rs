@@ -45,10 +45,8 @@ pub fn open(folder: &Path) -> Result<Option<FeatureTables>, LibraryError> {
         let bytes = files::read_bytes(&item.path, files::MOST_TEXT)?;
         if bytes.starts_with(NAMES.as_bytes()) {
             let stem = item.name.trim_end_matches(".csv");
-            let id = SourceId::new(stem)
-                .map_err(|error| LibraryError::file(&item.path, error.to_string()))?;
-            read(&bytes, &id, &mut tables.trials)
-                .map_err(|problem| LibraryError::file(&item.path, problem))?;
+            let id = SourceId::new(stem).map_err(LibraryError::at(&item.path))?;
+            read(&bytes, &id, &mut tables.trials).map_err(LibraryError::at(&item.path))?;
             tables.sources.push(id);
         }
     }
@@ -90,17 +88,13 @@ mod tests {
     }
 
     #[test]
-    fn a_table_is_a_source() {
+    fn a_table_is_a_source_and_what_is_no_table_is_left_alone() {
         let tables = open_with("snd.csv", TABLE).unwrap().unwrap();
-        let key = TrialKey::new("Oak", EXPERT, 2);
-        assert_eq!(tables.trials[&key]["snd"], [1.5, -2e-3]);
+        assert_eq!(tables.trials[&TrialKey::new("Oak", EXPERT, 2)]["snd"], [1.5, -2e-3]);
         assert_eq!(tables.sources.len(), 1);
-    }
-
-    #[test]
-    fn what_is_no_table_is_left_alone() {
-        assert_eq!(open_with("x.csv", "a,b\n1,2\n").unwrap(), None);
-        assert_eq!(open_with("x.txt", TABLE).unwrap(), None);
+        for (name, text) in [("x.csv", "a,b\n1,2\n"), ("x.txt", TABLE)] {
+            assert_eq!(open_with(name, text).unwrap(), None);
+        }
     }
 
     #[test]

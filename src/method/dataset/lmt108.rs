@@ -9,21 +9,14 @@ use std::path::{Path, PathBuf};
 
 use crate::library::files::{self, Listed};
 use crate::library::loader::{Headers, Remarks, SourceFiles};
-use crate::library::recording;
-use crate::library::{Entry, Library, LibraryError, Opened};
+use crate::library::{Entry, Library, LibraryError, Opened, recording};
 use crate::printable::counted;
 use crate::scene::{Domain, Scene, SourceBlock, SourceSpec};
 use crate::trial::{EXPERT, TrialKey};
 
 /// Names of the database's folders. One such folder is enough to recognise the database.
-pub(super) const FOLDERS: [&str; 6] = [
-    "AccelScansComponents",
-    "SoundScans",
-    "FricScans",
-    "ReflectanceScans",
-    "MetalDetectionScans",
-    "ImageScans",
-];
+pub(super) const FOLDERS: &str =
+    "AccelScansComponents SoundScans FricScans ReflectanceScans MetalDetectionScans ImageScans";
 
 /// Rate in Hz of all sources in text files; only sounds have another rate.
 const TEXT_RATE_HZ: f64 = 10_000.0;
@@ -31,7 +24,6 @@ const TEXT_RATE_HZ: f64 = 10_000.0;
 /// Most levels of nested folders that are read; `FricScans/FSR1/Training` has three.
 const DEEPEST: usize = 4;
 
-/// Whether a folder that holds the items `listed` is the root of the LMT108 database.
 pub(super) fn is_root(listed: &[Listed]) -> bool {
     listed.iter().any(|item| is_scans(item) && holds_recordings(item))
 }
@@ -47,7 +39,7 @@ fn holds_recordings(folder: &Listed) -> bool {
 }
 
 fn is_scans(item: &Listed) -> bool {
-    item.is_dir && FOLDERS.iter().any(|name| item.name.eq_ignore_ascii_case(name))
+    item.is_dir && is(&item.name, FOLDERS)
 }
 
 pub(super) fn open(
@@ -88,15 +80,9 @@ pub(super) fn open(
     let mut remarks = if entries.is_empty() { Vec::new() } else { summary(&entries, defaults) };
     remarks.extend(headers.remarks.lines());
     if entries.is_empty() {
-        if let Some(error) = LibraryError::of_all(bad) {
-            return Err(error);
-        }
-        let mut problem = "the LMT108 database, but without a single whole recording; looked for \
-                           names such as SoundScans/Movement/Training/\
-                           G1EpoxyRasterPlate_Sound_Movement_train1.wav"
-            .to_string();
-        remarks.iter().for_each(|remark| problem += &format!("\n  {remark}"));
-        return Err(LibraryError::file(root, problem));
+        let problem = "the LMT108 database, but without a single whole recording; looked for names such \
+                       as SoundScans/Movement/Training/G1EpoxyRasterPlate_Sound_Movement_train1.wav";
+        return Err(recording::nothing_found(root, bad, problem.into(), &remarks));
     }
     let (name, scene) = ("LMT108".into(), defaults.clone());
     Ok(Opened { library: Library { name, scene, entries, synthetic: false, remarks }, bad })
@@ -204,7 +190,7 @@ fn source_files(
         }
         "ca1" | "ca2" => SourceFiles::Picture(paths.remove(0)),
         _ => {
-            let fail = |problem| LibraryError::file(&paths[0], problem);
+            let fail = LibraryError::at(&paths[0]);
             spec.check_rate(TEXT_RATE_HZ).map_err(fail)?;
             SourceFiles::Columns { paths, rate_hz: TEXT_RATE_HZ }
         }
@@ -259,25 +245,12 @@ struct NamePart {
 }
 
 /// Words that may follow the surface in a file's name.
-const WORDS: [&str; 12] = [
-    "movement",
-    "tapping",
-    "sound",
-    "image",
-    "reflectance",
-    "metaldetection",
-    "metal",
-    "friction",
-    "frictionfsr1",
-    "frictionfsr2",
-    "fsr1",
-    "fsr2",
-];
+const WORDS: &str = "movement tapping sound image reflectance metaldetection metal friction frictionfsr1 \
+    frictionfsr2 fsr1 fsr2";
 
-/// Parses the path of a file. Some of the database's names are inferred, so parsing is lenient: case
-/// does not matter, and a name need not repeat its folders' names. `folders` holds the folders from the
-/// database's root down to the file, in lower case, `stem` the name without its extension. The error
-/// says why no trial has the file.
+/// Names of the database are partly inferred, so parsing is lenient: case does not matter, and a name
+/// need not repeat its folders' names. `folders` holds the folders from the database's root down to the
+/// file, in lower case. The error says why no trial has the file.
 fn parse_name(folders: &[String], stem: &str) -> Result<NamePart, &'static str> {
     let in_folder = |name: &str| folders.iter().any(|folder| folder == name);
     let said = is_training(folders);
@@ -288,10 +261,10 @@ fn parse_name(folders: &[String], stem: &str) -> Result<NamePart, &'static str> 
 
     let mut parts: Vec<&str> = rest.split('_').filter(|part| !part.is_empty()).collect();
     let mut flash = in_folder("flash");
-    if parts.first().is_some_and(|first| is(first, &["flash", "noflash"])) {
-        flash |= is(parts.remove(0), &["flash"]);
+    if parts.first().is_some_and(|first| is(first, "flash noflash")) {
+        flash |= is(parts.remove(0), "flash");
     }
-    let words_at = parts.iter().skip(1).position(|part| is(part, &WORDS)).map(|at| at + 1);
+    let words_at = parts.iter().skip(1).position(|part| is(part, WORDS)).map(|at| at + 1);
     let (surface, words) = parts.split_at(words_at.ok_or("its name does not say what it is")?);
     let words: Vec<String> = words.iter().map(|word| word.to_ascii_lowercase()).collect();
     let has = |word: &str| words.iter().any(|w| w == word);
@@ -335,8 +308,8 @@ fn parse_name(folders: &[String], stem: &str) -> Result<NamePart, &'static str> 
     })
 }
 
-fn is(part: &str, words: &[&str]) -> bool {
-    words.iter().any(|word| part.eq_ignore_ascii_case(word))
+fn is(part: &str, words: &str) -> bool {
+    words.split(' ').any(|word| part.eq_ignore_ascii_case(word))
 }
 
 /// The folder names of the two splits, each with true for training and false for test.
@@ -348,8 +321,7 @@ fn is_training(folders: &[String]) -> Option<bool> {
     folders.iter().rev().find_map(named).map(|(_, is_training)| *is_training)
 }
 
-/// Cuts a suffix such as `_train7` off a name. Returns the text before the suffix, the split (true
-/// for training, false for test, `None` if not given), and the number.
+/// Cuts a suffix such as `_train7` off a name: the text before, the split (true: training), the number.
 fn cut_number(stem: &str) -> Result<(&str, Option<bool>, u32), &'static str> {
     let head = stem.trim_end_matches(|c: char| c.is_ascii_digit());
     let number = stem[head.len()..].parse().map_err(|_| "its name does not end with a number")?;
@@ -367,7 +339,6 @@ fn cut_number(stem: &str) -> Result<(&str, Option<bool>, u32), &'static str> {
 mod tests {
     use super::*;
 
-    /// Key, source and channel of the file at `path`, as one line of text.
     fn parsed(path: &str) -> Result<String, &'static str> {
         let mut folders: Vec<String> = path.split('/').map(str::to_ascii_lowercase).collect();
         folders.pop();
@@ -377,18 +348,10 @@ mod tests {
         Ok(format!("{surface} {user} {number} {source} {channel}"))
     }
 
-    #[track_caller]
-    fn expect(table: &str) {
-        for line in table.lines().map(str::trim).filter(|line| !line.is_empty()) {
-            let (path, expected) = line.split_once(' ').unwrap();
-            assert_eq!(parsed(path).as_deref(), Ok(expected.trim()), "{path}");
-        }
-    }
-
     #[test]
     fn every_name_of_the_database_is_understood() {
-        expect(
-            "
+        // The first number of an image is its trial; case and missing words do not matter.
+        let table = "
             AccelScansComponents/Movement/Training/G1Mesh_Movement_Y_train7.txt G1Mesh expert 7 ac 1
             AccelScansComponents/Tapping/Training/G1Mesh_Tapping_Z_train10.txt G1Mesh expert 10 act 0
             SoundScans/Movement/Testing/G1Mesh_Sound_Movement_test2.wav G1Mesh user2 2 mi2 0
@@ -397,27 +360,19 @@ mod tests {
             FricScans/FSR2/Testing/G1Mesh_FrictionFSR2_Movement_test1.txt G1Mesh user1 1 fr 1
             ReflectanceScans/Training/G1Mesh_Reflectance_Movement_train3.txt G1Mesh expert 3 ir 0
             MetalDetectionScans/Testing/G1Mesh_MetalDetection_Movement_test3.txt G1Mesh user3 3 me 0
-            ",
-        );
-        // The first number of an image is its trial.
-        expect(
-            "
             ImageScans/NoFlash/Training/G1Mesh_Image_1_train1.jpg G1Mesh expert 1 ca1 0
             ImageScans/NoFlash/Training/G1Mesh_Image_10_train2.jpg G1Mesh expert 10 ca1 0
             ImageScans/NoFlash/Testing/G1Mesh_Image_9_test0.jpg G1Mesh user9 9 ca1 0
             ImageScans/Flash/Training/Flash_G1Mesh_Image_2_train3.jpg G1Mesh expert 2 ca2 0
             ImageScans/Flash/Training/G1Mesh_Image_2_train3.jpg G1Mesh expert 2 ca2 0
-            ",
-        );
-        // Case and missing words do not matter.
-        expect(
-            "
             soundscans/g4Oak_sound_movement_TRAIN3.WAV g4Oak expert 3 mi2 0
             SoundScans/Tapping/Training/G4Oak_Sound_3.wav G4Oak expert 3 mi1 0
             FricScans/FSR2/Testing/G4Oak_Friction_Movement_test4.txt G4Oak user4 4 fr 1
-            MetalDetectionScans/Testing/G4Oak_Metal_Movement_test4.txt G4Oak user4 4 me 0
-            ",
-        );
+            MetalDetectionScans/Testing/G4Oak_Metal_Movement_test4.txt G4Oak user4 4 me 0";
+        for line in table.trim().lines() {
+            let (path, expected) = line.trim().split_once(' ').unwrap();
+            assert_eq!(parsed(path).as_deref(), Ok(expected), "{path}");
+        }
     }
 
     #[test]

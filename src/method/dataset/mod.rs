@@ -21,7 +21,8 @@ use crate::scene::Scene;
 
 /// Whether the LMT108 database has a folder of this name, in either of its two layouts.
 pub(crate) fn is_layout_name(name: &str) -> bool {
-    lmt108::FOLDERS.iter().chain(&PROCESSED).any(|folder| folder.eq_ignore_ascii_case(name))
+    let mut folders = lmt108::FOLDERS.split(' ').chain(PROCESSED);
+    folders.any(|folder| folder.eq_ignore_ascii_case(name))
 }
 
 /// Whether a folder, or a folder in it, is a copy of the LMT108 database. A trial written there in

@@ -40,10 +40,7 @@ pub enum Rule {
 
 impl std::fmt::Display for Rule {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.pad(match self {
-            Self::Quantile => "quantile",
-            Self::MeanCi => "mean-ci",
-        })
+        serde::Serialize::serialize(self, f)
     }
 }
 
@@ -117,13 +114,9 @@ pub enum SearchOutcome {
     Found { lag: usize },
     /// Samples depend on each other at every lag tested.
     NotInRange { largest_lag: usize },
-    /// There is no T* within the range: a lag was independent, but at a larger lag dependence returns.
-    Returns {
-        /// lag at which the printed Algorithm 1 stops, in samples
-        first: usize,
-        /// larger lag at which the lower bound of mean HSIC exceeds κ again
-        again_at: usize,
-    },
+    /// There is no T* within the range: the lag `first`, at which the printed Algorithm 1 stops, is
+    /// independent, but at a larger one the lower bound of mean HSIC exceeds κ again. In samples.
+    Returns { first: usize, again_at: usize },
 }
 
 /// T* of one surface and source, and the curve of HSIC from which T* was read.
@@ -140,10 +133,8 @@ pub struct Estimate {
 impl Estimate {
     /// T* in samples; `None` if no T* lies within the range of lags.
     pub fn t_star(&self) -> Option<usize> {
-        match self.outcome {
-            SearchOutcome::Found { lag } => Some(lag),
-            SearchOutcome::NotInRange { .. } | SearchOutcome::Returns { .. } => None,
-        }
+        let SearchOutcome::Found { lag } = self.outcome else { return None };
+        Some(lag)
     }
 }
 

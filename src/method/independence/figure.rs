@@ -170,8 +170,7 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
     Ok(())
 }
 
-/// The rows of a source that have a curve: in ascending order of T*, then those without T*, and at
-/// the end the row with the longest T*.
+/// The rows of a source that have a curve, by T*; those without, and then the longest T*, are at the end.
 fn rows_of<'a>(
     durations: &'a [SourceDuration],
     source: &SourceId,
@@ -194,8 +193,7 @@ fn rows_of<'a>(
     rows
 }
 
-/// Draws dependence against lag, with a line for each surface. The last surface also gets a
-/// confidence band, the threshold, T* and the upper bound of T*.
+/// A line for each surface; the last one also gets a confidence band, the threshold, T* and its bound.
 fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> Drawn {
     let Some(((longest, row), others)) = rows.split_last() else { return Ok(()) };
     let ms = |s: f64| 1e3 * s;

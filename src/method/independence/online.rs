@@ -8,8 +8,7 @@ use super::pooled::{CORRELATION, PooledEstimate, at_needed_rate};
 use crate::trial::Series;
 
 const FEWEST_FRAMES: usize = 500;
-/// Number of values used of each channel, for one or two channels. With more channels there are many
-/// pairs of channels, so fewer values are used.
+/// Values used of each channel, if there are one or two; fewer of more, which make many pairs.
 const VALUES: usize = 8000;
 /// Seconds of scan from one estimate to the next.
 const EVERY_S: f64 = 1.0;
@@ -64,8 +63,7 @@ impl OnlineDuration {
     }
 }
 
-/// T* of a single recording, with the same thinning as during a scan. `None` if the recording is
-/// too short, or if nothing changes in it.
+/// T* of one recording, thinned as during a scan; `None` if it is too short, or if nothing changes.
 pub fn of_recording(series: &Series) -> Option<PooledEstimate> {
     if series.frames() < FEWEST_FRAMES {
         return None;

@@ -60,10 +60,7 @@ impl Trials {
         Ok(trials)
     }
 
-    /// Trials for the rule `pooled`, at least one.
-    ///
-    /// # Errors
-    /// Like [`Self::new`], but one trial suffices, and it may have fewer samples.
+    /// Trials for the rule `pooled`, of which one suffices; it may have fewer samples.
     pub(crate) fn pooled(series: Vec<Series>) -> Result<Self, DurationError> {
         Self::checked(series, false)
     }
@@ -139,7 +136,7 @@ impl Trials {
             ));
         }
         for (i, range) in ranges.iter().enumerate() {
-            let channel = i + 1;
+            let (channel, percent) = (i + 1, 100.0 * range.at_an_end);
             if range.constant {
                 self.remarks.push(format!("channel {channel} is constant and adds nothing"));
             } else if range.binary {
@@ -151,15 +148,13 @@ impl Trials {
                 }
             } else if range.at_an_end > SATURATED {
                 return Err(format!(
-                    "channel {channel} is saturated: {:.0} % of its samples lie at one end of its \
-                     range; lower the gain and record again",
-                    range.at_an_end * 100.0
+                    "channel {channel} is saturated: {percent:.0} % of its samples lie at one end of its \
+                     range; lower the gain and record again"
                 ));
             } else if range.at_an_end > WORTH_SAYING {
-                self.remarks.push(format!(
-                    "channel {channel} is saturated in {:.0} % of its samples",
-                    range.at_an_end * 100.0
-                ));
+                let remark =
+                    format!("channel {channel} is saturated in {percent:.0} % of its samples");
+                self.remarks.push(remark);
             }
         }
         Ok(())

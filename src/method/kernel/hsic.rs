@@ -17,7 +17,7 @@ pub(crate) const FEWEST_PAIRS: usize = 5;
 
 /// Why a test of independence is not possible.
 #[derive(Debug, thiserror::Error, PartialEq)]
-#[allow(missing_docs)] // The messages are the documentation.
+#[allow(missing_docs)] // The messages are the documentation; all count from 1.
 pub enum HsicError {
     #[error("{x} samples on one side and {y} on the other; expected pairs")]
     Unpaired { x: usize, y: usize },
@@ -26,15 +26,7 @@ pub enum HsicError {
     #[error(
         "channel {channel} of side {side} is {value} at sample {sample}; expected finite numbers"
     )]
-    NotFinite {
-        /// side of the pairs, 1 or 2
-        side: usize,
-        /// channel, counted from 1
-        channel: usize,
-        /// sample, counted from 1
-        sample: usize,
-        value: f64,
-    },
+    NotFinite { side: usize, channel: usize, sample: usize, value: f64 },
     #[error(
         "side {0} is constant: its samples are all alike, so nothing can be said about dependence"
     )]

@@ -35,8 +35,7 @@ struct PointGroup {
 }
 
 impl LineSum {
-    /// Expands the sum for points in ascending order and a kernel of length scale `sigma`. Coordinates
-    /// are relative to `centre`, since rounding costs least near 0.
+    /// `points` rise. Coordinates are relative to `centre`, since rounding costs least near 0.
     pub(crate) fn new(points: impl Iterator<Item = f64>, centre: f64, sigma: f64) -> Self {
         let scale = 1.0 / sigma;
         let place = |x: f64| ((x - centre) * scale).clamp(-FARTHEST, FARTHEST);

@@ -34,8 +34,7 @@ pub(crate) fn mmd2_from_sums(sums: CrossSums, n: usize, m: usize) -> f64 {
     (sums.yy / (n * n) + sums.zz / (m * m) - 2.0 * sums.yz / (n * m)).max(0.0)
 }
 
-/// The biased estimate MMD²_b of Eq. 5 (Gretton et al. 2012), for samples of shape (n, channels) and
-/// (m, channels).
+/// MMD²_b of Eq. 5 (Gretton et al. 2012), for samples of shape (n, channels) and (m, channels).
 pub fn mmd2_biased(y: ArrayView2<'_, f64>, z: ArrayView2<'_, f64>, sigma: f64) -> f64 {
     let sums = CrossSums {
         yy: kernel_sum(y, y, sigma),

@@ -148,8 +148,7 @@ fn third_moment(n: f64, p: &CentredMoments, q: &CentredMoments) -> f64 {
 /// normal distribution.
 const NEARLY_NORMAL: f64 = 0.02;
 
-/// The (1 − α) quantile of the Pearson III distribution with the given moments, and the probability
-/// that a value drawn from it is at least `observed`.
+/// The (1 − α) quantile of the Pearson III distribution with these moments, and P(X ≥ `observed`).
 pub(super) fn pearson3_test(moments: &Moments, observed: f64, alpha: f64) -> (f64, f64) {
     let sd = moments.variance.sqrt();
     let kappa = moments.mean + sd * quantile(moments.skewness, alpha);
@@ -208,22 +207,15 @@ mod tests {
     use crate::kernel::hsic::{centred, kernel_matrix};
     use rand::Rng;
 
-    /// Visits every permutation of 0..n, by Heap's algorithm.
-    fn for_each_permutation(n: usize, mut visit: impl FnMut(&[usize])) {
-        let mut order: Vec<usize> = (0..n).collect();
-        let mut counters = vec![0; n];
-        visit(&order);
-        let mut i = 0;
-        while i < n {
-            if counters[i] < i {
-                order.swap(if i % 2 == 0 { 0 } else { counters[i] }, i);
-                visit(&order);
-                counters[i] += 1;
-                i = 0;
-            } else {
-                counters[i] = 0;
-                i += 1;
-            }
+    /// Visits every order of the indices from `first` on.
+    fn for_each_order(order: &mut [usize], first: usize, visit: &mut impl FnMut(&[usize])) {
+        if first == order.len() {
+            return visit(order);
+        }
+        for at in first..order.len() {
+            order.swap(first, at);
+            for_each_order(order, first + 1, visit);
+            order.swap(first, at);
         }
     }
 
@@ -240,7 +232,8 @@ mod tests {
             };
             let (a, b) = (side(1), side(1 + case % 2));
             let (mut count, mut sums) = (0.0, [0.0; 3]);
-            for_each_permutation(n, |p| {
+            let order = &mut (0..n).collect::<Vec<_>>();
+            for_each_order(order, 0, &mut |p| {
                 let v: f64 = a.indexed_iter().map(|((i, j), w)| w * b[[p[i], p[j]]]).sum();
                 count += 1.0;
                 sums[0] += v;

@@ -11,8 +11,7 @@ use std::arch::x86_64::*;
 /// Number of f32 values in a register.
 pub(super) const LANES: usize = 16;
 
-/// Largest squared distance q; a larger q is replaced by it. The kernel 2^(−2016/16) is the
-/// smallest normal f32.
+/// A larger squared distance q counts as this one; 2^(−2016/16) is the smallest normal f32.
 const REACH: f32 = 2016.0;
 const ROUND: f32 = 12_582_912.0;
 /// 2^(f/16) ≈ 1 + f·(CUBIC[0] + f·(CUBIC[1] + f·CUBIC[2])) on [−½, ½].
@@ -20,22 +19,8 @@ const CUBIC: [f32; 3] = [4.332_17e-2, 9.384_11e-4, 1.354_99e-5];
 
 /// Bits of 2^(j/16) minus j·2¹⁹. Adding N·2¹⁹, for N = 16·e + j, then gives the bits of 2^(N/16).
 static TABLE: [u32; 16] = [
-    0x3f80_0000,
-    0x3f7d_aac3,
-    0x3f7b_95c2,
-    0x3f79_c3d3,
-    0x3f78_37f0,
-    0x3f76_f532,
-    0x3f75_fed7,
-    0x3f75_583f,
-    0x3f75_04f3,
-    0x3f75_08a4,
-    0x3f75_672a,
-    0x3f76_248c,
-    0x3f77_44fd,
-    0x3f78_ccdf,
-    0x3f7a_c0c7,
-    0x3f7d_257d,
+    0x3f800000, 0x3f7daac3, 0x3f7b95c2, 0x3f79c3d3, 0x3f7837f0, 0x3f76f532, 0x3f75fed7, 0x3f75583f,
+    0x3f7504f3, 0x3f7508a4, 0x3f75672a, 0x3f76248c, 0x3f7744fd, 0x3f78ccdf, 0x3f7ac0c7, 0x3f7d257d,
 ];
 
 /// Whether this machine can run [`sum`].

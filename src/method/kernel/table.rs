@@ -19,8 +19,7 @@ pub(crate) struct SelfMean {
 }
 
 impl SelfMean {
-    /// Tabulates `mean`, the mean kernel value at a length scale, around `sigma`. Returns `None` if
-    /// the estimated error exceeds `tolerance`.
+    /// Tabulates the `mean` kernel value around `sigma`; `None` if its error may exceed `tolerance`.
     pub(crate) fn new(
         sigma: f64,
         tolerance: f64,
@@ -32,9 +31,8 @@ impl SelfMean {
         (table.middle.is_finite() && table.last_coefficients() <= tolerance).then_some(table)
     }
 
-    /// The mean kernel value at length scale `sigma`; `None` outside the range of the table.
-    ///
-    /// Interpolates by the barycentric formula (Berrut & Trefethen 2004, Eq. 5.3).
+    /// The mean kernel value at `sigma`, by the barycentric formula (Berrut & Trefethen 2004, Eq. 5.3);
+    /// `None` outside the range of the table.
     pub(crate) fn at(&self, sigma: f64) -> Option<f64> {
         let x = (sigma.ln() - self.middle) / half_range();
         if !(-1.0..=1.0).contains(&x) {

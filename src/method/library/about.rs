@@ -40,8 +40,7 @@ pub struct About {
     /// Frames that `import csv` filled in, by source: their count, and which they are.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub interpolated: BTreeMap<String, String>,
-    /// Keys of one's own, such as a force or a tool: text, numbers and truth values. They are kept,
-    /// and trials are chosen by them.
+    /// Keys of one's own, such as a force or a tool: text, numbers and truth values, to choose trials by.
     #[serde(skip_serializing_if = "toml::Table::is_empty")]
     pub meta: toml::Table,
 }
@@ -67,12 +66,8 @@ impl About {
     /// If the file is not TOML, has an unknown key or an impossible value; the error names the line.
     pub fn read(trial: &Path) -> Result<Self, LibraryError> {
         let path = trial.join(ABOUT_FILE);
-        match files::read_text_if_there(&path)? {
-            None => Ok(Self::default()),
-            Some(text) => {
-                Self::from_toml(&text).map_err(|problem| LibraryError::file(&path, problem))
-            }
-        }
+        let Some(text) = files::read_text_if_there(&path)? else { return Ok(Self::default()) };
+        Self::from_toml(&text).map_err(LibraryError::at(&path))
     }
 
     pub fn to_toml(&self) -> String {
@@ -147,45 +142,30 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_key_is_refused_with_the_advice_to_put_it_under_meta() {
-        let error = About::from_toml("user = \"anna\"\nforce_n = 2\n").unwrap_err();
-        assert!(error.contains("line 2") && error.contains("force_n"), "{error}");
-        assert!(error.contains("`[meta]`"), "{error}");
+    fn what_is_wrong_is_named() {
+        for (text, parts) in [
+            ("user = \"anna\"\nforce_n = 2\n", &["line 2", "force_n", "`[meta]`"][..]),
+            ("[meta]\nuser = \"anna\"", &["above the line"]),
+            ("[meta]\nforces = [1, 2]", &["type array"]),
+            ("[meta]\nat = 2026-01-31", &["type datetime"]),
+            ("session = \"a/b\"", &["session holds '/'"]),
+            ("session = \"\"", &["session is empty"]),
+            ("notes = \"\"\nstarted_at = 12", &["line 2", "neither a date"]),
+        ] {
+            let error = About::from_toml(text).unwrap_err();
+            assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+        }
         let other = About::from_toml("trial = \"x\"").unwrap_err();
         assert!(!other.contains("[meta]"), "{other}");
     }
 
     #[test]
-    fn meta_holds_text_numbers_and_truth_values_and_no_key_of_the_trial() {
-        let meta = |text: &str| About::from_toml(&format!("[meta]\n{text}"));
-        assert!(meta("tool = \"tip\"\nforce_n = 1\nspeed = 0.5\nwet = true").is_ok());
-        for (text, expected) in [
-            ("user = \"anna\"", "above the line"),
-            ("forces = [1, 2]", "type array"),
-            ("at = 2026-01-31", "type datetime"),
-        ] {
-            let error = meta(text).unwrap_err();
-            assert!(error.contains(expected), "{error}");
-        }
-    }
-
-    #[test]
-    fn a_session_is_a_label_and_may_be_a_moment() {
-        let session = |text: &str| About::from_toml(text).map(|about| about.session);
-        assert_eq!(session("session = \" day 2 \""), Ok(Some("day 2".into())));
-        let moment = "2026-11-25T10:42";
-        assert_eq!(session(&format!("session = \"{moment}\"")), Ok(Some(moment.into())));
-        let error = session("session = \"a/b\"").unwrap_err();
-        assert!(error.starts_with("session holds '/'"), "{error}");
-        assert!(session("session = \"\"").unwrap_err().contains("is empty"));
-    }
-
-    #[test]
-    fn a_start_may_be_a_date_or_text() {
-        let start = |text: &str| About::from_toml(text).map(|about| about.started_at.unwrap());
-        assert_eq!(start("started_at = 2025-01-31T12:00:00Z").unwrap(), "2025-01-31T12:00:00Z");
-        assert_eq!(start("started_at = \"noon\"").unwrap(), "noon");
-        let error = start("notes = \"\"\nstarted_at = 12").unwrap_err();
-        assert!(error.contains("line 2") && error.contains("neither a date"), "{error}");
+    fn a_session_may_be_a_moment_and_a_start_a_date_or_text() {
+        let session = |text: &str| About::from_toml(text).unwrap().session.unwrap();
+        assert_eq!(session("session = \" day 2 \""), "day 2");
+        assert_eq!(session("session = \"2026-11-25T10:42\""), "2026-11-25T10:42");
+        let start = |text: &str| About::from_toml(text).unwrap().started_at.unwrap();
+        assert_eq!(start("started_at = 2025-01-31T12:00:00Z"), "2025-01-31T12:00:00Z");
+        assert_eq!(start("started_at = \"noon\""), "noon");
     }
 }

@@ -56,6 +56,7 @@ struct Place {
     length: u64,
 }
 
+#[derive(Clone)]
 pub(crate) struct Record {
     pub name: String,
     /// Identifies the files that the record was prepared from.
@@ -75,8 +76,7 @@ impl Cache {
         (cache, remark)
     }
 
-    /// Opens the file, if it was written with the same key, and finds its records. If this fails
-    /// midway, the records found so far can still be used.
+    /// Finds the records of a file with this key; those found before an error can still be used.
     fn read(&mut self) -> io::Result<()> {
         let (mut file, length) = files::open(&self.path)?;
         let mut header = vec![0; HEADER.min(length as usize)];
@@ -101,10 +101,8 @@ impl Cache {
             return Err(format!("a cache of version {version}, not {VERSION}"));
         }
         let (key, _) = rest.split_first_chunk().ok_or("the file is cut short")?;
-        match u64::from_le_bytes(*key) == self.key {
-            true => Ok(()),
-            false => Err("prepared with other settings".into()),
-        }
+        let is_same = u64::from_le_bytes(*key) == self.key;
+        is_same.then_some(()).ok_or_else(|| "prepared with other settings".into())
     }
 
     /// The bytes stored under `name`; `None` if they are damaged or were stored with another stamp.
@@ -244,22 +242,20 @@ mod tests {
 
     fn replace(cache: Cache) -> Option<String> {
         let records = records();
-        cache.replace(records.len(), |_, i| {
-            let Record { name, stamp, bytes } = &records[i];
-            Some(Record { name: name.clone(), stamp: *stamp, bytes: bytes.clone() })
-        })
+        cache.replace(records.len(), |_, i| Some(records[i].clone()))
     }
 
-    fn written() -> tempfile::TempDir {
+    fn written() -> (tempfile::TempDir, PathBuf) {
         let folder = tempfile::tempdir().unwrap();
         let (cache, remark) = Cache::open(folder.path(), "m", 5);
+        let path = cache.path.clone();
         assert_eq!((remark, replace(cache)), (None, None));
-        folder
+        (folder, path)
     }
 
     #[test]
     fn what_was_stored_is_found_under_its_name_and_stamp() {
-        let folder = written();
+        let (folder, _) = written();
         let (cache, remark) = Cache::open(folder.path(), "m", 5);
         assert_eq!(remark, None);
         assert_eq!(cache.get("beech", 8), Some(vec![2; 100]));
@@ -272,10 +268,9 @@ mod tests {
 
     #[test]
     fn another_key_another_version_and_another_file_count_as_empty() {
-        let folder = written();
+        let (folder, path) = written();
         let (cache, remark) = Cache::open(folder.path(), "m", 6);
         assert!(cache.get("beech", 8).is_none() && remark.unwrap().contains("other settings"));
-        let path = folder.path().join(".m.surfaced-cache");
         let mut bytes = fs::read(&path).unwrap();
         bytes[14] += 1;
         fs::write(&path, &bytes).unwrap();
@@ -287,25 +282,22 @@ mod tests {
 
     #[test]
     fn damage_anywhere_never_gives_wrong_bytes() {
-        let folder = written();
-        let path = folder.path().join(".m.surfaced-cache");
+        let (folder, path) = written();
         let good = fs::read(&path).unwrap();
         for at in 0..good.len() {
-            let mut bytes = good.clone();
-            bytes[at] ^= 0x41;
-            fs::write(&path, &bytes).unwrap();
-            let (cache, _) = Cache::open(folder.path(), "m", 5);
-            assert!(cache.get("beech", 8).is_none_or(|found| found == [2; 100]), "byte {at}");
-            fs::write(&path, &good[..at]).unwrap();
-            let (cache, _) = Cache::open(folder.path(), "m", 5);
-            assert!(cache.get("beech", 8).is_none_or(|found| found == [2; 100]), "cut at {at}");
+            let mut flipped = good.clone();
+            flipped[at] ^= 0x41;
+            for bytes in [&flipped[..], &good[..at]] {
+                fs::write(&path, bytes).unwrap();
+                let found = Cache::open(folder.path(), "m", 5).0.get("beech", 8);
+                assert!(found.is_none_or(|found| found == [2; 100]), "{at} of {}", bytes.len());
+            }
         }
     }
 
     #[test]
     fn a_record_of_a_terabyte_is_not_read() {
-        let folder = written();
-        let path = folder.path().join(".m.surfaced-cache");
+        let (folder, path) = written();
         let mut bytes = fs::read(&path).unwrap();
         let at = HEADER + head("oak · expert · 1", 7, 0).len() - 8;
         bytes[at..at + 8].copy_from_slice(&(1u64 << 40).to_le_bytes());

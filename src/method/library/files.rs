@@ -21,6 +21,11 @@ impl LibraryError {
         Self::File { path: path.to_path_buf(), problem: problem.to_string() }
     }
 
+    /// Makes a problem an error of the file at `path`, for `map_err`.
+    pub(crate) fn at<P: Display>(path: &Path) -> impl Fn(P) -> Self + Copy {
+        move |problem| Self::file(path, problem)
+    }
+
     /// Describes an error of the file system, with advice for the common causes.
     pub(crate) fn io(path: &Path, error: io::Error) -> Self {
         match error.kind() {
@@ -104,10 +109,8 @@ impl Listed {
     }
 
     pub fn stem_and_extension(&self) -> (&str, String) {
-        match self.name.rsplit_once('.') {
-            Some((stem, extension)) => (stem, extension.to_ascii_lowercase()),
-            None => (&self.name, String::new()),
-        }
+        let (stem, extension) = self.name.rsplit_once('.').unwrap_or((&self.name, ""));
+        (stem, extension.to_ascii_lowercase())
     }
 
     /// Whether the name begins with a dot, like the files of editors or unfinished writes.

@@ -13,19 +13,12 @@ use crate::printable::counted;
 use crate::scene::{Domain, SourceBlock, SourceId, SourceSpec};
 use crate::trial::{Image, Series, Signal, SignalError, Trial, TrialKey};
 
+/// The files of a source; `mixed` says how the two channels of a series become one, if they do.
 #[derive(Debug)]
 pub(crate) enum SourceFiles {
-    /// One file of a series, its header, and how its two channels become one, if they do.
-    Series {
-        path: PathBuf,
-        header: Outline,
-        mixed: Option<Mix>,
-    },
+    Series { path: PathBuf, header: Outline, mixed: Option<Mix> },
     Picture(PathBuf),
-    Columns {
-        paths: Vec<PathBuf>,
-        rate_hz: f64,
-    },
+    Columns { paths: Vec<PathBuf>, rate_hz: f64 },
 }
 
 /// How two channels become one.
@@ -54,10 +47,7 @@ impl Mix {
         if left.min(right) < 0.01 * left.max(right) {
             return Self::Alone(louder);
         }
-        match both < -0.5 * (left * right).sqrt() {
-            true => Self::Opposite(louder),
-            false => Self::Mean,
-        }
+        if both < -0.5 * (left * right).sqrt() { Self::Opposite(louder) } else { Self::Mean }
     }
 
     fn apply(self, series: &Series) -> Result<Series, SignalError> {
@@ -157,8 +147,7 @@ impl SourceFiles {
                     return Err(LibraryError::file(path, problem));
                 }
                 let Some(mix) = mixed else { return Ok(Signal::Series(series)) };
-                let mixed = mix.apply(&series);
-                mixed.map(Signal::Series).map_err(|error| LibraryError::file(path, error))
+                mix.apply(&series).map(Signal::Series).map_err(LibraryError::at(path))
             }
             Self::Picture(path) => read_picture(path).map(Signal::Image),
             Self::Columns { paths, rate_hz } => {
@@ -174,7 +163,7 @@ impl SourceFiles {
 fn read_columns(paths: &[PathBuf], rate_hz: f64) -> Result<Series, LibraryError> {
     let column = |path: &PathBuf| {
         let bytes = files::read_bytes(path, files::MOST_TEXT)?;
-        parse_column(&bytes).map_err(|problem| LibraryError::file(path, problem))
+        parse_column(&bytes).map_err(LibraryError::at(path))
     };
     let columns = paths.iter().map(column).collect::<Result<Vec<_>, _>>()?;
     let frames = columns.iter().map(Vec::len).min().unwrap_or(0);
@@ -182,8 +171,7 @@ fn read_columns(paths: &[PathBuf], rate_hz: f64) -> Result<Series, LibraryError>
     for frame in 0..frames {
         samples.extend(columns.iter().map(|column| column[frame]));
     }
-    Series::new(rate_hz, columns.len(), samples)
-        .map_err(|error| LibraryError::file(&paths[0], error))
+    Series::new(rate_hz, columns.len(), samples).map_err(LibraryError::at(&paths[0]))
 }
 
 /// The number of frames that [`read_columns`] would give: the non-blank lines of the shortest file.
@@ -282,7 +270,7 @@ fn read_picture(path: &Path) -> Result<Image, LibraryError> {
             let picture = DynamicImage::from_decoder(decoder);
             let picture = picture.map_err(|error| damaged(&error.to_string()))?;
             Image::new(width, height, picture.into_rgb8().into_raw())
-                .map_err(|error| LibraryError::file(path, error))
+                .map_err(LibraryError::at(path))
         },
         damaged,
     )

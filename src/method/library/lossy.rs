@@ -29,6 +29,7 @@ use symphonia_format_isomp4::IsoMp4Reader;
 use symphonia_format_ogg::OggReader;
 
 use super::files::{self, check_length};
+use super::series_file::damaged;
 use super::{LibraryError, Outline};
 use crate::trial::Series;
 
@@ -44,11 +45,6 @@ pub(super) fn read(path: &Path) -> Result<(Outline, Vec<f32>), LibraryError> {
     Ok((sound.header, samples))
 }
 
-/// The error for a file that cannot be decoded.
-pub(super) fn damaged(path: &Path, why: &str) -> LibraryError {
-    Why::Damaged(why.to_string()).at(path)
-}
-
 /// Why a file is not read.
 enum Why {
     Damaged(String),
@@ -58,14 +54,12 @@ enum Why {
 
 impl Why {
     fn at(self, path: &Path) -> LibraryError {
-        let problem = match self {
-            Self::Damaged(why) => format!(
-                "not a sound that can be read ({why}); copy it again from where it came, record \
-                 again, or remove it"
-            ),
-            Self::Unknown(name) => format!("{name} is not read; convert it to WAV or FLAC"),
-        };
-        LibraryError::file(path, problem)
+        match self {
+            Self::Damaged(why) => damaged(path, "sound", &why),
+            Self::Unknown(name) => {
+                LibraryError::file(path, format!("{name} is not read; convert it to WAV or FLAC"))
+            }
+        }
     }
 }
 
@@ -96,7 +90,7 @@ fn open(path: &Path) -> Result<Sound, LibraryError> {
         _ => ogg(bytes),
     };
     let sound = sound.map_err(|why| why.at(path))?;
-    check_length(sound.header).map_err(|problem| LibraryError::file(path, problem))?;
+    check_length(sound.header).map_err(LibraryError::at(path))?;
     Ok(sound)
 }
 
@@ -257,7 +251,8 @@ fn m4a(bytes: Vec<u8>) -> Result<Sound, Why> {
     let (track, codec) = (track.clone(), codec(track).expect("a sound").clone());
     check_lc(&codec)?;
     let packets = packets(&mut reader, track.id)?;
-    if is_mostly(&packets, ends_with_sbr) {
+    let asked = &packets[..packets.len().min(64)];
+    if 2 * asked.iter().filter(|packet| ends_with_sbr(&packet.data)).count() > asked.len() {
         return Err(Why::Unknown("HE-AAC"));
     }
     let counted = packets.len() * AAC;
@@ -285,12 +280,6 @@ fn check_lc(codec: &AudioCodecParameters) -> Result<(), Why> {
         _ => "this coding in m4a",
     };
     Err(Why::Unknown(name))
-}
-
-fn is_mostly(packets: &[Packet], holds: impl Fn(&[u8]) -> bool) -> bool {
-    let asked = packets.len().min(64);
-    let found = packets[..asked].iter().filter(|packet| holds(&packet.data)).count();
-    found * 2 > asked
 }
 
 /// Whether a frame of AAC ends with fill elements whose first holds the upper band of HE-AAC, which the
@@ -406,10 +395,9 @@ fn itunes(moov: &[u8]) -> Option<(usize, usize)> {
     let text = &note[memmem::find(note, b" 00000000 ")?..];
     let text = std::str::from_utf8(text.get(..44)?).ok()?;
     let numbers = text.split_ascii_whitespace().map(|word| usize::from_str_radix(word, 16));
-    match numbers.collect::<Result<Vec<_>, _>>().ok()?[..] {
-        [_, delay, _, length] => Some((delay, length)),
-        _ => None,
-    }
+    let numbers = numbers.collect::<Result<Vec<_>, _>>().ok()?;
+    let [_, delay, _, length] = numbers[..] else { return None };
+    Some((delay, length))
 }
 
 fn ogg(bytes: Vec<u8>) -> Result<Sound, Why> {

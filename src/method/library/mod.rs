@@ -26,13 +26,10 @@ use crate::trial::{Series, Signal, Trial, TrialKey};
 
 #[derive(Debug, thiserror::Error)]
 pub enum LibraryError {
-    /// a file or folder that cannot be read, or does not hold what it should
+    /// a file or folder that cannot be read, or does not hold what it should; the problem says what is wrong,
+    /// what was expected, and what to do
     #[error("{}: {problem}", path.display())]
-    File {
-        path: PathBuf,
-        /// what is wrong, what was expected, what to do
-        problem: String,
-    },
+    File { path: PathBuf, problem: String },
     #[error("{}", list(.0))]
     Several(Vec<LibraryError>),
 }
@@ -56,10 +53,8 @@ fn list(errors: &[LibraryError]) -> String {
 impl LibraryError {
     /// The file or folder with the problem; `None` for an error that combines several.
     pub fn path(&self) -> Option<&Path> {
-        match self {
-            Self::File { path, .. } => Some(path),
-            Self::Several(_) => None,
-        }
+        let Self::File { path, .. } = self else { return None };
+        Some(path)
     }
 
     pub fn of_all(mut errors: Vec<Self>) -> Option<Self> {

@@ -65,8 +65,13 @@ fn something(path: &Path, opened: Opened) -> Result<Opened, LibraryError> {
         return Ok(opened);
     }
     let Opened { library: Library { scene, remarks, .. }, bad } = opened;
-    let nothing = || nothing_found(path, &scene, &remarks);
-    Err(LibraryError::of_all(bad).unwrap_or_else(nothing))
+    let known = scene.sources().map(|s| s.id.as_str()).collect::<Vec<_>>().join(", ");
+    let problem = format!(
+        "no recordings found; looked for SURFACE/TRIAL/<source>.wav, .flac, .png or .jpg, where \
+         <source> is one of {known}, for SURFACE/*.wav and *.wav, and for the LMT108 database (a folder that holds SoundScans/ or \
+         AccelScansComponents/); name the folder that holds the surfaces' folders"
+    );
+    Err(nothing_found(path, bad, problem, &remarks))
 }
 
 /// Opens a single WAV or FLAC file as a library of one trial without a label.
@@ -104,15 +109,15 @@ pub(crate) fn entry(
     Entry::new(key.clone(), sources, Arc::new(FileTrial { key, sources: files, folder }))
 }
 
-fn nothing_found(path: &Path, scene: &Scene, remarks: &[String]) -> LibraryError {
-    let known = scene.sources().map(|s| s.id.as_str()).collect::<Vec<_>>().join(", ");
-    let mut problem = format!(
-        "no recordings found; looked for SURFACE/TRIAL/<source>.wav, .flac, .png or .jpg, where \
-         <source> is one of {known}, for SURFACE/*.wav and *.wav, and for the LMT108 database (a folder that holds SoundScans/ or \
-         AccelScansComponents/); name the folder that holds the surfaces' folders"
-    );
+/// The error for a library of which nothing can be used: its `bad` files or, without any, the `problem`.
+pub(crate) fn nothing_found(
+    path: &Path,
+    bad: Vec<LibraryError>,
+    mut problem: String,
+    remarks: &[String],
+) -> LibraryError {
     remarks.iter().for_each(|remark| problem += &format!("\n  {remark}"));
-    LibraryError::file(path, problem)
+    LibraryError::of_all(bad).unwrap_or_else(|| LibraryError::file(path, problem))
 }
 
 struct RecordingOpening<'a> {
@@ -144,8 +149,8 @@ impl<'a> RecordingOpening<'a> {
         };
         let described = described_in.join(DESCRIPTION);
         if let Some(text) = files::read_text_if_there(&described)? {
-            let described = LibraryToml::parse(&text, &opening.scene)
-                .map_err(|error| LibraryError::file(&described, error))?;
+            let described =
+                LibraryToml::parse(&text, &opening.scene).map_err(LibraryError::at(&described))?;
             opening.synthetic = described.synthetic;
             opening.declared = described.declared;
             opening.name.clone_from(&described.sources.name);
@@ -240,7 +245,11 @@ impl<'a> RecordingOpening<'a> {
                 Err(error) => self.bad.push(error),
                 Ok(file) => {
                     if place.guessed {
-                        self.headers.note(&item.path, guessed_remark(&place.source));
+                        let is_usual = place.source.as_str() == USUAL;
+                        let what = if is_usual { "sound of a drag" } else { "the source" };
+                        let what = format!("read as {what} (`{}`)", place.source);
+                        let advice = "begin the file name with another source to change that";
+                        self.headers.note(&item.path, format!("{what}; {advice}"));
                     }
                     let key = TrialKey::new(surface, EXPERT, place.number);
                     let trial = || (item.path.clone(), BTreeMap::new());
@@ -322,11 +331,10 @@ impl<'a> RecordingOpening<'a> {
     fn learn(&mut self, id: SourceId, path: &Path) -> Result<(), LibraryError> {
         let header = series_file::probe(path)?;
         if self.scene.get(id.as_str()).is_none() {
+            let (channels, rate_hz) = (counted(header.channels, "channel"), header.rate_hz);
             let what = format!(
-                "no source is called `{id}`, so it is taken as a series of {} at {} Hz; \
-                 [sources.{id}] in {DESCRIPTION} can say more",
-                counted(header.channels, "channel"),
-                header.rate_hz
+                "no source is called `{id}`, so it is taken as a series of {channels} at {rate_hz} Hz; \
+                 [sources.{id}] in {DESCRIPTION} can say more"
             );
             self.headers.note(path, what);
         }
@@ -418,12 +426,6 @@ fn loose_places(
         }
     }
     places
-}
-
-/// The remark on files that were read as `source`, since their names begin with no source's name.
-fn guessed_remark(source: &SourceId) -> String {
-    let what = if source.as_str() == USUAL { "sound of a drag" } else { "the source" };
-    format!("read as {what} (`{source}`); begin the file name with another source to change that")
 }
 
 /// The source that `name` begins with, if no letter or digit follows; of several, the longest.

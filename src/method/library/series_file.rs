@@ -21,10 +21,10 @@ use crate::trial::Series;
 pub(crate) fn probe(path: &Path) -> Result<Outline, LibraryError> {
     match &*files::extension(path) {
         "flac" => {
-            guarded(|| open_flac(path).map(|(_, _, header)| header), |why| damaged(path, why))
+            guarded(|| open_flac(path).map(|(_, _, header)| header), |why| damaged(path, FLAC, why))
         }
         #[cfg(feature = "lossy")]
-        _ if is_lossy(path) => guarded(|| lossy::probe(path), |why| lossy::damaged(path, why)),
+        _ if is_lossy(path) => guarded(|| lossy::probe(path), |why| damaged(path, "sound", why)),
         _ => wav::probe(path),
     }
 }
@@ -32,13 +32,12 @@ pub(crate) fn probe(path: &Path) -> Result<Outline, LibraryError> {
 /// Reads a whole file. Divides integer samples by 2^(bits − 1), so that they lie within ±1.
 pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
     let (header, samples) = match &*files::extension(path) {
-        "flac" => guarded(|| decode_flac(path), |why| damaged(path, why))?,
+        "flac" => guarded(|| decode_flac(path), |why| damaged(path, FLAC, why))?,
         #[cfg(feature = "lossy")]
-        _ if is_lossy(path) => guarded(|| lossy::read(path), |why| lossy::damaged(path, why))?,
+        _ if is_lossy(path) => guarded(|| lossy::read(path), |why| damaged(path, "sound", why))?,
         _ => wav::read(path)?,
     };
-    let series = Series::new(header.rate_hz, header.channels, samples);
-    series.map_err(|error| LibraryError::file(path, error))
+    Series::new(header.rate_hz, header.channels, samples).map_err(LibraryError::at(path))
 }
 
 /// Whether a file's coding leaves out what people do not hear.
@@ -61,15 +60,15 @@ fn open_flac(
     let (file, _) = files::open_filled(path)?;
     let stream = MediaSourceStream::new(Box::new(file), Default::default());
     let reader = FlacReader::try_new(stream, FormatOptions::default())
-        .map_err(|error| damaged(path, &error.to_string()))?;
+        .map_err(|error| damaged(path, FLAC, &error.to_string()))?;
     let track = reader.tracks().first();
     let Some(CodecParameters::Audio(codec)) = track.and_then(|track| track.codec_params.as_ref())
     else {
-        return Err(damaged(path, "it holds no sound"));
+        return Err(damaged(path, FLAC, "it holds no sound"));
     };
     let (codec, frames) = (codec.clone(), track.and_then(|track| track.num_frames).unwrap_or(0));
     let (Some(rate_hz), Some(channels)) = (codec.sample_rate, codec.channels.as_ref()) else {
-        return Err(damaged(path, "its header says neither rate nor channels"));
+        return Err(damaged(path, FLAC, "its header says neither rate nor channels"));
     };
     let header = Outline {
         rate_hz: f64::from(rate_hz),
@@ -83,13 +82,13 @@ fn open_flac(
              with `sox IN.flac OUT.flac`",
         ));
     }
-    check_length(header).map_err(|problem| LibraryError::file(path, problem))?;
+    check_length(header).map_err(LibraryError::at(path))?;
     Ok((reader, codec, header))
 }
 
 fn decode_flac(path: &Path) -> Result<(Outline, Vec<f32>), LibraryError> {
     let (mut reader, codec, header) = open_flac(path)?;
-    let failed = |error: Error| damaged(path, &error.to_string());
+    let failed = |error: Error| damaged(path, FLAC, &error.to_string());
     let verifying = AudioDecoderOptions::default().verify(true);
     let mut decoder = FlacDecoder::try_new(&codec, &verifying).map_err(failed)?;
     let promised = header.frames * header.channels;
@@ -100,22 +99,25 @@ fn decode_flac(path: &Path) -> Result<(Outline, Vec<f32>), LibraryError> {
         // The decoder moves samples of any bit depth to the upper bits of 32 bits.
         samples.extend(block.iter().map(|&value| (f64::from(value) / 2f64.powi(31)) as f32));
         if samples.len() > promised {
-            return Err(damaged(path, "it is longer than its header says"));
+            return Err(damaged(path, FLAC, "it is longer than its header says"));
         }
     }
     if samples.len() < promised {
-        return Err(damaged(path, "truncated: it ends before what its header promises"));
+        return Err(damaged(path, FLAC, "truncated: it ends before what its header promises"));
     }
     match decoder.finalize().verify_ok {
-        Some(false) => Err(damaged(path, "its checksum is not that of its samples")),
+        Some(false) => Err(damaged(path, FLAC, "its checksum is not that of its samples")),
         _ => Ok((header, samples)),
     }
 }
 
-fn damaged(path: &Path, why: &str) -> LibraryError {
+const FLAC: &str = "FLAC file";
+
+/// The error for a file that cannot be decoded as a `kind`.
+pub(super) fn damaged(path: &Path, kind: &str, why: &str) -> LibraryError {
     let problem = format!(
-        "not a FLAC file that can be read ({why}); copy it again from where it came, record again, \
-         or remove it"
+        "not a {kind} that can be read ({why}); copy it again from where it came, record again, or \
+         remove it"
     );
     LibraryError::file(path, problem)
 }

@@ -120,7 +120,7 @@ fn open_wav(path: &Path) -> Result<(BufReader<File>, WavData), LibraryError> {
     let data = walk_wav(&mut file, size).map_err(|error| failure(path, error))?;
     let at = file.stream_position().map_err(|error| failure(path, error))?;
     let rest = size.saturating_sub(at);
-    check(data).map_err(|problem| LibraryError::file(path, problem))?;
+    check(data).map_err(LibraryError::at(path))?;
     if rest < data.length {
         return Err(truncated(path, &format!(" ({rest} of {} bytes of samples)", data.length)));
     }
@@ -152,8 +152,7 @@ fn no(problem: impl Into<String>) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, problem.into())
 }
 
-/// Reads the chunks before the samples of a file of `size` bytes, so that the file is then at its
-/// first sample.
+/// Reads the chunks before the samples of a file of `size` bytes, and leaves it at its first sample.
 fn walk_wav(file: &mut BufReader<File>, size: u64) -> io::Result<WavData> {
     let [id @ .., a, b, c, d] = take::<8>(file)?;
     let form: [u8; 4] = take(file)?;
@@ -273,16 +272,15 @@ fn parse_format(body: &[u8]) -> io::Result<WavData> {
 
 /// The name of a format of samples that is not read.
 fn coding(format: u16) -> String {
-    let known = [
-        (0x02, "Microsoft ADPCM"),
-        (0x11, "IMA ADPCM"),
-        (0x31, "GSM"),
-        (0x50, "MPEG"),
-        (0x55, "mp3"),
-        (0x161, "Windows Media Audio"),
-    ];
-    let name = known.iter().find(|(code, _)| *code == format).map(|(_, name)| (*name).to_string());
-    name.unwrap_or_else(|| format!("in format {format}"))
+    match format {
+        0x02 => "Microsoft ADPCM".into(),
+        0x11 => "IMA ADPCM".into(),
+        0x31 => "GSM".into(),
+        0x50 => "MPEG".into(),
+        0x55 => "mp3".into(),
+        0x161 => "Windows Media Audio".into(),
+        _ => format!("in format {format}"),
+    }
 }
 
 fn truncated(path: &Path, sizes: &str) -> LibraryError {

@@ -49,8 +49,7 @@ pub(super) fn is_usable(label: &str) -> bool {
     is_name && !means_something_else(label)
 }
 
-/// Whether a name is reserved: by the library's format, or for a device on Windows, to which a
-/// library may be copied.
+/// Whether a name is reserved: by the library's format, or for a device on Windows.
 fn means_something_else(label: &str) -> bool {
     let lower = label.to_ascii_lowercase();
     let stem = lower.split('.').next().unwrap_or_default();
@@ -66,30 +65,26 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn common_labels_stay_as_they_are() {
-        assert_eq!(encode("G1EpoxyRasterPlate"), "G1EpoxyRasterPlate");
-        assert_eq!(encode("oak, sanded v1.2"), "oak%2C sanded v1.2");
-    }
-
-    #[test]
-    fn names_that_mean_something_else_are_escaped() {
-        assert_eq!(encode("library.toml"), "%6Cibrary.toml");
+    fn names_that_mean_something_else_or_lead_elsewhere_are_escaped_and_others_stay() {
+        for (label, name) in [
+            ("oak, sanded v1.2", "oak%2C sanded v1.2"),
+            ("library.toml", "%6Cibrary.toml"),
+            ("../x", "%2E.%2Fx"),
+            ("..", "%2E%2E"),
+            (".", "%2E"),
+            ("/etc", "%2Fetc"),
+            ("a\\b\0", "a%5Cb%00"),
+        ] {
+            assert_eq!(encode(label), name);
+        }
         for label in ["SoundScans", "accelscanscomponents", "DataLMT108", "Con", "nul.oak", "COM1"]
         {
             assert!(encode(label).starts_with('%'), "{label}");
         }
-        for label in ["console", "com", "com10", "sounds", "oak.library.toml"] {
+        for label in ["G1EpoxyRasterPlate", "console", "com", "com10", "sounds", "oak.library.toml"]
+        {
             assert_eq!(encode(label), label);
         }
-    }
-
-    #[test]
-    fn no_label_leads_elsewhere() {
-        assert_eq!(encode("../x"), "%2E.%2Fx");
-        assert_eq!(encode(".."), "%2E%2E");
-        assert_eq!(encode("."), "%2E");
-        assert_eq!(encode("/etc"), "%2Fetc");
-        assert_eq!(encode("a\\b\0"), "a%5Cb%00");
     }
 
     proptest! {

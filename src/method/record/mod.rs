@@ -20,14 +20,13 @@ use std::path::{Path, PathBuf};
 use hound::{SampleFormat, WavSpec, WavWriter};
 use image::ImageEncoder;
 
-use crate::dataset;
 use crate::library::files::number_in;
 use crate::library::recording::{DESCRIPTION, UNFINISHED};
 use crate::library::wav::EXACT_RATE;
 use crate::library::{About, LibraryError};
 use crate::scene::{Domain, MOST_CHANNELS, Scene, SourceSpec};
-use crate::system;
 use crate::trial::{Image, Series, Signal, Trial, TrialKey, normal};
+use crate::{dataset, system};
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialOptions {
@@ -285,8 +284,7 @@ fn check(spec: &SourceSpec, signal: &Signal) -> Result<(), String> {
     }
 }
 
-/// Encodes a series as WAV: as 16-bit integers if they hold every sample exactly, otherwise as f32.
-/// An error says why WAV cannot hold the series.
+/// A series as WAV: 16-bit integers if they hold every sample exactly, else f32; or why it cannot.
 fn wav(series: &Series) -> Result<Vec<u8>, String> {
     let rate_hz = series.rate_hz();
     let sample_rate = rate_hz.round() as u32;
@@ -294,19 +292,16 @@ fn wav(series: &Series) -> Result<Vec<u8>, String> {
         return Err(format!("WAV files hold no rate as low as {rate_hz} Hz"));
     }
     let (samples, channels) = (series.samples(), series.channels());
-    if samples.len() > Series::MOST_SAMPLES || channels > MOST_CHANNELS {
+    let (count, most) = (samples.len(), Series::MOST_SAMPLES);
+    if count > most || channels > MOST_CHANNELS {
         return Err(format!(
-            "{} samples in {channels} channels are too many for a WAV file; expected at most \
-             {} and {MOST_CHANNELS}",
-            samples.len(),
-            Series::MOST_SAMPLES
+            "{count} samples in {channels} channels are too many for a WAV file; expected at most \
+             {most} and {MOST_CHANNELS}"
         ));
     }
     let short: Option<Vec<i16>> = samples.iter().map(|&x| as_i16(x)).collect();
-    let (bits_per_sample, sample_format) = match short {
-        Some(_) => (16, SampleFormat::Int),
-        None => (32, SampleFormat::Float),
-    };
+    let (bits_per_sample, sample_format) =
+        if short.is_some() { (16, SampleFormat::Int) } else { (32, SampleFormat::Float) };
     // There are at most MOST_CHANNELS channels, so the cast to u16 loses nothing.
     let spec = WavSpec { channels: channels as u16, sample_rate, bits_per_sample, sample_format };
     let mut bytes = Cursor::new(Vec::new());
@@ -379,12 +374,8 @@ mod tests {
 
     #[test]
     fn only_what_is_exact_goes_into_16_bits() {
-        assert_eq!(as_i16(-1.0), Some(-32768));
-        assert_eq!(as_i16(0.5), Some(16384));
-        assert_eq!(as_i16(1.0), None);
-        assert_eq!(as_i16(-0.0), None);
-        assert_eq!(as_i16(0.1), None);
-        assert_eq!(as_i16(f32::MAX), None);
+        assert_eq!([-1.0, 0.5].map(as_i16), [Some(-32768), Some(16384)]);
+        assert_eq!([1.0, -0.0, 0.1, f32::MAX].map(as_i16), [None; 4]);
     }
 
     #[test]

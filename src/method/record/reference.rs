@@ -32,8 +32,7 @@ pub fn references(library: &Path) -> Result<BTreeMap<String, u64>, LibraryError>
 fn described(library: &Path) -> Result<Option<(String, LibraryToml)>, LibraryError> {
     let path = library.join(DESCRIPTION);
     let Some(text) = files::read_text_if_there(&path)? else { return Ok(None) };
-    let described = LibraryToml::parse(&text, &Scene::lmt108());
-    let described = described.map_err(|error| LibraryError::file(&path, error))?;
+    let described = LibraryToml::parse(&text, &Scene::lmt108()).map_err(LibraryError::at(&path))?;
     Ok(Some((text, described)))
 }
 
@@ -118,12 +117,9 @@ mod tests {
         let both = set(library, "a \"b\" = c", Some(later)).unwrap();
         assert!(both.starts_with("# mine\nformat = 1 # one\nreference = { "), "{both}");
         assert!(both.ends_with("}\n\n# these\n[sources.mi2]\nchannels = 2"), "{both}");
-        let found = references(library).unwrap();
         let (oak_ms, later_ms) = (1_769_860_800_000, 1_769_904_000_000);
-        assert_eq!(
-            found,
-            BTreeMap::from([("oak".into(), oak_ms), ("a \"b\" = c".into(), later_ms)])
-        );
+        let both = [("oak".into(), oak_ms), ("a \"b\" = c".into(), later_ms)];
+        assert_eq!(references(library).unwrap(), BTreeMap::from(both));
         set(library, "oak", Some(later)).unwrap();
         assert_eq!(references(library).unwrap()["oak"], later_ms);
         set(library, "oak", None).unwrap();

@@ -26,8 +26,7 @@ const MATERIALS: [&str; 9] = [
     "textiles",
 ];
 
-/// An SVG with the accuracies of all settings that were run, ours (bars) and the paper's (marks),
-/// with standard deviations over folds.
+/// An SVG with our accuracies (bars) and the paper's (marks), with standard deviations over folds.
 pub fn bars(report: &PaperReport) -> Result<String, FigureError> {
     let shown: Vec<&ReportRow> =
         report.rows.iter().filter(|row| row.accuracy_mean.is_some()).collect();

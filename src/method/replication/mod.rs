@@ -61,8 +61,7 @@ pub fn work_head(library: &Library, options: &ReferenceOptions, shard: Shard) ->
     PaperRun::new(library, options, shard).part(&StreamScores::new())
 }
 
-/// The data and settings of a shard. The entries are sorted by key, since a tie goes to the smaller
-/// key.
+/// The data and settings of a shard; entries are sorted by key, since a tie goes to the smaller key.
 struct PaperRun<'a> {
     library: &'a Library,
     options: ReferenceOptions,
@@ -133,8 +132,7 @@ impl<'a> PaperRun<'a> {
         }
     }
 
-    /// The pairs of trials that the settings compare in a stream, as folds of queries and library
-    /// trials. Includes only trials for which `has` is true.
+    /// The pairs of trials that the settings compare in a stream, as folds, where `has` is true of both.
     fn wanted(&self, stream: SampledSource, has: impl Fn(&&usize) -> bool) -> Vec<Fold> {
         let with_stream =
             self.plans.iter().filter(|plan| plan.terms.iter().any(|(_, s)| *s == stream));

@@ -175,6 +175,10 @@ pub struct PaperReport {
     pub confusion: Option<Confusion>,
 }
 
+/// Number of surfaces in the paper's dataset.
+const SURFACES: usize = 108;
+const TABLES: [&str; 2] = [TABLE_1, TABLE_2];
+
 impl PaperReport {
     pub fn new(part: &PaperPart) -> Self {
         let keys: Vec<TrialKey> =
@@ -192,14 +196,7 @@ impl PaperReport {
         let PaperPart { data, synthetic, settings, .. } = part.clone();
         Self { data, synthetic, settings, rows: report, confusion }
     }
-}
 
-/// Number of surfaces in the paper's dataset.
-const SURFACES: usize = 108;
-/// The tables of the paper.
-const TABLES: [&str; 2] = [TABLE_1, TABLE_2];
-
-impl PaperReport {
     /// The data that are missing to fill the paper's tables, in three lines; `None` if none are.
     pub fn lacking(&self) -> Option<String> {
         let of_tables = || self.rows.iter().filter(|row| TABLES.contains(&row.row.place));

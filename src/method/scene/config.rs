@@ -241,13 +241,11 @@ impl SourceBlock {
     }
 
     fn domain_of(&self, channels: usize) -> Result<Domain, String> {
+        let (_, most) = RATES_HZ;
         match (self.domain, self.band_hz) {
             (Some(DomainName::Image), Some(_)) => Err("an image has no band_hz".into()),
-            (_, Some([low, high])) if !(0.0 <= low && low < high && high <= RATES_HZ.1) => {
-                Err(format!(
-                    "band_hz = [{low}, {high}]; expected 0 ≤ low < high ≤ {}, in Hz",
-                    RATES_HZ.1
-                ))
+            (_, Some([low, high])) if !(0.0 <= low && low < high && high <= most) => {
+                Err(format!("band_hz = [{low}, {high}]; expected 0 ≤ low < high ≤ {most}, in Hz"))
             }
             (Some(DomainName::Spectrum) | None, Some([low, high])) => {
                 Ok(Domain::Spectrum { band_hz: (low, high) })

@@ -65,14 +65,10 @@ impl Borrow<str> for SourceId {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Domain {
     /// Random bins of the amplitude spectrum between two frequencies in Hz, both included.
-    Spectrum {
-        band_hz: (f64, f64),
-    },
-    /// Equidistant samples in time.
-    Time {
-        /// lowest and highest frequency that `embedding` compares, in Hz; `None` if not configured
-        band_hz: Option<(f64, f64)>,
-    },
+    Spectrum { band_hz: (f64, f64) },
+    /// Equidistant samples in time, of which `embedding` compares a band; `None` if not configured.
+    Time { band_hz: Option<(f64, f64)> },
+    /// Pixels.
     Image,
 }
 

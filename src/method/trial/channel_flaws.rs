@@ -45,14 +45,6 @@ struct ChannelFlaws {
     resting: HashMap<u32, usize>,
 }
 
-impl Default for ChannelFlaws {
-    fn default() -> Self {
-        let (low, high) = (f32::INFINITY, f32::NEG_INFINITY);
-        let (seen, resting) = (Vec::new(), HashMap::new());
-        Self { samples: 0, last: 0.0, run: 0, seen, low, high, resting }
-    }
-}
-
 impl ChannelFlaws {
     fn add(&mut self, samples: impl Iterator<Item = f32>) {
         // Held apart, since a look into `resting` would write them to memory after each sample.
@@ -182,7 +174,10 @@ pub struct SeriesFlaws(Vec<ChannelFlaws>);
 
 impl SeriesFlaws {
     pub fn new(channels: usize) -> Self {
-        Self(vec![ChannelFlaws::default(); channels])
+        let (low, high) = (f32::INFINITY, f32::NEG_INFINITY);
+        let (seen, resting) = (Vec::new(), HashMap::new());
+        let none = ChannelFlaws { samples: 0, last: 0.0, run: 0, seen, low, high, resting };
+        Self(vec![none; channels])
     }
 
     /// The flaws of a whole series.
@@ -209,8 +204,7 @@ impl SeriesFlaws {
         let of = |(at, c): (usize, &ChannelFlaws)| {
             c.dead(source, at + 1).or_else(|| c.saturated(source, at + 1))
         };
-        let found = self.0.iter().enumerate().filter_map(of);
-        found.filter(|doubt| !doubt.is_usual(rests)).collect()
+        self.0.iter().enumerate().filter_map(of).filter(|doubt| !doubt.is_usual(rests)).collect()
     }
 
     /// Whether a channel is stuck so far; `rests` as in [`SeriesFlaws::doubts`].

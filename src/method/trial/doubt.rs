@@ -20,50 +20,22 @@ use crate::scene::SourceId;
 #[serde(remote = "Self", tag = "kind", rename_all = "snake_case")]
 pub enum Doubt {
     /// A channel has one value for the last `share` of the samples, and moves in the library.
-    Stuck {
-        source: SourceId,
-        channel: usize,
-        value: f32,
-        share: f64,
-    },
+    Stuck { source: SourceId, channel: usize, value: f32, share: f64 },
     /// A channel is at 0 for `share` of the samples, as by a loose cable.
-    AtZero {
-        source: SourceId,
-        channel: usize,
-        share: f64,
-    },
+    AtZero { source: SourceId, channel: usize, share: f64 },
     /// A channel rests at a limit of its range for `share` of the samples.
-    Clipped {
-        source: SourceId,
-        channel: usize,
-        value: f32,
-        share: f64,
-    },
+    Clipped { source: SourceId, channel: usize, value: f32, share: f64 },
     /// All pixels of a picture are equal.
-    OneColour {
-        source: SourceId,
-    },
+    OneColour { source: SourceId },
 
     /// A gap in the data that is too long to be bridged.
-    Gap {
-        source: SourceId,
-        gap_s: f64,
-        bridged_s: f64,
-    },
+    Gap { source: SourceId, gap_s: f64, bridged_s: f64 },
     /// The first or last part of a source did not arrive, or all of it.
-    Missing {
-        source: SourceId,
-        missing_s: f64,
-        expected_s: f64,
-    },
-    PictureLost {
-        source: SourceId,
-    },
+    Missing { source: SourceId, missing_s: f64, expected_s: f64 },
+    /// A picture did not arrive.
+    PictureLost { source: SourceId },
     /// The samples of a source are not a signal, for example because one is NaN.
-    Unusable {
-        source: SourceId,
-        why: String,
-    },
+    Unusable { source: SourceId, why: String },
     /// No source has any data.
     NoData,
     /// The data stopped before the scan was over.
@@ -71,88 +43,42 @@ pub enum Doubt {
     /// The scan begins or ends in a gap of the data.
     Cut,
     /// Samples and pictures were lost, in gaps that were bridged.
-    LostSamples {
-        samples: u64,
-    },
+    LostSamples { samples: u64 },
 
-    /// The drag is shorter than the library, or a trial, needs. `settled`: its answer was settled
-    /// before its end.
-    TooShort {
-        scan_s: f64,
-        needed_s: f64,
-        settled: bool,
-    },
+    /// The drag is shorter than needed. `settled`: its answer was settled before its end.
+    TooShort { scan_s: f64, needed_s: f64, settled: bool },
     /// A source is too short to hold `samples` independent samples; `needed_s` is `None` if no two
     /// samples are known to be independent.
-    FewIndependent {
-        source: SourceId,
-        held_s: f64,
-        needed_s: Option<f64>,
-        samples: usize,
-    },
+    FewIndependent { source: SourceId, held_s: f64, needed_s: Option<f64>, samples: usize },
     /// The library has a source that the scan lacks.
-    SourceMissing {
-        source: SourceId,
-    },
+    SourceMissing { source: SourceId },
     /// A source of scan and library that was not compared.
-    NotCompared {
-        source: SourceId,
-    },
+    NotCompared { source: SourceId },
     /// It cannot be told whether the surface is unknown: the scan is too short or lacks sources.
-    Untested {
-        without: Vec<SourceId>,
-    },
+    Untested { without: Vec<SourceId> },
     /// The first surface is less probable than all others together.
-    Improbable {
-        surface: String,
-        probability: f64,
-    },
+    Improbable { surface: String, probability: f64 },
     /// The scan fits none of the library's surfaces: its p-value is at the threshold or below.
-    FitsNone {
-        surfaces: usize,
-        p_value: f64,
-        threshold: f64,
-    },
+    FitsNone { surfaces: usize, p_value: f64, threshold: f64 },
     /// The library, or the method, cannot tell unknown surfaces.
     UnknownNotDetected,
     /// A scan that was to be a trial of one surface resembles another of the library.
-    NearSurface {
-        surface: String,
-    },
+    NearSurface { surface: String },
 
     /// A channel has another level in scans of the reference surface than at first.
-    LevelDrift {
-        source: SourceId,
-        channel: usize,
-        surface: String,
-        moved_db: f64,
-        limit_db: f64,
-    },
+    LevelDrift { source: SourceId, channel: usize, surface: String, moved_db: f64, limit_db: f64 },
     /// A channel has another level at rest than at first.
-    NoiseDrift {
-        source: SourceId,
-        channel: usize,
-        surface: String,
-        moved_db: f64,
-        limit_db: f64,
-    },
+    NoiseDrift { source: SourceId, channel: usize, surface: String, moved_db: f64, limit_db: f64 },
     /// Scans of the reference surface fit its trials less well than at first. `moved` is in p-values or, for
     /// methods without them, in natural logarithms of the score.
-    FitDrift {
-        surface: String,
-        moved: f64,
-        limit: f64,
-    },
+    FitDrift { surface: String, moved: f64, limit: f64 },
 
     /// The scan is silent, or shorter than a frame.
     TooLittle,
-    NotNamed {
-        why: String,
-    },
+    /// The scan could not be named.
+    NotNamed { why: String },
     /// The scan could not be written to disk.
-    NotWritten {
-        why: String,
-    },
+    NotWritten { why: String },
 }
 
 impl Doubt {
@@ -182,8 +108,7 @@ impl Doubt {
         matches!(self, Stuck { .. } | AtZero { .. } | Clipped { .. } | OneColour { .. })
     }
 
-    /// Whether it is a remark on an answer, which tends to come with each scan: a fault of a sensor, or
-    /// a short drag.
+    /// Whether it is a remark that tends to come with each scan: a fault of a sensor, or a short drag.
     pub fn is_remark(&self) -> bool {
         self.is_sensor_fault() || matches!(self, Self::TooShort { .. })
     }
@@ -211,17 +136,13 @@ impl Doubt {
         let louder = |moved_db: &f64| if *moved_db < 0.0 { "quieter" } else { "louder" };
         match self {
             Self::Stuck { channel, value, share, .. } => {
-                let since = match *share < 1.0 {
-                    true => format!(" for the last {} of the scan", percent(share)),
-                    false => String::new(),
-                };
+                let part = || format!(" for the last {} of the scan", percent(share));
+                let since = (*share < 1.0).then(part).unwrap_or_default();
                 format!("channel {channel} is stuck at {value}{since}; check its cable")
             }
             Self::AtZero { channel, share, .. } => {
-                format!(
-                    "channel {channel} is at 0 for {} of the scan; check its cable",
-                    percent(share)
-                )
+                let share = percent(share);
+                format!("channel {channel} is at 0 for {share} of the scan; check its cable")
             }
             Self::Clipped { channel, share, .. } => format!(
                 "channel {channel} is clipped in {:.1} % of its samples; lower the gain, or press less",

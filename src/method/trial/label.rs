@@ -55,17 +55,7 @@ mod tests {
     fn what_could_mean_something_to_a_file_system_a_page_or_a_terminal_is_refused() {
         let long = "x".repeat(LONGEST + 1);
         for name in [
-            "",
-            "  ",
-            "../etc",
-            ".",
-            "a/b",
-            "a\\b",
-            "a\0b",
-            "<script>",
-            "a&b",
-            "\u{1b}[2J",
-            "a\nb",
+            "", "  ", "../etc", ".", "a/b", "a\\b", "a\0b", "<script>", "a&b", "\x1b[2J", "a\nb",
             &long,
         ] {
             assert!(checked_label(name).is_err(), "{name:?}");

@@ -7,17 +7,15 @@ mod level;
 mod moment;
 
 pub use channel_flaws::SeriesFlaws;
-#[doc(hidden)]
-pub use channel_flaws::{flaws_of, is_plain, usual_rests};
 pub use doubt::Doubt;
 #[doc(hidden)]
-pub use doubt::lines;
-#[doc(hidden)]
-pub use label::{checked_label, checked_session, normal};
-#[doc(hidden)]
-pub use level::channel_levels_db;
-#[doc(hidden)]
-pub use moment::{unix_ms, utc};
+pub use {
+    channel_flaws::{flaws_of, is_plain, usual_rests},
+    doubt::lines,
+    label::{checked_label, checked_session, normal},
+    level::channel_levels_db,
+    moment::{unix_ms, utc},
+};
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -42,9 +40,8 @@ impl Trial {
         Self { key, signals: BTreeMap::from([(source, Signal::Series(series))]) }
     }
 
-    /// This trial, with every series recorded during the drag cut to its first `seconds`.
-    ///
-    /// `is_drag` tells which sources are cut. A tap is a transient and stays whole.
+    /// This trial, with every series of a source that `is_drag` chooses cut to its first `seconds`. A tap is
+    /// a transient and stays whole.
     pub fn first_seconds(mut self, seconds: f64, is_drag: impl Fn(&SourceId) -> bool) -> Self {
         for (id, signal) in &mut self.signals {
             if let (Signal::Series(series), true) = (signal, is_drag(id)) {
@@ -132,17 +129,12 @@ pub enum SignalError {
     Ragged { len: usize, channels: usize },
     #[error("a sample rate of {0} Hz is not possible; expected a positive number")]
     Rate(f64),
+    /// Channel and frame are counted from 1.
     #[error(
         "channel {channel} is {value} at sample {frame}; expected finite numbers \
          (a broken cable gives such values: check the connector)"
     )]
-    NotFinite {
-        /// channel, counted from 1
-        channel: usize,
-        /// frame, counted from 1
-        frame: usize,
-        value: f32,
-    },
+    NotFinite { channel: usize, frame: usize, value: f32 },
     #[error(
         "the image is {width}×{height} pixels; expected 320 wide and 480 high, or that turned by 90°"
     )]

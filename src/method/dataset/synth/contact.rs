@@ -170,9 +170,7 @@ fn resonance(samples: &mut [f32], strength: f64, turn: f64, decay: f64) {
 const BUMPS: u32 = 4;
 /// Width of a bump of a spectrum: the standard deviation of the ln of the frequency.
 const BUMP_WIDTH: f64 = 0.25;
-/// Highest frequency that the microphone picks up, in Hz.
 const MICROPHONE_END_HZ: f64 = 12_000.0;
-/// Highest frequency that the accelerometer senses, in Hz.
 const ACCELEROMETER_END_HZ: f64 = 1_600.0;
 /// The amplitude of sound and acceleration grows in proportion to force to this power.
 const FORCE_POWER: f64 = 0.7;
@@ -255,7 +253,6 @@ pub(super) fn acceleration(&Contact { draws, hand, frames, rate_hz }: &Contact<'
 }
 
 thread_local! {
-    /// Keeps the plans of Fourier transforms, so that later trials can use them.
     static PLANNER: RefCell<RealFftPlanner<f32>> = RefCell::new(RealFftPlanner::new());
 }
 
@@ -280,10 +277,8 @@ fn fill_normal(rng: &mut impl Rng, out: &mut [f32]) {
     }
 }
 
-/// Stationary noise of `frames` samples with the given spectrum.
-///
-/// `density` maps a frequency in Hz to an amplitude per √Hz; above `end_hz` the spectrum is 0. The
-/// variance is the integral of the squared density.
+/// Stationary noise whose spectrum is `density`, the amplitude per √Hz at a frequency in Hz, and 0 above
+/// `end_hz`. Its variance is the integral of the squared density.
 fn coloured(
     rng: &mut impl Rng,
     frames: usize,

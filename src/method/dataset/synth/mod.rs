@@ -83,8 +83,7 @@ impl LoadTrial for Generated {
         let (parameters, scene) = &*self.shared;
         let mut signals = BTreeMap::new();
         for id in wanted.iter().filter(|id| scene.get(id.as_str()).is_some()) {
-            let made = generate(parameters, &self.key, id.as_str());
-            let signal = made.map_err(|error| {
+            let signal = generate(parameters, &self.key, id.as_str()).map_err(|error| {
                 let path = format!("synthetic trial {}, {id}", self.key);
                 LibraryError::file(Path::new(&path), error)
             })?;

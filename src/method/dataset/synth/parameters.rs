@@ -202,8 +202,7 @@ impl Default for Difficulty {
     }
 }
 
-/// The random draws of one trial. Each draw has its own seed, made from names, so that it does not
-/// depend on draws of other quantities or other trials.
+/// The random draws of one trial, each with a seed made of names, so that none depends on others.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Draws<'a> {
     pub seed: u64,
@@ -262,39 +261,27 @@ pub(super) fn logistic(x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    const LEVEL: Effect = Effect { centre: 1.0, surface: 0.5, user: 0.25, trial: 0.125 };
-
-    fn value_like(key: TrialKey, effect: Effect, like: Option<(&str, f64)>) -> f64 {
+    fn value(key: (&str, &str, u32), effect: Effect, like: Option<(&str, f64)>) -> f64 {
         let d = &Difficulty { effects: [("level", effect)].into(), ..Difficulty::default() };
-        Draws { seed: 7, d, key: &key, like }.value("level")
-    }
-
-    fn value(key: TrialKey, effect: Effect) -> f64 {
-        value_like(key, effect, None)
+        let key = &TrialKey::new(key.0, key.1, key.2);
+        Draws { seed: 7, d, key, like }.value("level")
     }
 
     #[test]
     fn the_expert_is_the_zero_of_the_user_effect() {
-        let hands = Effect { surface: 0.0, trial: 0.0, ..LEVEL };
-        assert_eq!(value(TrialKey::new("A", EXPERT, 1), hands), 1.0);
-        assert_ne!(value(TrialKey::new("A", "user1", 1), hands), 1.0);
+        let hands = Effect { centre: 1.0, surface: 0.0, user: 0.25, trial: 0.0 };
+        assert_eq!(value(("A", EXPERT, 1), hands, None), 1.0);
+        assert_ne!(value(("A", "user1", 1), hands, None), 1.0);
     }
 
     #[test]
-    fn a_surface_effect_is_shared_by_all_trials_of_the_surface() {
-        let surfaces = Effect { user: 0.0, trial: 0.0, ..LEVEL };
-        let first = value(TrialKey::new("A", EXPERT, 1), surfaces);
-        assert_eq!(first, value(TrialKey::new("A", "user3", 3), surfaces));
-        assert_ne!(first, value(TrialKey::new("B", EXPERT, 1), surfaces));
-    }
-
-    #[test]
-    fn a_twin_is_almost_like_its_original() {
-        let surfaces = Effect { user: 0.0, trial: 0.0, ..LEVEL };
-        let value =
-            |surface: &str, like| value_like(TrialKey::new(surface, EXPERT, 1), surfaces, like);
-        let (a, b) = (value("A", None), value("B", None));
-        assert_eq!(value("B", Some(("A", 0.0))), a);
-        assert!((value("B", Some(("A", 0.25))) - (0.75 * a + 0.25 * b)).abs() < 1e-12);
+    fn all_trials_of_a_surface_share_its_effect_and_a_twin_is_almost_like_its_original() {
+        let surfaces = Effect { centre: 1.0, surface: 0.5, user: 0.0, trial: 0.0 };
+        let [a, b] = ["A", "B"].map(|surface| value((surface, EXPERT, 1), surfaces, None));
+        assert_eq!(a, value(("A", "user3", 3), surfaces, None));
+        assert_ne!(a, b);
+        let twin = |distance| value(("B", EXPERT, 1), surfaces, Some(("A", distance)));
+        assert_eq!(twin(0.0), a);
+        assert!((twin(0.25) - (0.75 * a + 0.25 * b)).abs() < 1e-12);
     }
 }

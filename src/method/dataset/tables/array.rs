@@ -18,7 +18,6 @@ use crate::trial::{EXPERT, Series, TrialKey, normal};
 /// The largest array of labels, or of trials that lie crosswise (Fortran's order), in bytes.
 pub(super) const MOST_WHOLE: u64 = 1 << 28;
 
-/// The header of an array, and a reader of its content.
 pub(super) struct Array {
     pub shape: Vec<usize>,
     pub kind: Kind,
@@ -36,7 +35,6 @@ pub(super) enum Kind {
     Unsigned,
     /// Text of UTF-32 units.
     Wide,
-    /// Text of bytes.
     Bytes,
 }
 
@@ -58,15 +56,12 @@ pub struct Trials {
 
 impl Trials {
     /// Opens the array of trials in a file: the one called `name`, or the only one that may be meant.
-    ///
-    /// # Errors
-    /// If the file is damaged, holds another type, or its array is not clear.
     pub fn open(path: &Path, name: Option<&str>, most: u64) -> Result<Self, LibraryError> {
         let trials = match is_called(path, "mat") {
             true => MatFile::open(path, most)?.trials(name),
             false => npy::open(path, name, most)?.try_into(),
         };
-        trials.map_err(|problem| LibraryError::file(path, problem))
+        trials.map_err(LibraryError::at(path))
     }
 }
 
@@ -88,10 +83,8 @@ impl Array {
     fn trials(mut self) -> Result<impl Iterator<Item = Result<Vec<f32>, String>>, String> {
         let [trials, channels, samples] = self.dimensions()?;
         let count = channels * samples;
-        let whole = match self.is_crosswise {
-            true => Some(self.crosswise(trials, channels, samples)?),
-            false => None,
-        };
+        let whole = self.is_crosswise.then(|| self.crosswise(trials, channels, samples));
+        let whole = whole.transpose()?;
         Ok((0..trials).map(move |trial| match &whole {
             Some(whole) => Ok(whole[trial * count..(trial + 1) * count].to_vec()),
             None => self.numbers(count),
@@ -105,9 +98,9 @@ impl Array {
             [channels, samples] => [1, channels, samples],
             [trials, channels, samples] => [trials, channels, samples],
             _ => {
+                let found = self.shape.len();
                 return Err(format!(
-                    "it has {} dimensions; expected trials × channels × samples",
-                    self.shape.len()
+                    "it has {found} dimensions; expected trials × channels × samples"
                 ));
             }
         };
@@ -121,12 +114,10 @@ impl Array {
                  turn the array (`numpy.transpose`, `permute`)"
             ));
         }
-        match channels.checked_mul(samples).is_some_and(|count| count <= Series::MOST_SAMPLES) {
+        let most = Series::MOST_SAMPLES;
+        match channels.checked_mul(samples).is_some_and(|count| count <= most) {
             true => Ok(shape),
-            false => Err(format!(
-                "a trial of it has more than {} samples; cut it into trials",
-                Series::MOST_SAMPLES
-            )),
+            false => Err(format!("a trial of it has more than {most} samples; cut it into trials")),
         }
     }
 
@@ -135,8 +126,7 @@ impl Array {
         Ok(bytes.chunks_exact(self.size).map(|element| self.number(element) as f32).collect())
     }
 
-    /// The bytes of the next elements. Takes memory for the bytes that are there, not for those that the
-    /// header claims.
+    /// Takes memory for the bytes that are there, not for those that the header claims.
     fn bytes(&mut self, count: usize) -> Result<Vec<u8>, String> {
         let (mut bytes, length) = (Vec::new(), (count * self.size) as u64);
         let read = self.content.by_ref().take(length).read_to_end(&mut bytes);
@@ -182,17 +172,12 @@ impl Array {
     }
 
     /// All elements as text, one for each trial: names, or whole numbers.
-    ///
-    /// # Errors
-    /// If the array has several dimensions or is damaged.
     pub(crate) fn labels(mut self) -> Result<Vec<String>, String> {
         let count = match self.shape[..] {
             [count] | [count, 1] | [1, count] => count,
             _ => {
-                return Err(format!(
-                    "labels have the shape {:?}; expected one a trial",
-                    self.shape
-                ));
+                let shape = &self.shape;
+                return Err(format!("labels have the shape {shape:?}; expected one a trial"));
             }
         };
         if count.saturating_mul(self.size) as u64 > MOST_WHOLE {
@@ -218,7 +203,7 @@ impl Array {
 
 /// Reads all trials of an array, like [`super::read`].
 pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryError> {
-    let fail = |problem: String| LibraryError::file(path, problem);
+    let fail = LibraryError::at(path);
     let trials = Trials::open(path, form.variable.as_deref(), form.most_unpacked)?;
     if form.rate_hz().is_none() {
         return Err(fail("an array has no column of times; give --rate HZ".into()));
@@ -228,11 +213,8 @@ pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryErr
     let labels = labels.transpose()?;
     let (count, channels) = (trials.count, trials.channels);
     if let Some(labels) = labels.as_ref().filter(|labels| labels.len() != count) {
-        return Err(fail(format!(
-            "it has {}, but there are {} labels",
-            counted(count, "trial"),
-            labels.len()
-        )));
+        let (trials, labels) = (counted(count, "trial"), labels.len());
+        return Err(fail(format!("it has {trials}, but there are {labels} labels")));
     }
     let of_name = form.names.parts(&name_of(path));
     if labels.is_none() && of_name.is_none() {
@@ -287,7 +269,7 @@ pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryErr
 fn labels_of(path: &Path, labels: &str, most: u64) -> Result<Vec<String>, LibraryError> {
     let file = Path::new(labels);
     let (of, name) = if file.exists() { (file, None) } else { (path, Some(labels)) };
-    let fail = |problem| LibraryError::file(of, problem);
+    let fail = LibraryError::at(of);
     if is_called(of, "mat") {
         return MatFile::open(of, most)?.labels(name).map_err(fail);
     }

@@ -2,30 +2,14 @@
 
 use super::text::shown;
 
-/// The texts of a missing value, in small letters.
-const MISSING: [&str; 18] = [
-    "",
-    "nan",
-    "na",
-    "n/a",
-    "#n/a",
-    "#nv",
-    "#div/0!",
-    "#value!",
-    "#num!",
-    "#ref!",
-    "null",
-    "none",
-    "-",
-    "--",
-    "nan(ind)",
-    "-nan",
-    "-nan(ind)",
-    "1.#qnan",
-];
+/// The texts of a missing value in any letters; an empty cell is one, too.
+const MISSING: &str = "nan na n/a #n/a #nv #div/0! #value! #num! #ref! null none - -- nan(ind) -nan \
+                       -nan(ind) 1.#qnan";
 
 pub(crate) fn is_missing(cell: &[u8]) -> bool {
-    cell.len() < 10 && MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word.as_bytes()))
+    cell.len() < 10
+        && (cell.is_empty()
+            || MISSING.split(' ').any(|word| cell.eq_ignore_ascii_case(word.as_bytes())))
 }
 
 /// Reads the numbers of one table, which has one decimal mark: that of the first number with a mark.
@@ -41,11 +25,8 @@ impl Numbers {
         Self { mark: None, between_commas: delimiter == b',' }
     }
 
-    /// The number in a cell, without outer spaces; NaN if it is missing.
-    ///
-    /// # Errors
-    /// If the cell holds no finite number, or one that has two readings. The error continues a
-    /// sentence that begins with the cell.
+    /// The number in a cell, without outer spaces; NaN if it is missing. The error, of one that is not
+    /// finite or has two readings, continues a sentence that begins with the cell.
     pub(super) fn read(&mut self, cell: &[u8]) -> Result<f64, String> {
         let plain = std::str::from_utf8(cell).ok().and_then(|text| text.parse::<f64>().ok());
         match plain {
@@ -63,25 +44,22 @@ impl Numbers {
 
     /// Checks the decimal mark of a number that is read elsewhere, such as a time.
     pub(super) fn check(&mut self, cell: &[u8]) -> Result<(), String> {
-        match cell.iter().find(|byte| matches!(byte, b'.' | b',')) {
-            Some(mark) => self.marked(*mark, cell),
-            None => Ok(()),
-        }
+        let mark = cell.iter().find(|byte| matches!(byte, b'.' | b','));
+        mark.map_or(Ok(()), |mark| self.marked(*mark, cell))
     }
 
     /// Remembers the decimal mark, or refuses one that is not that of the numbers before.
     fn marked(&mut self, mark: u8, cell: &[u8]) -> Result<(), String> {
-        match *self.mark.get_or_insert(mark) {
-            known if known == mark => Ok(()),
-            known => Err(format!(
-                "has a `{}`, but numbers before it have a decimal `{}`: it may be {} or {}; write all \
-                 numbers in one way",
-                char::from(mark),
-                char::from(known),
-                shown(cell).replace([',', '.'], "."),
-                shown(cell).replace([',', '.'], ""),
-            )),
+        let known = *self.mark.get_or_insert(mark);
+        if known == mark {
+            return Ok(());
         }
+        let (mark, known) = (char::from(mark), char::from(known));
+        let [decimal, whole] = [".", ""].map(|point| shown(cell).replace([',', '.'], point));
+        Err(format!(
+            "has a `{mark}`, but numbers before it have a decimal `{known}`: it may be {decimal} or \
+             {whole}; write all numbers in one way"
+        ))
     }
 
     /// A number with a comma, which is a decimal mark or separates thousands.

@@ -11,104 +11,26 @@ use super::{Clock, Head};
 use crate::scene::SourceId;
 
 /// Names of columns of times: letters and digits alone, in small letters.
-const TIMES: [&str; 44] = [
-    "time",
-    "t",
-    "timestamp",
-    "timestamps",
-    "ts",
-    "zeit",
-    "zeitstempel",
-    "uhrzeit",
-    "temps",
-    "tiempo",
-    "xvalue",
-    "elapsed",
-    "elapsedtime",
-    "secondselapsed",
-    "timeelapsed",
-    "relativetime",
-    "epoch",
-    "unixtime",
-    "utc",
-    "datetime",
-    "date",
-    "datum",
-    "millis",
-    "micros",
-    "nanos",
-    "uptime",
-    "sec",
-    "seconds",
-    "ms",
-    "us",
-    "ns",
-    "milliseconds",
-    "microseconds",
-    "nanoseconds",
-    "timems",
-    "timeus",
-    "xaxis",
-    "sampletime",
-    "loggingtime",
-    "systemtime",
-    "stamp",
-    "nanosec",
-    "nsec",
-    "nsecs",
-];
+const TIMES: &str = "time t timestamp timestamps ts zeit zeitstempel uhrzeit temps tiempo xvalue elapsed \
+    elapsedtime secondselapsed timeelapsed relativetime epoch unixtime utc datetime date \
+    datum millis micros nanos uptime sec seconds ms us ns milliseconds microseconds nanoseconds timems timeus xaxis sampletime loggingtime systemtime \
+    stamp nanosec nsec nsecs";
 
 /// Names of columns that count rows.
-const COUNTERS: [&str; 15] = [
-    "",
-    "index",
-    "idx",
-    "sample",
-    "samples",
-    "samplenumber",
-    "sampleno",
-    "count",
-    "counter",
-    "nr",
-    "no",
-    "seq",
-    "sequence",
-    "row",
-    "packet",
-];
+const COUNTERS: &str = "index idx sample samples samplenumber sampleno count counter nr no seq sequence row \
+    packet";
 
 /// A column that rises by 1 for so many rows counts them, whatever it is called.
 const SURELY_COUNTED: usize = 50;
 
 /// Names of columns that say what a row belongs to.
-const LABELS: [&str; 26] = [
-    "label",
-    "labels",
-    "class",
-    "classid",
-    "target",
-    "surface",
-    "surfaceid",
-    "material",
-    "materialid",
-    "texture",
-    "user",
-    "userid",
-    "subject",
-    "subjectid",
-    "person",
-    "participant",
-    "participantid",
-    "trial",
-    "trialid",
-    "run",
-    "runid",
-    "rep",
-    "repetition",
-    "session",
-    "sessionid",
-    "id",
-];
+const LABELS: &str = "label labels class classid target surface surfaceid material materialid texture user \
+    userid subject subjectid person participant participantid trial trialid run runid rep \
+    repetition session sessionid id";
+
+fn is_among(words: &str, word: &str) -> bool {
+    words.split(' ').any(|known| known == word)
+}
 
 fn plain(name: &str) -> String {
     // Before a colon stands what was measured when, such as `Run 1: Time`.
@@ -119,8 +41,8 @@ fn plain(name: &str) -> String {
 /// Whether a name, without its unit, is one of times.
 pub(super) fn is_time_name(name: &str) -> bool {
     let base = plain(name);
-    TIMES.contains(&&*base)
-        || TIMES.contains(&base.trim_end_matches(|c: char| c.is_ascii_digit()))
+    is_among(TIMES, &base)
+        || is_among(TIMES, base.trim_end_matches(|c: char| c.is_ascii_digit()))
             && base.starts_with("time")
 }
 
@@ -177,10 +99,8 @@ pub(super) fn stamps(
     }
 }
 
-/// The column of times of a table, if one has the name and the values of times.
-///
-/// # Errors
-/// If two columns are times of different lengths, or the times have several readings.
+/// The column of times of a table, if one has the name and the values of times. An error if two are
+/// times of different lengths, or have several readings.
 pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option<String>, String> {
     let columns = &head.layout.columns;
     let rises = |column: usize| -> Option<Result<(f64, usize), String>> {
@@ -244,10 +164,7 @@ pub type Wanted = (SourceId, Vec<String>);
 
 /// Groups columns into sources by name: columns whose names differ only in a last axis (x, y, z), after
 /// the last `_`, `.`, `-` or space, or in a last digit, are channels of one source. Returns what people
-/// should know about columns that are left out.
-///
-/// # Errors
-/// If no column is left.
+/// should know about columns that are left out; an error if none is left.
 pub fn sources(
     head: &Head,
     clock: &Clock,
@@ -282,10 +199,10 @@ pub fn sources(
         }
         let is_pandas =
             ["unnamed", "level", "indexlevel"].iter().any(|name| base.starts_with(name));
-        let may_count = COUNTERS.contains(&&*base) || is_pandas || cells.len() >= SURELY_COUNTED;
-        if may_count && counts(cells.iter()) {
+        let is_counter = base.is_empty() || is_among(COUNTERS, &base) || is_pandas;
+        if (is_counter || cells.len() >= SURELY_COUNTED) && counts(cells.iter()) {
             notes.push(format!("column `{name}` only counts the rows, and is left out"));
-        } else if LABELS.contains(&&*base) || is_label(&cells) {
+        } else if is_among(LABELS, &base) || is_label(&cells) {
             notes.push(format!(
                 "column `{name}` looks like a label, and is left out; name it by --surface, --user or \
                  --trial, or use it by --source"
@@ -297,17 +214,15 @@ pub fn sources(
     let runs: BTreeSet<&str> =
         kept.iter().filter_map(|column| Some(column.base.rsplit_once(": ")?.0)).collect();
     if runs.len() > 1 {
-        let runs: Vec<&str> = runs.into_iter().collect();
+        let runs = runs.into_iter().collect::<Vec<_>>().join(", ");
         return Err(format!(
-            "it holds several runs side by side ({}); import each by --time and --source",
-            runs.join(", ")
+            "it holds several runs side by side ({runs}); import each by --time and --source"
         ));
     }
     let mut sources: BTreeMap<String, Vec<String>> = BTreeMap::new();
     let bases: Vec<String> = kept.iter().map(|column| column.base.to_lowercase()).collect();
     for (column, base) in kept.iter().zip(&bases) {
-        let stem = stem(base, &bases);
-        let id: String = stem.chars().filter(char::is_ascii_alphanumeric).collect();
+        let id: String = stem(base, &bases).chars().filter(char::is_ascii_alphanumeric).collect();
         let id = if id.is_empty() { "sensor".to_string() } else { id };
         sources.entry(id).or_default().push(column.name.clone());
     }

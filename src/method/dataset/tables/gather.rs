@@ -10,8 +10,7 @@ use crate::trial::TrialKey;
 /// How many bytes of rows are held in memory.
 const MOST_HELD: usize = 32 << 20;
 
-/// Rows of one trial: times in nanoseconds, rising or equal (empty without a clock), and values,
-/// row by row; NaN for a missing value.
+/// Rows of one trial: times in ns, rising or equal (empty without a clock), and values; NaN if missing.
 #[derive(Debug, Default)]
 pub(crate) struct Rows {
     pub times: Vec<i64>,
@@ -35,7 +34,6 @@ pub(crate) struct Gathered<'a> {
     /// Values in each row.
     columns: usize,
     has_times: bool,
-    /// Folder for the temporary file.
     scratch: &'a Path,
     pub groups: Vec<Group>,
     of_keys: HashMap<TrialKey, usize>,
@@ -68,7 +66,6 @@ impl<'a> Gathered<'a> {
         at
     }
 
-    /// Adds a row to a group.
     pub(crate) fn push(&mut self, at: usize, time: Option<i64>, values: &[f32]) -> io::Result<()> {
         let group = &mut self.groups[at];
         group.rows += 1;
@@ -99,7 +96,6 @@ impl<'a> Gathered<'a> {
         to.flush()
     }
 
-    /// Takes all rows of a group.
     pub(crate) fn take(&mut self, at: usize) -> io::Result<Rows> {
         let group = &mut self.groups[at];
         let held = std::mem::take(&mut group.held);

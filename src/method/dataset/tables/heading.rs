@@ -16,7 +16,6 @@ const UNITS: [&str; 71] = [
     "lux", "a.u.",
 ];
 
-/// A column of a table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Column {
     /// The name in the file, with its unit; `1`, `2`, … if the file gives no names.
@@ -38,7 +37,6 @@ impl Column {
     }
 }
 
-/// A line of the head of a file: its number, and its cells by one delimiter.
 pub(super) struct HeadLine {
     pub number: u64,
     pub cells: Vec<Vec<u8>>,
@@ -74,8 +72,7 @@ impl Names {
                 cells.pop();
             }
             let written = cells.iter().filter(|cell| !cell.is_empty()).count();
-            // A row above the names that leaves out the first column names groups of columns; another one
-            // is a line of the program's own.
+            // A row above the names without a first name names groups; another is the program's own.
             let is_group = cells.len() == width && written > 0 && cells[0].is_empty();
             if !names.rows.is_empty() && names.are_distinct(is_numeric) && !is_group {
                 break;

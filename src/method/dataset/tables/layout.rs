@@ -44,9 +44,6 @@ impl Layout {
     }
 
     /// Finds out the layout from the `head` of a file: its first lines with their numbers.
-    ///
-    /// # Errors
-    /// If no rows of numbers are there, or names and rows do not fit.
     pub(crate) fn of(head: &[(u64, Vec<u8>)]) -> Result<Self, String> {
         let has_arrows = have_arrows(head);
         let split_by = |delimiter: u8| {
@@ -86,7 +83,10 @@ impl Layout {
                 let number = numbers.read(cell);
                 found |= matches!(number, Ok(number) if !number.is_nan());
                 // Cells that have two readings are refused later, by name.
-                !is_numeric || number.is_ok() || has_digit(cell) && !has_word(cell)
+                !is_numeric
+                    || number.is_ok()
+                    || cell.iter().any(u8::is_ascii_digit)
+                        && !cell.iter().any(u8::is_ascii_alphabetic)
             };
             line.cells.len() == width && line.cells.iter().zip(&is_numeric).all(&mut fits) && found
         };
@@ -133,9 +133,6 @@ impl Layout {
     }
 
     /// Splits a line into the cells of a row. `false` for a line that is no row: blank or a comment.
-    ///
-    /// # Errors
-    /// If the line has another number of cells than the table has columns.
     pub(crate) fn cells<'a>(
         &self,
         line: &'a [u8],
@@ -155,10 +152,8 @@ impl Layout {
             strip(cells, width);
             let found = cells.len();
             if found != width {
-                let both = match self.delimiter == b',' && found == 2 * width {
-                    true => format!("; {BOTH_COMMAS}"),
-                    false => String::new(),
-                };
+                let is_both = self.delimiter == b',' && found == 2 * width;
+                let both = is_both.then(|| format!("; {BOTH_COMMAS}")).unwrap_or_default();
                 let found = counted(found, "column");
                 return Err(format!("has {found}; the table has {width}{both}"));
             }
@@ -172,9 +167,6 @@ impl Layout {
     }
 
     /// The place of a column by its name, or by its name without unit.
-    ///
-    /// # Errors
-    /// If there is no such column.
     pub(crate) fn column(&self, name: &str) -> Result<usize, String> {
         if let Some(exact) = self.columns.iter().position(|column| column.name == name) {
             return Ok(exact);
@@ -196,7 +188,11 @@ impl Layout {
 
 /// Whether a line holds the words of missing values alone, as of a sensor that is not ready yet.
 fn is_nothing(line: &HeadLine, width: usize) -> bool {
-    line.cells.len() == width && line.cells.iter().all(|cell| is_missing(cell) && has_word(cell))
+    line.cells.len() == width
+        && line
+            .cells
+            .iter()
+            .all(|cell| is_missing(cell) && cell.iter().any(u8::is_ascii_alphabetic))
 }
 
 /// Refuses rows of numbers of another width above the rows of a table.
@@ -317,14 +313,6 @@ fn strip(cells: &mut Vec<impl AsRef<[u8]>>, width: usize) {
 
 fn is_number(cell: &[u8], delimiter: u8) -> bool {
     Numbers::new(delimiter).read(cell).is_ok_and(|number| !number.is_nan())
-}
-
-fn has_digit(cell: &[u8]) -> bool {
-    cell.iter().any(u8::is_ascii_digit)
-}
-
-fn has_word(cell: &[u8]) -> bool {
-    cell.iter().any(u8::is_ascii_alphabetic)
 }
 
 /// How well a delimiter fits: the share of numbers, dates and missing values among the cells of lines

@@ -72,7 +72,7 @@ impl MatFile {
     /// Opens a file; `most` is the largest number of bytes that a variable may unpack to.
     pub(super) fn open(path: &Path, most: u64) -> Result<Self, LibraryError> {
         let (file, length) = files::open_filled(path)?;
-        Self::of(file, length, most).map_err(|problem| LibraryError::file(path, problem))
+        Self::of(file, length, most).map_err(LibraryError::at(path))
     }
 
     fn of(mut file: File, length: u64, most: u64) -> Result<Self, String> {
@@ -96,10 +96,7 @@ impl MatFile {
 
     /// The trials in the variable called `name`, or in the only one that may hold trials.
     pub(super) fn trials(&self, name: Option<&str>) -> Result<Trials, String> {
-        let at = match name {
-            Some(name) => self.called(name)?,
-            None => self.holding_trials()?,
-        };
+        let at = name.map_or_else(|| self.holding_trials(), |name| self.called(name))?;
         let (matrix, elements, _) = self.variable(at)?;
         if matrix.class != CELL {
             return elements.array(matrix)?.try_into();
@@ -281,7 +278,6 @@ impl Elements {
         Ok(Tag { kind: first, size, padding: size.next_multiple_of(8) - size })
     }
 
-    /// The elements within a matrix.
     fn within(self, tag: &Tag) -> Result<Self, String> {
         match tag.kind {
             MATRIX => Ok(Self { from: Box::new(self.from.take(tag.size)), ..self }),
@@ -291,20 +287,17 @@ impl Elements {
 
     /// The content of the element of a tag, of at most `most` bytes.
     fn content(&mut self, tag: &Tag, most: u64) -> Result<Vec<u8>, String> {
-        if tag.size > most {
-            return Err(damaged(&format!(
-                "an element of {} bytes; at most {most} are read",
-                tag.size
-            )));
+        let (size, length) = (tag.size, tag.size + tag.padding);
+        if size > most {
+            return Err(damaged(&format!("an element of {size} bytes; at most {most} are read")));
         }
         let mut bytes = Vec::new();
-        let length = tag.size + tag.padding;
         let read = self.from.by_ref().take(length).read_to_end(&mut bytes).map_err(cut)? as u64;
         // The padding behind the last element may be missing.
-        if read < tag.size {
+        if read < size {
             return Err("truncated".into());
         }
-        bytes.truncate(tag.size as usize);
+        bytes.truncate(size as usize);
         Ok(bytes)
     }
 
@@ -332,7 +325,6 @@ impl Elements {
         Ok(Matrix { class, is_complex, shape, name })
     }
 
-    /// The array of numbers in a matrix.
     fn array(mut self, matrix: Matrix) -> Result<Array, String> {
         if let Some(problem) = matrix.refusal() {
             return Err(problem);
@@ -364,7 +356,6 @@ impl Elements {
         Ok(Array { shape, kind, size, is_big_endian, is_crosswise: true, content })
     }
 
-    /// The cells of a cell array.
     fn matrices(
         mut self,
         matrix: &Matrix,

@@ -33,23 +33,18 @@ pub(crate) struct Piece {
     pub filled: Vec<bool>,
 }
 
-/// The parts of a trial, and remarks on them.
 #[derive(Debug, Default)]
 pub(crate) struct Mended {
     pub pieces: Vec<Piece>,
     /// Rows that had the time of the row before.
     pub repeated: usize,
-    /// Parts that are too short to be used.
     pub too_short: usize,
     /// Rows a second, if the rows were interpolated in time.
     pub resampled_hz: Option<f64>,
 }
 
-/// Makes the parts of one trial. `names` are the names of the columns.
-///
-/// # Errors
-/// If more is missing than may be filled or cut, or the times give no rate. The error continues a
-/// sentence that begins with the trial.
+/// Makes the parts of one trial, with these `names` of columns. The error continues a sentence that
+/// begins with the trial.
 pub(crate) fn mend(
     mut rows: Rows,
     names: &[String],
@@ -304,8 +299,7 @@ fn common_divisor(mut a: i64, mut b: i64) -> i64 {
     a
 }
 
-/// Fills what is missing in a range of rows, and brings it to the rate. Returns the piece, and whether
-/// it was interpolated in time.
+/// Fills what is missing in a range of rows, and brings it to the rate; true if interpolated in time.
 fn piece(
     rows: &Rows,
     range: std::ops::Range<usize>,
@@ -424,6 +418,10 @@ mod tests {
         mend(rows, &["x".to_string()], rate_hz, gaps)
     }
 
+    fn rising(rows: usize) -> Vec<f32> {
+        (0..rows).map(|row| row as f32).collect()
+    }
+
     fn lengths(all: &Mended) -> Vec<usize> {
         all.pieces.iter().map(|piece| piece.values.len()).collect()
     }
@@ -498,10 +496,10 @@ mod tests {
 
     #[test]
     fn short_runs_are_filled_and_marked_and_longer_ones_cut() {
-        let mut values: Vec<f32> = (0..200).map(|row| row as f32).collect();
+        let mut values = rising(200);
         values[50..55].fill(NAN);
         let all = mended(&[], &values, Gaps::Error).unwrap();
-        assert_eq!(all.pieces[0].values, (0..200).map(|row| row as f32).collect::<Vec<_>>());
+        assert_eq!(all.pieces[0].values, rising(200));
         let marked = (0..200).filter(|row| all.pieces[0].filled[*row]).collect::<Vec<_>>();
         assert_eq!(marked, [50, 51, 52, 53, 54]);
         values[55] = NAN;
@@ -516,7 +514,7 @@ mod tests {
     fn a_gap_in_time_is_never_drawn_straight_and_needs_no_memory() {
         let mut times: Vec<i64> = (0..100).map(|row| row * 10).collect();
         times[60..].iter_mut().for_each(|time| *time += 4_000_000_000);
-        let values: Vec<f32> = (0..100).map(|row| row as f32).collect();
+        let values = rising(100);
         let all = mended(&times, &values, Gaps::Cut).unwrap();
         assert_eq!(lengths(&all), [60, 40]);
         assert_eq!(all.pieces[1].start, times[60] * 1_000_000);
@@ -533,12 +531,12 @@ mod tests {
     fn the_last_of_a_repeated_time_counts_and_a_coarse_clock_is_refused() {
         let mut times: Vec<i64> = (0..20).map(|row| row * 10).collect();
         times.insert(3, 20);
-        let mut values: Vec<f32> = (0..20).map(|row| row as f32).collect();
+        let mut values = rising(20);
         values.insert(2, 7.0);
         let all = mended(&times, &values, Gaps::Error).unwrap();
         assert_eq!((all.repeated, all.pieces[0].values[2]), (1, 2.0));
         let coarse: Vec<i64> = (0..100).map(|row| row / 10 * 1000).collect();
-        let values: Vec<f32> = (0..100).map(|row| row as f32).collect();
+        let values = rising(100);
         assert!(mended(&coarse, &values, Gaps::Cut).unwrap_err().contains("coarser"));
         let bursts: Vec<i64> = (0..100).map(|row| row / 10 * 1000 + row % 10).collect();
         assert!(mended(&bursts, &values, Gaps::Cut).unwrap_err().contains("bursts"));

@@ -16,14 +16,12 @@ mod heading;
 mod layout;
 mod mat;
 mod mend;
-mod names;
 mod npy;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod stamp;
 mod table;
 mod text;
-mod zip;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
@@ -32,9 +30,7 @@ use gather::Rows;
 use layout::Layout;
 #[doc(hidden)]
 pub use mend::Gaps;
-use mend::{Mended, Piece, mend};
-#[doc(hidden)]
-pub use names::NamePattern;
+use mend::{Piece, mend};
 use stamp::Stamps;
 use table::Table;
 use text::Lines;
@@ -50,15 +46,52 @@ const HEAD_BYTES: usize = 1 << 20;
 /// A trial with more channels than this has at least as many samples.
 const MOST_TURNED: usize = 16;
 
+/// A pattern for file paths: text, the fields `{surface}`, `{user}`, `{trial}` and `{session}`, and
+/// `*` for any text. Fields and `*` match at least one character, but no `/`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NamePattern(pub String);
+
+impl NamePattern {
+    /// Reads surface, user, trial (text that ends with the number) and session from as many last parts
+    /// of the path `name` as the pattern has. Each field takes the shortest text that lets the rest fit.
+    pub(crate) fn parts(&self, name: &str) -> Option<[Option<String>; 4]> {
+        let depth = self.0.matches('/').count();
+        let from = name.rmatch_indices('/').nth(depth).map_or(0, |(at, _)| at + 1);
+        let mut parts = [None, None, None, None];
+        fits(&self.0, &name[from..], &mut parts).then_some(parts)
+    }
+}
+
+fn fits(pattern: &str, name: &str, parts: &mut [Option<String>; 4]) -> bool {
+    let fields = ["{surface}", "{user}", "{trial}", "{session}", "*"];
+    let Some(field) = fields.iter().position(|field| pattern.starts_with(field)) else {
+        return match (pattern.chars().next(), name.chars().next()) {
+            (None, None) => true,
+            (Some(a), Some(b)) if a == b => {
+                fits(&pattern[a.len_utf8()..], &name[b.len_utf8()..], parts)
+            }
+            _ => false,
+        };
+    };
+    let ends = name.char_indices().map(|(at, c)| (at + c.len_utf8(), c));
+    for (end, _) in ends.take_while(|(_, c)| *c != '/') {
+        if fits(&pattern[fields[field].len()..], &name[end..], parts) {
+            if let Some(part) = parts.get_mut(field) {
+                *part = Some(name[..end].to_string());
+            }
+            return true;
+        }
+    }
+    false
+}
+
 /// How to find the time of each row of a table.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Clock {
+    /// Rows a second.
     Rate(f64),
-    Times {
-        column: String,
-        /// time unit of the column, in seconds; `None`: told by its header or its values
-        unit_s: Option<f64>,
-    },
+    /// A column, and its unit of time in seconds; `None`: told by its header or its values.
+    Times { column: String, unit_s: Option<f64> },
 }
 
 /// Where the name of the session of a table's trials comes from, if no column holds it.
@@ -106,12 +139,9 @@ pub struct Head {
 
 impl Head {
     /// Reads the first lines of a table, and finds out its layout.
-    ///
-    /// # Errors
-    /// If the file cannot be read, or holds no table.
     pub fn read(path: &Path, most_unpacked: u64) -> Result<Self, LibraryError> {
         let mut lines = Lines::open(path, most_unpacked)?;
-        Self::of(&mut lines).map_err(|problem| LibraryError::file(path, problem))
+        Self::of(&mut lines).map_err(LibraryError::at(path))
     }
 
     fn of(lines: &mut Lines) -> Result<Self, String> {
@@ -123,10 +153,7 @@ impl Head {
                 break;
             }
         }
-        let layout = match lines.layout.take() {
-            Some(layout) => layout,
-            None => Layout::of(&head)?,
-        };
+        let layout = lines.layout.take().map_or_else(|| Layout::of(&head), Ok)?;
         let mut rows = Vec::new();
         let names = head.iter().find(|(number, _)| *number == layout.names_at);
         let names = names.map(|(_, line)| line.clone()).unwrap_or_default();
@@ -159,7 +186,6 @@ impl Head {
     }
 }
 
-/// A trial of a table, and what `trial.toml` says of it.
 pub struct Read {
     pub trial: Trial,
     pub about: About,
@@ -178,27 +204,22 @@ pub struct Said {
     /// Rows a second, if they were interpolated in time.
     pub resampled_hz: Option<f64>,
     pub repeated: usize,
-    /// Values that were filled in.
     pub filled: usize,
     /// Trials that were cut, and parts that were too short.
     pub cut: usize,
     pub too_short: usize,
-    /// Trials that cannot be used.
     pub bad: Vec<String>,
 }
 
-/// Reads all trials of a table. Calls `on` with the names of all trials first, and then with each trial.
-/// `scratch` is a folder for rows that do not fit into memory.
-///
-/// # Errors
-/// If the table cannot be read; an error of `on`.
+/// Reads all trials of a table. Calls `on` with the names of all trials first, and then with each trial;
+/// an error of `on` ends it. `scratch` is a folder for rows that do not fit into memory.
 pub fn read(
     path: &Path,
     form: &Form,
     scratch: &Path,
     on: OnRead<'_>,
 ) -> Result<Said, LibraryError> {
-    let fail = |problem: String| LibraryError::file(path, problem);
+    let fail = LibraryError::at(path);
     if array::is_array(path) {
         return array::read(path, form, on);
     }
@@ -218,8 +239,7 @@ pub fn read(
     Ok(said)
 }
 
-/// Makes trials of the rows of one trial, and gives them to `on`. A trial that cannot be used is added
-/// to those in `said`.
+/// Makes trials of the rows of one trial for `on`; one that cannot be used is added to those in `said`.
 fn give(
     path: &Path,
     key: TrialKey,
@@ -246,10 +266,15 @@ fn give(
             return Ok(());
         }
     };
-    said.add(&mended);
+    said.resampled_hz = said.resampled_hz.or(mended.resampled_hz);
+    said.repeated += mended.repeated;
+    said.cut += usize::from(mended.pieces.len() + mended.too_short > 1);
+    said.too_short += mended.too_short;
+    let filled = mended.pieces.iter().flat_map(|piece| &piece.filled);
+    said.filled += filled.filter(|filled| **filled).count();
     for (part, piece) in mended.pieces.iter().enumerate() {
         let read = trial(key.clone(), piece, form, stamps);
-        let read = read.map_err(|problem| LibraryError::file(path, problem))?;
+        let read = read.map_err(LibraryError::at(path))?;
         on(&[], Some(Read { is_further: part > 0, ..read }))?;
     }
     Ok(())
@@ -273,10 +298,8 @@ fn name_of(path: &Path) -> String {
 impl Form {
     /// Rows a second; `None` if a column tells the times.
     fn rate_hz(&self) -> Option<f64> {
-        match self.clock {
-            Clock::Rate(rate_hz) => Some(rate_hz),
-            Clock::Times { .. } => None,
-        }
+        let Clock::Rate(rate_hz) = self.clock else { return None };
+        Some(rate_hz)
     }
 
     /// The session of the trials of a file, unless a column tells it.
@@ -300,24 +323,11 @@ impl Form {
         session.as_deref().map(session_name).transpose()
     }
 
-    /// The names of the columns of all sources, in their order.
     fn columns(&self) -> Vec<String> {
         self.sources.iter().flat_map(|(_, columns)| columns.clone()).collect()
     }
 }
 
-impl Said {
-    fn add(&mut self, mended: &Mended) {
-        self.resampled_hz = self.resampled_hz.or(mended.resampled_hz);
-        self.repeated += mended.repeated;
-        self.cut += usize::from(mended.pieces.len() + mended.too_short > 1);
-        self.too_short += mended.too_short;
-        let filled = mended.pieces.iter().flat_map(|piece| &piece.filled);
-        self.filled += filled.filter(|filled| **filled).count();
-    }
-}
-
-/// The trial of a piece, and its `trial.toml`.
 fn trial(
     key: TrialKey,
     piece: &Piece,
@@ -398,13 +408,10 @@ pub fn named(paths: &[PathBuf], names: &NamePattern) -> BTreeSet<TrialKey> {
     paths.iter().filter_map(key).collect()
 }
 
-/// Reads all trials of a table at 100 rows a second, or by its times, and drops them, for tests of damaged
-/// files. Returns their number.
-///
-/// # Errors
-/// If the table cannot be read.
+/// Reads all trials of a table at 100 rows a second, or by its times, for tests of damaged files. Returns
+/// their number.
 pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
-    let fail = |problem: String| LibraryError::file(path, problem);
+    let fail = LibraryError::at(path);
     let mut form = Form {
         sources: Vec::new(),
         units: Vec::new(),
@@ -436,4 +443,23 @@ pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
     };
     read(path, &form, &std::env::temp_dir(), &mut on)?;
     Ok(count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_by_their_pattern() {
+        for (pattern, name, found) in [
+            ("{surface}/{trial}", "a/Eiche/3", ["Eiche", "", "3", ""]),
+            ("{surface}_{user}_{trial}", "oak_anna_07", ["oak", "anna", "07", ""]),
+            ("{user}/*-{surface}_{trial}", "x/ben/run-oak 2_4", ["oak 2", "ben", "4", ""]),
+            ("{session}/{surface}_{trial}", "x/monday/oak_4", ["oak", "", "4", "monday"]),
+        ] {
+            let parts = NamePattern(pattern.into()).parts(name).unwrap();
+            assert_eq!(parts.map(Option::unwrap_or_default), found);
+        }
+        assert_eq!(NamePattern("{surface}_{trial}".into()).parts("oak"), None);
+    }
 }

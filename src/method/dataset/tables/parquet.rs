@@ -19,7 +19,6 @@ use super::text::{Limited, Lines, TOO_LARGE, is_read};
 use crate::library::series_file::guarded;
 
 pub(super) const MAGIC: &[u8] = b"PAR1";
-/// Rows that are read at once.
 const ROWS: usize = 128;
 /// Longest text in a cell, in bytes.
 const MOST_CELL: usize = 4096;

@@ -29,18 +29,15 @@ const UNITS: [(&[&str], f64); 6] = [
     (&["h", "hour", "hours"], 3600.0 * S),
 ];
 
-/// The unit of time of this name, in nanoseconds.
 pub(crate) fn unit_ns(name: &str) -> Option<f64> {
     let name = name.trim().to_lowercase();
     UNITS.iter().find(|(names, _)| names.contains(&&*name)).map(|(_, unit)| *unit)
 }
 
 impl Stamps {
-    /// Finds out what the first times of a table mean. `unit_ns` is their unit if it is known; `from_1904`
-    /// says from when Excel counts. Also returns the reason as text.
-    ///
-    /// # Errors
-    /// If the times are of no known form, or may have several units.
+    /// Finds out what the first times of a table mean, and says why. `unit_ns` is their unit if it is
+    /// known; `from_1904` says from when Excel counts. Fails if they have no known form, or may have
+    /// several units.
     pub(crate) fn of(
         cells: &[Vec<u8>],
         unit_ns: Option<f64>,
@@ -104,18 +101,13 @@ impl Stamps {
             step if (250.0..50_000.0).contains(&step) => 1e3,
             step if (250_000.0..5e9).contains(&step) => 1.0,
             step => {
-                let hz = |unit: f64| {
-                    format!("{:.4}", S / (step * unit))
-                        .trim_end_matches('0')
-                        .trim_end_matches('.')
-                        .to_string()
-                };
+                let [in_s, in_ms, in_us] = [S, 1e6, 1e3].map(|unit| {
+                    let hz = format!("{:.4}", S / (step * unit));
+                    hz.trim_end_matches('0').trim_end_matches('.').to_string()
+                });
                 return Err(format!(
-                    "rises by {step} a row, which is {} rows a second in s, {} in ms, {} in µs; say \
-                     --time-unit SECONDS, such as 0.001",
-                    hz(S),
-                    hz(1e6),
-                    hz(1e3)
+                    "rises by {step} a row, which is {in_s} rows a second in s, {in_ms} in ms, {in_us} in \
+                     µs; say --time-unit SECONDS, such as 0.001"
                 ));
             }
         };
@@ -123,8 +115,7 @@ impl Stamps {
         Ok((stamps, format!("in {}, by their steps", length(unit_ns))))
     }
 
-    /// The time in a cell, in nanoseconds; from 1970 on if the stamps say when. `None` if the cell holds
-    /// no such time.
+    /// The time in a cell, in nanoseconds; from 1970 on if the stamps say when.
     pub(super) fn read(&self, cell: &[u8]) -> Option<i64> {
         match *self {
             Self::Dates { day_first, .. } => Some(date(cell, day_first)?.0),

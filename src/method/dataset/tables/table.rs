@@ -15,7 +15,6 @@ pub(super) struct Table<'a> {
     head: &'a Head,
     labels: [Option<usize>; 4],
     pub stamps: Option<(usize, Stamps)>,
-    /// How the times were understood.
     pub said: Option<String>,
     /// The columns of all sources, in their order.
     values: Vec<usize>,

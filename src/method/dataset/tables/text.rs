@@ -9,8 +9,7 @@ use std::path::Path;
 use flate2::read::MultiGzDecoder;
 
 use super::layout::Layout;
-use crate::library::LibraryError;
-use crate::library::files;
+use crate::library::{LibraryError, files};
 
 /// Longest line that is read, in bytes.
 const MOST_LINE: usize = 1 << 20;
@@ -61,22 +60,19 @@ impl Lines {
     /// Opens a file; `most` is the largest number of bytes that a packed file may unpack to.
     pub(super) fn open(path: &Path, most: u64) -> Result<Self, LibraryError> {
         let (file, _) = files::open_filled(path)?;
-        Self::of(file, most).map_err(|problem| LibraryError::file(path, problem))
+        Self::of(file, most).map_err(LibraryError::at(path))
     }
 
-    #[cfg(feature = "parquet")]
-    fn of(mut file: File, most: u64) -> Result<Self, String> {
-        let mut start = Vec::new();
-        let read = file.by_ref().take(4).read_to_end(&mut start);
-        read.and_then(|_| io::Seek::rewind(&mut file)).map_err(|error| error.to_string())?;
-        match start == super::parquet::MAGIC {
-            true => super::parquet::lines(file, most),
-            false => Self::new(Box::new(file), most),
-        }
-    }
-
-    #[cfg(not(feature = "parquet"))]
     fn of(file: File, most: u64) -> Result<Self, String> {
+        #[cfg(feature = "parquet")]
+        {
+            let (mut start, mut from) = (Vec::new(), &file);
+            let read = from.take(4).read_to_end(&mut start);
+            read.and_then(|_| io::Seek::rewind(&mut from)).map_err(|error| error.to_string())?;
+            if start == super::parquet::MAGIC {
+                return super::parquet::lines(file, most);
+            }
+        }
         Self::new(Box::new(file), most)
     }
 
@@ -217,7 +213,6 @@ impl Read for Utf16 {
     }
 }
 
-/// Whether all of a text was read.
 pub(super) fn is_read(text: &Cursor<Vec<u8>>) -> bool {
     text.position() == text.get_ref().len() as u64
 }

@@ -108,8 +108,7 @@ impl Grid {
         mean
     }
 
-    /// Fills blocks of one trial, each with a different lag. It goes through the frames once, and
-    /// computes all lags for a few frames while they are in the cache.
+    /// Fills blocks of one trial, each of another lag, all for a few frames while these are in the cache.
     fn fill(&self, trial: usize, blocks: &mut [Block]) {
         let longest = blocks.iter().map(|block| block.starts.len()).max().unwrap_or(0);
         let mut lanes = vec![[0.0; LANES]; self.columns.len() * self.columns.len()];

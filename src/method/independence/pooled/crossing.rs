@@ -65,18 +65,15 @@ impl Curve {
         let first = |from: usize, curve: &dyn Fn(usize) -> f64| {
             (from..self.lags.len()).find(|&bin| curve(bin) < root)
         };
-        let Some(below) = first(0, &fit) else {
-            return Crossing { estimate: None, upper: None };
-        };
+        let none = Crossing { estimate: None, upper: None };
+        let Some(below) = first(0, &fit) else { return none };
         let mut estimate = self.between(below, root, &fit);
         let mut from = below;
         let surely_above =
             |bin: &usize| self.sizes[*bin].value - SURE * self.sizes[*bin].error >= threshold;
         if let Some(last) = (below..self.lags.len()).rev().find(surely_above) {
-            match self.lags.get(last + 1) {
-                Some(&lag) => (estimate, from) = (lag, last + 1),
-                None => return Crossing { estimate: None, upper: None },
-            }
+            let Some(&lag) = self.lags.get(last + 1) else { return none };
+            (estimate, from) = (lag, last + 1);
         }
         let upper = |bin: usize| fit(bin) + UPPER * self.root_error(bin, threshold);
         let upper = first(from, &upper).map(|bin| self.between(bin, root, &upper).max(estimate));
@@ -155,14 +152,11 @@ mod tests {
     }
 
     #[test]
-    fn dependence_that_stays_has_no_crossing() {
+    fn dependence_that_stays_has_no_crossing_and_none_at_all_crosses_at_one() {
         let stays = curve(0.001, |_| 0.2);
         assert_eq!(stays.crossing(0.01), Crossing { estimate: None, upper: None });
         assert!(stays.stays_above(0.01, 1e9) && !curve(0.2, |_| 0.2).stays_above(0.01, 1e9));
-    }
-
-    #[test]
-    fn independence_from_the_first_lag_is_one() {
+        // Independence from the first lag on.
         let got = curve(0.0001, |_| 0.0).crossing(0.01);
         assert_eq!(got, Crossing { estimate: Some(1.0), upper: Some(1.0) });
     }

@@ -66,8 +66,7 @@ fn all_covariances(features: &Features, longest: usize) -> Vec<Vec<f32>> {
     let mut found = Vec::with_capacity(2 * sums.len());
     let mut output = inverse.make_output_vec();
     for sum in &mut sums {
-        // The first and last frequency bins are real; the inverse transform fails if rounding
-        // leaves an imaginary part.
+        // These bins are real; the inverse transform fails if rounding leaves an imaginary part.
         sum[0].im = 0.0;
         sum[points / 2].im = 0.0;
         inverse.process(sum, &mut output).expect("buffers of the plan's lengths");
@@ -81,8 +80,7 @@ fn all_covariances(features: &Features, longest: usize) -> Vec<Vec<f32>> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::features::Samples;
-    use super::super::features::features;
+    use super::super::features::{Samples, features};
     use super::*;
     use crate::independence::simulate;
 
@@ -109,11 +107,8 @@ mod tests {
                     .map(|(q, s)| at(i, q, s) * at(j, q, s + t))
                     .sum();
                 let want = sum / (3 * (700 - t)) as f64;
-                assert!(
-                    (f64::from(got[pair][t]) - want).abs() < 1e-5,
-                    "{pair} {t}: {} {want}",
-                    got[pair][t]
-                );
+                let found = f64::from(got[pair][t]);
+                assert!((found - want).abs() < 1e-5, "{pair} {t}: {found} {want}");
             }
         }
     }

@@ -126,12 +126,8 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    /// Takes every `step`-th frame from the frames `range` of each trial.
-    ///
-    /// Frames are dropped, not averaged, so the dependence at the remaining lags is unchanged.
-    ///
-    /// # Panics
-    /// If a trial is shorter than `range`, or has fewer channels than the first trial.
+    /// Takes every `step`-th frame from the frames `range` of each trial. Frames are dropped, not
+    /// averaged, so the dependence at the remaining lags is unchanged.
     pub(super) fn every(step: usize, range: Range<usize>, series: &[Series]) -> Self {
         let channels = series.first().map_or(0, Series::channels);
         let channel = |c: usize| -> Vec<f32> {
@@ -255,10 +251,7 @@ mod tests {
         }
         let zeros = normal_scores(&[-0.0, 0.0, 1.0, -1.0]).unwrap();
         assert_eq!(zeros[0], zeros[1]);
-    }
-
-    #[test]
-    fn equal_values_have_no_scores() {
+        // Equal values have no scores.
         assert_eq!(normal_scores(&[3.0; 9]), None);
         assert_eq!(normal_scores(&[]), None);
     }

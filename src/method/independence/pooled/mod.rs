@@ -41,19 +41,14 @@ const CORRECTIONS: usize = 3;
 /// T* in samples, or why there is none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PooledAnswer {
-    Found {
-        t_star: f64,
-        /// one-sided 95 % upper bound of T*; use it as the distance between samples
-        upper: f64,
-    },
+    /// T* and its one-sided 95 % upper bound; use that as the distance between samples.
+    Found { t_star: f64, upper: f64 },
     /// Dependence stays above the threshold up to the longest lag: the signal repeats or drifts.
     Never,
     /// Dependence falls below the threshold too late for the trials to show that it stays below.
     NotWithinRange,
-    TooLittleData {
-        /// about how many more trials like these would suffice
-        more_trials: usize,
-    },
+    /// About so many more trials like these would suffice.
+    TooLittleData { more_trials: usize },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -88,18 +83,14 @@ pub struct PooledEstimate {
 impl PooledEstimate {
     /// T* in samples: dependence is small at this whole lag and all longer ones.
     pub fn t_star_samples(&self) -> Option<usize> {
-        match self.answer {
-            PooledAnswer::Found { t_star, .. } => Some(t_star.ceil() as usize),
-            _ => None,
-        }
+        let PooledAnswer::Found { t_star, .. } = self.answer else { return None };
+        Some(t_star.ceil() as usize)
     }
 
     /// Upper bound of T* in samples; use it as the distance between samples.
     pub fn upper_samples(&self) -> Option<usize> {
-        match self.answer {
-            PooledAnswer::Found { upper, .. } => Some(upper.ceil() as usize),
-            _ => None,
-        }
+        let PooledAnswer::Found { upper, .. } = self.answer else { return None };
+        Some(upper.ceil() as usize)
     }
 
     /// Effective number of independent samples among `samples` successive samples.
@@ -137,9 +128,8 @@ pub fn at_needed_rate(
     Some(found)
 }
 
-/// T* from `samples`, which hold every `step`-th sample of the trials. The threshold is the dependence
-/// of a Gaussian process with this `correlation`. `None` if nothing changes in any trial, or if the
-/// trials are too short.
+/// T* from `samples`: every `step`-th sample of the trials; `None` if nothing changes, or if they are too
+/// short. The threshold is the dependence of a Gaussian process with this `correlation`.
 fn pooled(
     samples: &Samples,
     correlation: f64,
@@ -240,8 +230,7 @@ impl PairCurves {
         }
     }
 
-    /// How many more trials would make the error so small that the upper bound for independent samples
-    /// is half the threshold.
+    /// Trials that are lacking until the upper bound for independent samples is half the threshold.
     fn more_trials(&self, threshold: f64, trials: usize) -> usize {
         let needed = self.curves.iter().map(|curve| curve.lacking(threshold)).fold(1.0, f64::max);
         ((trials as f64 * needed).ceil() as usize).saturating_sub(trials).max(1)

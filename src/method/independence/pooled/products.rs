@@ -35,8 +35,6 @@ pub(super) struct Length {
 }
 
 impl Length {
-    /// # Panics
-    /// If `values` is 0.
     #[inline(always)]
     pub(super) fn of(values: usize) -> Self {
         let last = (values - 1) / LANES;
@@ -47,10 +45,8 @@ impl Length {
 }
 
 /// Σ a·b, lane by lane, for each slice in `a` and each in `b`, so that a value loaded once serves
-/// several products. Reads whole registers, but values beyond the length do not count.
-///
-/// # Panics
-/// If a slice ends before the last register does.
+/// several products. Reads whole registers, so no slice may end before the last one, but values beyond
+/// the length do not count.
 #[inline(always)]
 pub(super) fn dots<const A: usize, const B: usize>(
     a: [&[f32]; A],

@@ -22,8 +22,7 @@ pub const SAMPLES: usize = 400;
 /// Latest start of the sampling in a scan of 4.8 s, in seconds: 1.15 % of the scan.
 pub(super) const START_S: Second = 0.0115 * 4.8;
 
-/// How long a scan must last to hold n = `samples` samples T* apart: t₀ + (n − 1)·T*, where t₀ is
-/// `START_S`.
+/// How long a scan must last to hold n = `samples` samples T* apart: `START_S` + (n − 1)·T*.
 pub fn scan_s(t_star_s: Second, samples: usize) -> Second {
     START_S + samples.saturating_sub(1) as f64 * t_star_s
 }
@@ -63,8 +62,7 @@ pub struct SourceDuration {
     /// T* in samples; if `None`, `reason` says why.
     pub t_star_samples: Option<usize>,
     pub t_star_s: Option<Second>,
-    /// How long a scan must last to hold n samples T* apart, in seconds. Uses the upper bound of T* if
-    /// the rule gives one.
+    /// Length of a scan that holds n samples T* (or its upper bound, where there is one) apart, in seconds.
     pub scan_s: Option<Second>,
     pub reason: Option<String>,
     pub remarks: Vec<String>,
@@ -324,7 +322,14 @@ fn one(
         reason: None,
         remarks: Vec::new(),
         rate_hz: None,
-        by_rule: ByRule::none(question.estimator),
+        by_rule: match question.estimator {
+            Estimator::Pooled(PooledSettings { dependence: threshold }) => {
+                ByRule::Pooled(PooledRow { threshold, ..PooledRow::default() })
+            }
+            Estimator::Algorithm1(Algorithm1Settings { rule, .. }) => {
+                ByRule::Algorithm1 { rule, latest_start: None, curve: Vec::new() }
+            }
+        },
     };
     let trials = match question.estimator {
         Estimator::Pooled(_) => Trials::pooled(series),
@@ -384,20 +389,6 @@ fn longest(source: &SourceId, durations: &[SourceDuration]) -> Option<SceneDurat
         surface: longest.map(|(_, d)| d.surface.clone()),
         without: of_source().filter(|d| d.scan_s.is_none()).map(|d| d.surface.clone()).collect(),
     })
-}
-
-impl ByRule {
-    /// Empty results, for a source that could not be analysed.
-    fn none(estimator: Estimator) -> Self {
-        match estimator {
-            Estimator::Pooled(PooledSettings { dependence: threshold }) => {
-                Self::Pooled(PooledRow { threshold, ..PooledRow::default() })
-            }
-            Estimator::Algorithm1(Algorithm1Settings { rule, .. }) => {
-                Self::Algorithm1 { rule, latest_start: None, curve: Vec::new() }
-            }
-        }
-    }
 }
 
 impl SourceDuration {

@@ -156,10 +156,8 @@ const LASTING: Column =
     (">lasting", |d| pooled(d)?.lasting_share.map(|share| format!("{:.0} %", 100.0 * share)));
 
 fn pooled(d: &SourceDuration) -> Option<&PooledRow> {
-    match &d.by_rule {
-        ByRule::Pooled(row) => Some(row),
-        ByRule::Algorithm1 { .. } => None,
-    }
+    let ByRule::Pooled(row) = &d.by_rule else { return None };
+    Some(row)
 }
 
 /// Formats seconds as milliseconds, rounded for reading.

@@ -34,6 +34,10 @@ use crate::trial::{Trial, TrialKey, normal};
 pub(super) const REMOVED: &str = ".removed";
 
 /// A library that is locked for editing: no program reads it meanwhile.
+///
+/// In the `names` that edits take, a surface stands for all of its trials. An edit fails if there is no
+/// such trial or surface, or if the file system refuses. It then leaves the library unchanged, unless
+/// the error says that the edit could not be undone.
 pub struct Editor {
     root: PathBuf,
     scene: Scene,
@@ -105,10 +109,6 @@ impl Editor {
     }
 
     /// Gives all trials of a surface another label.
-    ///
-    /// # Errors
-    /// If there is no such surface, or the file system refuses. An edit that fails leaves the
-    /// library unchanged, unless the error says that the edit could not be undone.
     pub fn rename(&mut self, surface: &str, label: &str) -> Result<Step, LibraryError> {
         let surface = &*normal(surface);
         let all = self.entries()?;
@@ -120,10 +120,7 @@ impl Editor {
         self.relabel(&all, &of_surface, label, format!("rename {surface} to {label}"))
     }
 
-    /// Gives trials another label. In `names`, a surface stands for all of its trials.
-    ///
-    /// # Errors
-    /// If there is no such trial, or the file system refuses (see [`Editor::rename`]).
+    /// Gives trials another label.
     pub fn move_to(&mut self, names: &[String], label: &str) -> Result<Step, LibraryError> {
         let all = self.entries()?;
         let chosen = self.choose(&self.root, &all[0], names)?;
@@ -148,11 +145,7 @@ impl Editor {
         self.take(what, plan.moves)
     }
 
-    /// Gives trials another session, or none. In `names`, a surface stands for all of its trials.
-    ///
-    /// # Errors
-    /// If there is no such trial, a trial has no folder and so no `trial.toml`, or the file system
-    /// refuses (see [`Editor::rename`]).
+    /// Gives trials another session, or none. Fails, too, if one has no folder and so no `trial.toml`.
     pub fn set_session(
         &mut self,
         names: &[String],
@@ -173,10 +166,7 @@ impl Editor {
         self.take(format!("set the session of {} to {to}", names.join(", ")), plan.moves)
     }
 
-    /// Removes trials. In `names`, a surface stands for all of its trials.
-    ///
-    /// # Errors
-    /// If there is no such trial, or the file system refuses (see [`Editor::rename`]).
+    /// Removes trials.
     pub fn remove(&mut self, names: &[String]) -> Result<Step, LibraryError> {
         let entries = trials(&self.root, &self.scene)?;
         let mut plan = Plan::new(&self.root, &[], &HashSet::new());
@@ -187,10 +177,7 @@ impl Editor {
         self.take(format!("remove {}", names.join(", ")), plan.moves)
     }
 
-    /// Restores removed trials. In `names`, a surface stands for all of its trials.
-    ///
-    /// # Errors
-    /// If there is no such trial, or the file system refuses (see [`Editor::rename`]).
+    /// Restores removed trials.
     pub fn restore(&mut self, names: &[String]) -> Result<Step, LibraryError> {
         let bin = self.root.join(REMOVED);
         let all = self.entries()?;
@@ -234,10 +221,7 @@ impl Editor {
     }
 
     /// Undoes the last step, and returns it with the moves that undid it. If the former place of a
-    /// trial is taken, the trial goes to a free place beside it.
-    ///
-    /// # Errors
-    /// If there is no step to undo, or the file system refuses.
+    /// trial is taken, the trial goes to a free place beside it. Fails, too, if there is no step to undo.
     pub fn undo(&mut self) -> Result<Step, LibraryError> {
         let Some(last) = self.steps.known.last() else {
             return Err(LibraryError::file(&self.root, "there is no step to undo"));
@@ -269,8 +253,7 @@ impl Editor {
         Ok([trials(&self.root, &self.scene)?, removed(&self.root, &self.scene)?])
     }
 
-    /// The trials that `names` select. A name is `SURFACE/TRIAL`, a file of a trial, or `SURFACE`
-    /// for all trials of a surface.
+    /// The trials that `names` (`SURFACE/TRIAL`, a file of a trial, or `SURFACE`) select.
     fn choose<'e>(
         &self,
         folder: &Path,
@@ -370,8 +353,7 @@ impl Editor {
             true => (StepLine::Undone, StepLine::Done),
             false => (StepLine::Done, StepLine::Undone),
         };
-        let finished = carry_out(&self.root, moves);
-        let error = finished.and_then(|()| self.steps.add([carried_out])).err();
+        let error = carry_out(&self.root, moves).and_then(|()| self.steps.add([carried_out])).err();
         if let Some(error) = &error {
             let back: Vec<Move> = moves.iter().rev().map(Move::reversed).collect();
             let done = carry_out(&self.root, &back).and_then(|()| self.steps.add([taken_back]));

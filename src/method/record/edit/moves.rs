@@ -27,8 +27,7 @@ impl<'a> Plan<'a> {
     /// the paths in `leaving` are about to move, so their names and numbers are free.
     pub(super) fn new(root: &'a Path, entries: &[Vec<Entry>], leaving: &HashSet<PathBuf>) -> Self {
         let stays = |entry: &&Entry| !entry.places().iter().any(|place| leaving.contains(*place));
-        let staying = entries.iter().flatten().filter(stays);
-        let taken = staying.map(|entry| entry.key.clone()).collect();
+        let taken = entries.iter().flatten().filter(stays).map(|entry| entry.key.clone()).collect();
         Self { root, taken, folders: HashSet::new(), moves: Vec::new() }
     }
 
@@ -53,8 +52,7 @@ impl<'a> Plan<'a> {
         Ok(())
     }
 
-    /// Plans to give a folder's trial the name `wanted`, with another number if that one is taken, but
-    /// to leave the folder where it is. Fails for a file, which has no `trial.toml`.
+    /// Like [`Self::rename`], but leaves the folder where it is. Fails for a file, which has no `trial.toml`.
     pub(super) fn stay(
         &mut self,
         folder: &Path,
@@ -100,10 +98,7 @@ impl<'a> Plan<'a> {
     pub(super) fn reverse(&mut self, one: &Move) {
         let (from, mut to) = (self.root.join(&one.to), self.root.join(&one.from));
         let keeps = one.from.starts_with(REMOVED) || from.is_file();
-        let was = one.was.as_ref().map(|was| match keeps {
-            true => was.clone(),
-            false => self.free_key(was),
-        });
+        let was = one.was.as_ref().map(|was| if keeps { was.clone() } else { self.free_key(was) });
         let moves = one.from != one.to;
         if let Some(key) = was.as_ref().filter(|key| moves && Some(*key) != one.was.as_ref()) {
             to = trial_folder(self.root, key);
@@ -122,8 +117,7 @@ impl<'a> Plan<'a> {
         key
     }
 
-    /// Adds a move of a trial to a path or, if it is taken, to a free path beside it, as `NAME-2`. A
-    /// trial that gets another name may also stay where it is.
+    /// Adds a move to a path or, if it is taken, beside it, as `NAME-2`; a trial may stay where it is.
     pub(super) fn add(
         &mut self,
         from: &Path,
