@@ -191,8 +191,7 @@ impl Grid {
         }
         let (median, unit) = (median as f64, unit as f64);
         let one = 1.5 * median + if unit <= 0.5 * median { unit } else { 0.0 };
-        let single: Vec<f64> =
-            steps().map(|step| step as f64).filter(|step| *step <= one).collect();
+        let single: Vec<_> = steps().map(|step| step as f64).filter(|step| *step <= one).collect();
         let first = single.iter().sum::<f64>() / single.len() as f64;
         let (mut total, mut rows, mut count) = (0.0, 0.0, 0.0);
         for step in steps().map(|step| step as f64).filter(|step| *step <= 6.5 * first) {
@@ -385,8 +384,7 @@ mod tests {
         values[55] = NAN;
         assert!(mended(&[], &values, Gaps::Error).unwrap_err().contains("after its row 50"));
         assert_eq!(lengths(&mended(&[], &values, Gaps::Cut).unwrap()), [50, 144]);
-        let scattered: Vec<f32> =
-            (0..200).map(|row| if row % 10 == 5 { NAN } else { 1.0 }).collect();
+        let scattered: Vec<_> = (0..200).map(|row| if row % 10 == 5 { NAN } else { 1.0 }).collect();
         assert!(mended(&[], &scattered, Gaps::Cut).unwrap_err().contains("misses 20 of"));
     }
 
