@@ -17,12 +17,13 @@ pub(crate) const FEWEST_PAIRS: usize = 5;
 
 /// Why a test of independence is not possible.
 #[derive(Debug, thiserror::Error, PartialEq)]
-#[allow(missing_docs)] // The messages are the documentation; all count from 1.
+#[allow(missing_docs)] // The messages are the documentation.
 pub enum HsicError {
     #[error("{x} samples on one side and {y} on the other; expected pairs")]
     Unpaired { x: usize, y: usize },
     #[error("{0} pairs of samples; expected at least {FEWEST_PAIRS}")]
     TooFew(usize),
+    /// Sides, channels and samples are counted from 1.
     #[error(
         "channel {channel} of side {side} is {value} at sample {sample}; expected finite numbers"
     )]

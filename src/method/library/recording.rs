@@ -245,11 +245,7 @@ impl<'a> RecordingOpening<'a> {
                 Err(error) => self.bad.push(error),
                 Ok(file) => {
                     if place.guessed {
-                        let is_usual = place.source.as_str() == USUAL;
-                        let what = if is_usual { "sound of a drag" } else { "the source" };
-                        let what = format!("read as {what} (`{}`)", place.source);
-                        let advice = "begin the file name with another source to change that";
-                        self.headers.note(&item.path, format!("{what}; {advice}"));
+                        self.headers.note(&item.path, guessed_remark(&place.source));
                     }
                     let key = TrialKey::new(surface, EXPERT, place.number);
                     let trial = || (item.path.clone(), BTreeMap::new());
@@ -426,6 +422,12 @@ fn loose_places(
         }
     }
     places
+}
+
+/// The remark on files that were read as `source`, since their names begin with no source's name.
+fn guessed_remark(source: &SourceId) -> String {
+    let what = if source.as_str() == USUAL { "sound of a drag" } else { "the source" };
+    format!("read as {what} (`{source}`); begin the file name with another source to change that")
 }
 
 /// The source that `name` begins with, if no letter or digit follows; of several, the longest.

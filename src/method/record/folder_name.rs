@@ -49,7 +49,7 @@ pub(super) fn is_usable(label: &str) -> bool {
     is_name && !means_something_else(label)
 }
 
-/// Whether a name is reserved: by the library's format, or for a device on Windows.
+/// Whether a name is reserved: by the library's format, or for a device on Windows, where a copy may go.
 fn means_something_else(label: &str) -> bool {
     let lower = label.to_ascii_lowercase();
     let stem = lower.split('.').next().unwrap_or_default();

@@ -161,8 +161,7 @@ impl<'a> PaperRun<'a> {
     fn score(&self, stream: SampledSource) -> Result<BTreeMap<usize, LogScores>, EvaluateError> {
         let mut scores = BTreeMap::new();
         let Some(scene) = stream.scene(&self.library.scene) else { return Ok(scores) };
-        let own: Vec<Entry> =
-            self.entries.iter().map(|entry| stream.entry(entry, &scene)).collect();
+        let own: Vec<_> = self.entries.iter().map(|entry| stream.entry(entry, &scene)).collect();
         let folds = self.wanted(stream, |at| !own[**at].sources.is_empty());
         let method = Reference::new(scene.clone(), self.options.clone());
         let run = Evaluation::new(&scene, &own, &folds).prepare(&method)?;

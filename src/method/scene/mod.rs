@@ -66,7 +66,7 @@ impl Borrow<str> for SourceId {
 pub enum Domain {
     /// Random bins of the amplitude spectrum between two frequencies in Hz, both included.
     Spectrum { band_hz: (f64, f64) },
-    /// Equidistant samples in time, of which `embedding` compares a band; `None` if not configured.
+    /// Equidistant samples in time. `embedding` compares a band of frequencies, in Hz, if there is one.
     Time { band_hz: Option<(f64, f64)> },
     /// Pixels.
     Image,

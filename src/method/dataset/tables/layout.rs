@@ -153,7 +153,7 @@ impl Layout {
             let found = cells.len();
             if found != width {
                 let is_both = self.delimiter == b',' && found == 2 * width;
-                let both = is_both.then(|| format!("; {BOTH_COMMAS}")).unwrap_or_default();
+                let both = if is_both { format!("; {BOTH_COMMAS}") } else { String::new() };
                 let found = counted(found, "column");
                 return Err(format!("has {found}; the table has {width}{both}"));
             }

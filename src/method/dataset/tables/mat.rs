@@ -168,10 +168,8 @@ impl MatFile {
 
     fn holding_trials(&self) -> Result<u64, String> {
         let all = self.variables()?;
-        let mut ranks = Vec::new();
-        for (matrix, at) in &all {
-            ranks.push((self.rank(matrix, *at)?, *at));
-        }
+        let ranked = |(matrix, at): &(Matrix, u64)| Ok((self.rank(matrix, *at)?, *at));
+        let ranks = all.iter().map(ranked).collect::<Result<Vec<_>, String>>()?;
         // Beside trials stand rates and labels, which are no more than a row of numbers.
         let best = ranks.iter().map(|(rank, _)| (*rank).min(2)).max().unwrap_or(0);
         let mut found = ranks.iter().filter(|(rank, _)| best > 0 && (*rank).min(2) == best);

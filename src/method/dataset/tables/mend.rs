@@ -505,8 +505,7 @@ mod tests {
         values[55] = NAN;
         assert!(mended(&[], &values, Gaps::Error).unwrap_err().contains("after its row 50"));
         assert_eq!(lengths(&mended(&[], &values, Gaps::Cut).unwrap()), [50, 144]);
-        let scattered: Vec<f32> =
-            (0..200).map(|row| if row % 10 == 5 { NAN } else { 1.0 }).collect();
+        let scattered: Vec<_> = (0..200).map(|row| if row % 10 == 5 { NAN } else { 1.0 }).collect();
         assert!(mended(&[], &scattered, Gaps::Cut).unwrap_err().contains("misses 20 of"));
     }
 

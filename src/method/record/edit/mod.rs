@@ -229,8 +229,7 @@ impl Editor {
         let mut step = last.step.clone();
         let all = self.entries()?;
         let is_there = |one: &&Move| identity(&self.root.join(&one.to)).is_some();
-        let (there, missing): (Vec<&Move>, Vec<&Move>) =
-            step.moves.iter().rev().partition(is_there);
+        let (there, missing): (Vec<_>, Vec<_>) = step.moves.iter().rev().partition(is_there);
         let leaving = there.iter().map(|one| self.root.join(&one.to)).collect();
         let mut plan = Plan::new(&self.root, &all, &leaving);
         there.iter().for_each(|one| plan.reverse(one));
