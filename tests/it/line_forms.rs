@@ -200,18 +200,30 @@ fn what_has_two_readings_is_an_error_that_shows_both() {
         &["1,2 3,4"],
         &["512,498 601,330"],
         &["1.234,56;2.000,10"],
+        // Marks of thousands, beside numbers that lack them.
+        &["1,982.19;-97", "1,982.19;5"],
+        &["F: 1,982.19 N"],
+        &["-97;999", "-50;1,000"],
+        &["6,411\t99,446"],
+        &["1.280,486"],
+        &["-97;999", "-50;1.000"],
+        &["x:999 y:5", "y:6 x:1.000"],
     ];
     for lines in both {
         let text = repeated(lines);
         let (_, refused) = frames(vec![Column::Place(1)], &text);
         let why = refused.unwrap_or_else(|| panic!("{lines:?}"));
         assert!(why.contains("decimal = \",\"") && why.contains(" | "), "{why}");
-        let told = survey(&text).problem();
-        assert!(told.as_ref().is_some_and(|told| told.contains("decimal")), "{lines:?} {told:?}");
+        let survey = survey(&text);
+        let told = survey.problem().unwrap_or_else(|| survey.remarks().join("; "));
+        assert!(told.contains("decimal = \",\""), "{lines:?} {told}");
     }
     let (_, refused) = frames(vec![Column::Place(1)], &repeated(&["0,12,9,81", "0,05,9,80"]));
     let why = refused.unwrap();
     assert!(why.contains("0 | 5 | 9 | 80") && why.contains("0.05 | 9.8"), "{why}");
+    let (_, refused) = frames(vec![Column::Place(1)], &repeated(&["1.280,486"]));
+    let why = refused.unwrap();
+    assert!(why.contains("1.28 | 486") && why.contains("commas 1280.486"), "{why}");
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! Finds the numbers in a line of text, and what stands around them: separators, names, units,
 //! words. Does no I/O. Once its buffers have grown, it allocates for decimal commas only.
 
+use super::commas::is_grouped;
+
 /// Most cells of a line; a line with more is refused.
 pub(super) const MOST_CELLS: usize = 512;
 
@@ -29,7 +31,15 @@ pub(super) struct Cell {
     pub label: [Piece; 2],
     /// Place after the name, counted from 0.
     pub place: u32,
+    /// What the digits show of thousands, of [`WHOLE`], [`GROUPED`] and [`FRACTION`].
+    pub digits: u8,
 }
+
+/// Digits that show whether points separate thousands: a whole number of three digits, a number
+/// such as `1.234`, and one whose point can only be a decimal point.
+pub(super) const WHOLE: u8 = 1;
+pub(super) const GROUPED: u8 = 2;
+pub(super) const FRACTION: u8 = 4;
 
 /// Base of the names of cells before the first name.
 pub(super) const LEAD: u64 = 1 << 63;
@@ -225,7 +235,7 @@ impl Cells {
         between.filled = true;
         let kind = if kind == Kind::Number && !value.is_finite() { Kind::Missing } else { kind };
         let value = if kind == Kind::Number { value } else { f64::NAN };
-        self.cells.push(Cell { value, kind, name, unit, label, place });
+        self.cells.push(Cell { value, kind, name, unit, label, place, digits: 0 });
     }
 
     /// Makes the words before a value its name.
@@ -322,6 +332,7 @@ impl Cells {
             return at + length;
         }
         let (value, mut length) = number_of(rest, comma);
+        let digits = digits_of(&rest[..length]);
         self.worded |=
             !value.is_nan() && rest[..length].iter().any(|byte| matches!(byte, b'x' | b'X'));
         let tail = &rest[length..];
@@ -354,13 +365,16 @@ impl Cells {
         } else {
             self.push(f64::NAN, Kind::Missing, 0, between);
         }
+        if let Some(cell) = self.cells.last_mut() {
+            cell.digits = digits;
+        }
         at + length
     }
 
     fn stamp(&mut self, line: &[u8], next: usize, value: f64, between: &mut Between) -> usize {
         between.stamped = true;
         let (name, kind, label) = (LEAD, Kind::Number, [(0, 0); 2]);
-        self.cells.push(Cell { value, kind, name, unit: 0, label, place: 0 });
+        self.cells.push(Cell { value, kind, name, unit: 0, label, place: 0, digits: 0 });
         // Flags after a bar say how to draw the value; of these, `xy` gives it another meaning.
         if let Some(bar) = line.iter().position(|byte| *byte == b'|') {
             self.odd |= line[bar..].windows(2).any(|two| two == b"xy");
@@ -410,7 +424,18 @@ fn is_stuck_unit(text: &[u8]) -> bool {
     begins && text.len() <= LONGEST && name.iter().all(letter) && rest.iter().all(fits)
 }
 
-/// The number that `text` begins with, and its length. NaN stands for `0x` without digits.
+fn digits_of(number: &[u8]) -> u8 {
+    let unsigned = number.strip_prefix(b"-").or(number.strip_prefix(b"+")).unwrap_or(number);
+    match unsigned.contains(&b'.') {
+        true if is_grouped(unsigned, b'.', b',') => GROUPED,
+        true => FRACTION,
+        false if unsigned.len() == 3 => WHOLE,
+        false => 0,
+    }
+}
+
+/// The number that `text` begins with, and its length. Thousands may have apostrophes, and with
+/// decimal commas points. NaN stands for `0x` without digits.
 fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize) {
     let signed = usize::from(matches!(text[0], b'+' | b'-'));
     let negative = text[0] == b'-';
@@ -425,10 +450,20 @@ fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize) {
     }
     let digits = |from: usize| text[from..].iter().take_while(|byte| byte.is_ascii_digit()).count();
     let mut at = signed + digits(signed);
-    let comma = match text.get(at) {
-        Some(b',') if decimal_comma && digits(at + 1) > 0 => Some(at),
-        _ => None,
+    // The end of the integer part, if `mark` separates thousands.
+    let grouped = |mark: u8| {
+        let groups = text[at..].chunks(4).take_while(|group| {
+            group.len() == 4 && group[0] == mark && group[1..].iter().all(u8::is_ascii_digit)
+        });
+        let end = at + 4 * groups.count();
+        let fits = at - signed <= 3 && text[signed] != b'0' && digits(end) == 0;
+        (fits && end > at).then_some(end)
     };
+    let is_comma = |at: usize| decimal_comma && text.get(at) == Some(&b',') && digits(at + 1) > 0;
+    let points = if decimal_comma { grouped(b'.').filter(|end| is_comma(*end)) } else { None };
+    let marks = points.or(grouped(b'\''));
+    at = marks.unwrap_or(at);
+    let comma = is_comma(at).then_some(at);
     if comma.is_some() || text.get(at) == Some(&b'.') {
         at += 1 + digits(at + 1);
     }
@@ -439,12 +474,15 @@ fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize) {
     }
     let parsed =
         |number: &[u8]| std::str::from_utf8(number).ok().and_then(|text| text.parse().ok());
-    let value = match comma {
+    let value = match comma.or(marks) {
         None => parsed(&text[..at]),
         // The longest line bounds the copy.
-        Some(comma) => {
-            let mut copy = text[..at].to_vec();
-            copy[comma] = b'.';
+        Some(end) => {
+            let is_mark = |byte: &u8| matches!(byte, b'.' | b'\'');
+            let mut copy = text[..end].to_vec();
+            copy.retain(|byte| !is_mark(byte));
+            copy.extend_from_slice(&text[end..at]);
+            copy.iter_mut().filter(|byte| **byte == b',').for_each(|byte| *byte = b'.');
             parsed(&copy)
         }
     };

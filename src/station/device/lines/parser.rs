@@ -200,8 +200,10 @@ impl Reader {
         if half {
             return;
         }
-        if decimal.is_none() {
-            self.tell_readings(text);
+        let points = self.commas.given.is_none()
+            && self.form.as_mut().is_some_and(|form| form.may_have_thousands(&self.cells));
+        if decimal.is_none() || points {
+            self.tell_readings(text, if points { b'.' } else { b',' });
             return on(line, Line::Unclear(&self.unclear));
         }
         if let Some(form) = &mut self.form
@@ -297,16 +299,29 @@ impl Reader {
         }
     }
 
-    fn tell_readings(&mut self, line: &[u8]) {
-        let mut reading = |decimal| {
+    /// `mark` may separate thousands in the line.
+    fn tell_readings(&mut self, line: &[u8], mark: u8) {
+        let mut reading = |line: &[u8], decimal| {
             self.cells.read(line, decimal);
             let numbers = self.cells.cells.iter().map(|cell| cell.value.to_string());
             numbers.collect::<Vec<_>>().join(" | ")
         };
-        let (decimal, separate) = (reading(true), reading(false));
+        let group = |at: usize| {
+            let digits = line[at + 1..].iter().take_while(|byte| byte.is_ascii_digit()).count();
+            line[at] == mark && digits == 3 && at > 0 && line[at - 1].is_ascii_digit()
+        };
+        let kept = (0..line.len()).filter(|at| !group(*at)).map(|at| line[at]);
+        let whole = reading(&kept.collect::<Vec<_>>(), false);
+        let mut readings = reading(line, false);
+        let others = [("decimal commas", reading(line, true)), ("marks of thousands", whole)];
+        for (with, other) in others {
+            if !readings.contains(&other) && !other.contains("NaN") {
+                readings += &format!(", or with {with} {other}");
+            }
+        }
         self.unclear = format!(
-            "`{}` can be the numbers {separate}, or with decimal commas {decimal}; print decimals \
-             with a point, or give decimal = \",\" or decimal = \".\" in its [[lines]] of the \
+            "`{}` can be the numbers {readings}; print decimals with a point and no marks of \
+             thousands, or give decimal = \",\" or decimal = \".\" in its [[lines]] of the \
              configuration",
             String::from_utf8_lossy(line)
         );
