@@ -79,6 +79,22 @@ const FORMS: &[(&str, Print)] = &[
     ("trailing comma", |_, [x, y, z]| format!("{x}, {y}, {z},")),
     ("bars", |_, [x, y, z]| format!("| {x} | {y} | {z} |")),
     ("plus signs", |_, [x, y, z]| format!("{:+.2};{:+.2};{:+.2}", f(&x), f(&y), f(&z))),
+    ("signs apart", |_, all| all.map(|x| x.replace('-', "-   ")).join(",")),
+    ("a balance", |_, all| {
+        let sign = |x: String| match x.strip_prefix('-') {
+            Some(x) => format!("-{x:>9}"),
+            None => format!("+{x:>9}"),
+        };
+        let [x, y, z] = all.map(sign);
+        format!("N     {x} g,ST,GS,{y}kg,{z}")
+    }),
+    ("signs after names", |_, all| {
+        let [x, y, z] = all.map(|x| x.replace('-', "- "));
+        format!("X = {x} Y = {y} Z = {z}")
+    }),
+    ("log with dashes", |i, [x, y, z]| {
+        format!("2024-03-01 10:00:{:02} - root - INFO - {x} {y} {z}", i / 100)
+    }),
     ("exponents", |_, [x, y, z]| format!("{:+.3e} {:.3E} {:e}", f(&x), f(&y), f(&z))),
     ("decimal commas", |_, [x, y, z]| comma(&format!("{x};{y};{z}"))),
     ("decimal commas and tabs", |_, [x, y, z]| comma(&format!("{x}\t{y}\t{z}"))),
@@ -228,9 +244,10 @@ fn what_has_two_readings_is_an_error_that_shows_both() {
 
 #[test]
 fn a_cell_that_is_damaged_is_missing_and_never_a_number() {
-    for cell in
-        ["nan", "NaN", "-nan", "inf", "-inf", "ovf", "null", "", "-", "1.2.3", "1-2", "0x", "1e999"]
-    {
+    for cell in [
+        "nan", "NaN", "-nan", "inf", "-inf", "ovf", "null", "", "-", " - ", "1.2.3", "1-2", "0x",
+        "1e999",
+    ] {
         let mut text = vec!["1.5,2.5,3.5".to_string(); 30];
         text.push(format!("1.5,{cell},3.5"));
         let (all, _) = frames(vec![Column::Place(2)], &text);

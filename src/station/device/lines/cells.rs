@@ -81,6 +81,10 @@ struct Between {
     /// Words before the last name of several words.
     prefix: Piece,
     last_bracket: u8,
+    /// Whether a minus sign stands before the number, apart from it.
+    negative: bool,
+    /// Whether the last value is a time.
+    timed: bool,
     /// Whether a value has had a timestamp.
     stamped: bool,
 }
@@ -164,6 +168,10 @@ impl Cells {
                 }
                 _ if begins_number(&line[at..]) => {
                     self.number(line, at, decimal_comma, &mut between)
+                }
+                b'+' | b'-' if is_sign(line, at, &between) => {
+                    between.negative = byte == b'-';
+                    at + 1
                 }
                 b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' | b'_' | 0x80.. => {
                     self.word(line, at, &mut between)
@@ -326,12 +334,16 @@ impl Cells {
     fn number(&mut self, line: &[u8], at: usize, comma: bool, between: &mut Between) -> usize {
         self.token(between);
         let rest = &line[at..];
+        let negative = std::mem::take(&mut between.negative);
+        between.timed = false;
         if let Some((value, length)) = time_of(rest) {
             self.name(line, between);
             self.push(value, Kind::Number, 0, between);
+            between.timed = true;
             return at + length;
         }
         let (value, mut length) = number_of(rest, comma);
+        let value = if negative { -value } else { value };
         let digits = digits_of(&rest[..length]);
         self.worded |=
             !value.is_nan() && rest[..length].iter().any(|byte| matches!(byte, b'x' | b'X'));
@@ -393,6 +405,20 @@ impl Cells {
                 || cell.kind == Kind::Missing && !lead(cell)
         });
     }
+}
+
+/// Whether the sign at `at` belongs to a number that follows after blanks, as balances print it.
+/// The dashes between the parts of a log's line are none.
+fn is_sign(line: &[u8], at: usize, between: &Between) -> bool {
+    let blanks = line[at + 1..].iter().take_while(|byte| **byte == b' ').count();
+    let rest = &line[at + 1 + blanks..];
+    let number = begins_number(rest) && !matches!(rest[0], b'+' | b'-');
+    let parts = |four: &[u8]| four.starts_with(b" - ") && four[3].is_ascii_alphabetic();
+    let word = between.words.map_or(0, |(_, end)| end - between.last_word);
+    let alone = blanks == 1 && word > 2 && !between.hard && line[..at].ends_with(b" ");
+    let log = line[at] == b'-'
+        && (between.timed || alone && !line[..at].ends_with(b"  ") || line.windows(4).any(parts));
+    number && blanks > 0 && !log
 }
 
 fn begins_number(text: &[u8]) -> bool {
