@@ -270,6 +270,13 @@ fn a_line_of_another_form_is_no_row() {
         ("$ACC,1,2", "$GYR,1,2"),
         ("x:1 y:2", "x:1"),
         ("x:1 y:2", "x:1 y:2mm"),
+        ("U: 290 mV", "U: 0.78 V"),
+        ("U: 290 mN, V: 1", "U: 0.78 kN, V: 1"),
+        // Lost line ends, and a damaged row.
+        ("-0.2888,700", "-0.2888,700-0.2882,701"),
+        ("0.1,702", "0.1,7020.1,703"),
+        ("0.12,9.81", "0.12,9.8q1.3,9.82"),
+        ("0.12,9.81", "q.12,9.81,9.82"),
     ];
     for (usual, other) in others {
         let mut text = vec![usual.to_string(); 30];

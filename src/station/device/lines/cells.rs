@@ -118,15 +118,17 @@ fn is_missing(word: &[u8]) -> bool {
     WORDS.split(' ').any(|missing| word.eq_ignore_ascii_case(missing.as_bytes()))
 }
 
-/// Units that may stand after a number and a blank, where they would read as the next name.
+/// Units that may stand after a number and a blank, where they would read as the next name; also
+/// with a letter for thousands, millions and the like.
 fn is_unit(word: &[u8]) -> bool {
-    const UNITS: [&str; 44] = [
+    const UNITS: [&str; 47] = [
         "g", "mg", "m/s", "m/s2", "m/s^2", "m/s²", "m/s/s", "dps", "deg", "deg/s", "°", "°/s",
         "rad", "rad/s", "uT", "µT", "μT", "nT", "T", "gauss", "V", "mV", "A", "mA", "C", "°C",
         "degC", "K", "F", "°F", "Pa", "hPa", "kPa", "bar", "mbar", "%", "N", "mN", "kg", "cm",
-        "mm", "m", "Hz", "LSB",
+        "mm", "m", "Hz", "LSB", "Ohm", "Ω", "W",
     ];
-    UNITS.iter().any(|unit| word == unit.as_bytes())
+    let is = |word: &[u8]| UNITS.iter().any(|unit| word == unit.as_bytes());
+    is(word) || matches!(word, [b'k' | b'M' | b'G' | b'm' | b'u' | b'n', rest @ ..] if is(rest))
 }
 
 impl Cells {
@@ -301,6 +303,15 @@ impl Cells {
             return self.push(f64::NAN, Kind::Missing, 0, between);
         }
         self.worded = true;
+        if between.name != 0
+            && between.filled
+            && between.words.is_none()
+            && !names
+            && is_unit(&line[begin..end])
+            && let Some(last) = self.cells.last_mut().filter(|last| last.kind == Kind::Number)
+        {
+            last.unit = mix(SEED, &line[begin..end]);
+        }
         if !names && between.hard {
             // A value that is a word, as in `state: idle`.
             (between.words, between.hard) = (None, false);
@@ -369,7 +380,8 @@ impl Cells {
             return at + length;
         }
         self.name(line, between);
-        self.worded |= !stuck.is_empty();
+        // What is stuck to a damaged number is no word of a log.
+        self.worded |= is_stuck_unit(stuck);
         if stuck.is_empty() {
             self.push(value, Kind::Number, 0, between);
         } else if is_stuck_unit(stuck) {

@@ -236,9 +236,13 @@ impl Reader {
     /// Takes a line of numbers that does not fit.
     fn no_row(&mut self, line: &[u8], on: &mut impl FnMut(&[u8], Line<'_>)) {
         if let Some(form) = &self.form {
-            // Words in a line show a log, unless the rows hold words, too.
-            let log =
-                self.cells.worded && (form.named || !form.worded) && !form.resembles(&self.cells);
+            // Words in a line show a log, unless the rows hold words, too, or the line is mostly
+            // numbers, as a damaged row is.
+            let count = |is: fn(&u8) -> bool| line.iter().filter(|byte| is(byte)).count();
+            let log = self.cells.worded
+                && (form.named || !form.worded)
+                && 3 * count(u8::is_ascii_alphabetic) >= count(u8::is_ascii_digit)
+                && !form.resembles(&self.cells);
             return on(line, if log { Line::Words } else { Line::Other });
         }
         self.held.extend_from_slice(line);
