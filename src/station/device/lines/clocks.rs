@@ -22,7 +22,7 @@ pub(super) struct Steps {
     pub numbers: u64,
     /// Number of steps of exactly 1, of 0, and below 0.
     ones: u64,
-    zeros: u64,
+    pub zeros: u64,
     pub down: u64,
     /// Sum of the steps that go up.
     sum: f64,

@@ -11,8 +11,11 @@ pub const SURVEY_S: f64 = 3.0;
 const SETTLE_S: f64 = 0.3;
 /// Most bytes of a survey, so that memory is bounded.
 const MOST_BYTES: u64 = 64 << 20;
-/// Lowest and highest rate of a sensor, in Hz; faster lines come from a file.
-const RATES_HZ: (f64, f64) = (1.0, 200_000.0);
+/// Lowest and highest rate of a sensor, in Hz; faster lines come from a file. The lowest is 1 Hz, as
+/// it is measured.
+const RATES_HZ: (f64, f64) = (0.98, 200_000.0);
+/// Usual rates in Hz that are no whole numbers.
+const FRACTIONS_HZ: [f64; 6] = [1.5625, 3.125, 6.25, 12.5, 31.25, 62.5];
 /// Largest share of full scale that the last printed digit may stand for (a few 16-bit steps).
 const STEP: f64 = 1e-4;
 /// Least ratio of full scale to the highest number seen, since sensors are mostly at rest.
@@ -235,7 +238,10 @@ impl Survey {
 
     /// The first column that counts in the unit `kind`; columns are counted from 0.
     fn counter(&self, kind: &str) -> Option<usize> {
-        self.columns().iter().position(|column| column.counts == Some(kind))
+        // A time that repeats, as of samples that are read in batches, tells no single rows.
+        let tells = |steps: &Steps| kind != MICROS || steps.zeros * 10 < steps.numbers;
+        let counts = |column: &ColumnSurvey| column.counts == Some(kind) && tells(&column.steps);
+        self.columns().iter().position(counts)
     }
 
     /// A column by its name, if each line names it, or else by its place.
@@ -335,11 +341,15 @@ fn power_of_ten(exponent: i32) -> f64 {
     format!("1e{exponent}").parse().unwrap_or(1.0)
 }
 
-/// Rounds a rate to two digits if the error is at most 0.5 %, otherwise to three; no decimals.
+/// Rounds a rate to a usual fraction or to two digits if the error is at most 0.5 %, otherwise to
+/// three; from 50 Hz on, without decimals.
 fn round_rate(rate_hz: f64) -> f64 {
-    let coarse = rounded(rate_hz, 2);
-    let near = (coarse - rate_hz).abs() <= 5e-3 * rate_hz;
-    (if near { coarse } else { rounded(rate_hz, 3) }).round().max(1.0)
+    let near = |hz: &f64| (hz - rate_hz).abs() <= 5e-3 * rate_hz;
+    if let Some(fraction) = FRACTIONS_HZ.into_iter().find(near) {
+        return fraction;
+    }
+    let found = Some(rounded(rate_hz, 2)).filter(near).unwrap_or(rounded(rate_hz, 3));
+    (if rate_hz < 50.0 { found } else { found.round() }).max(1.0)
 }
 
 impl ColumnSurvey {
@@ -362,10 +372,10 @@ impl ColumnSurvey {
 mod tests {
     use super::*;
 
-    /// A survey of four seconds of lines that arrive in bursts, 16 ms apart.
+    /// A survey of four seconds of lines, or of 25, that arrive in bursts, 16 ms apart.
     fn survey(rate_hz: f64, line: impl Fn(u64) -> String) -> Survey {
         let (mut survey, mut sent) = (Survey::new(true, None), 0);
-        for burst in 1..250 {
+        for burst in 1..250.max((25.0 / rate_hz / 0.016) as i32) {
             let due = (f64::from(burst) * 0.016 * rate_hz) as u64;
             let text: String = (sent..due).map(&line).collect();
             survey.feed(text.as_bytes(), f64::from(burst) * 0.016);
@@ -381,7 +391,9 @@ mod tests {
 
     #[test]
     fn a_rate_is_found_to_the_digit_in_bursts_of_16_ms() {
-        for rate_hz in [400.0, 119.0, 860.0, 3_200.0, 10_000.0, 80.0, 104.0] {
+        let fractions = [6.25, 12.5, 5.3, 3.3, 1.5625, 1.0, 3.125, 26.7];
+        let whole = [400.0, 119.0, 860.0, 3_200.0, 10_000.0, 80.0, 104.0];
+        for rate_hz in whole.into_iter().chain(fractions) {
             let survey = survey(rate_hz, |i| format!("{:.2},0.5\n", wave(i)));
             assert_eq!(survey.rate_hz(), Ok(rate_hz));
         }
@@ -398,6 +410,14 @@ mod tests {
         assert_eq!(survey.measuring(), [Column::Place(4)]);
         assert_eq!(survey.count(), Some(Count::Rows(Column::Place(1))));
         assert_eq!(survey.rate_hz(), Ok(400.0));
+    }
+
+    #[test]
+    fn a_time_that_repeats_in_batches_tells_no_single_rows() {
+        let line = |i: u64| format!("{},{:.2}\n", i / 10 * 25_000 + 123, wave(i));
+        let survey = survey(400.0, line);
+        assert_eq!((survey.rate_hz(), survey.count()), (Ok(400.0), None));
+        assert_eq!(survey.measuring(), [Column::Place(2)]);
     }
 
     #[test]
