@@ -95,6 +95,18 @@ const FORMS: &[(&str, Print)] = &[
     ("log with dashes", |i, [x, y, z]| {
         format!("2024-03-01 10:00:{:02} - root - INFO - {x} {y} {z}", i / 100)
     }),
+    ("rules between rows", |i, [x, y, z]| {
+        format!("{}\n{x},{y},{z}", ["=====", "-----", "--", "},", "}", "]", "|"][i % 7])
+    }),
+    ("object in lines", |_, [x, y, z]| {
+        format!("{{\n  \"x\": {x},\n  \"y\": {y},\n  \"z\": {z}\n}},")
+    }),
+    ("Zephyr", |i, [x, y, z]| {
+        format!("[00:00:{:02}.{:03},037] <inf> imu: {x} {y} {z}", i / 100, 10 * (i % 100))
+    }),
+    ("log with semicolons", |i, [x, y, z]| {
+        format!("2024-03-01 10:00:{:02},{:03};{x};{y};{z}", i / 100, 10 * (i % 100))
+    }),
     ("exponents", |_, [x, y, z]| format!("{:+.3e} {:.3E} {:e}", f(&x), f(&y), f(&z))),
     ("decimal commas", |_, [x, y, z]| comma(&format!("{x};{y};{z}"))),
     ("decimal commas and tabs", |_, [x, y, z]| comma(&format!("{x}\t{y}\t{z}"))),
@@ -329,14 +341,39 @@ fn clocks_and_constant_columns_are_no_channels_and_that_is_said() {
     let places = [17, 18, 19, 29, 30, 31].map(Column::Place);
     assert_eq!(survey.measuring(), places);
     let said = survey.remarks();
-    assert_eq!(said.len(), 2, "{said:?}");
+    assert_eq!(said.len(), 3, "{said:?}");
     assert!(
-        said[0].contains("columns 1, 2;") && said[1].contains("left out: columns 4, 5, 6"),
+        said[0].contains("columns 1, 2;")
+            && said[1].contains("hold no numbers, so they are left out: columns 3")
+            && said[2].contains("left out: columns 4, 5, 6"),
         "{said:?}"
     );
     // Seconds since 1970 set no channel's scale.
     let all = [1, 29, 30, 31].map(Column::Place);
     assert_eq!(survey.scale(&all), survey.scale(&places[3..]));
+}
+
+#[test]
+fn where_no_form_lasts_the_lines_are_shown() {
+    let forms = [[&"ACC,{},1"[..], "GYR,{},2"], ["ax 0.{}", "ay 0.2{}"]];
+    for lines in forms {
+        let line = |i: usize| lines[i % 2].replace("{}", &(10 + i % 7).to_string());
+        let text: Vec<String> = (0..60).map(line).collect();
+        let said = survey(&text).problem().unwrap_or_default();
+        assert!(said.contains(&text[0]) && said.contains(&text[1]), "{lines:?}: {said}");
+    }
+    let said = survey(&vec!["78:48:33".into(); 60]).problem().unwrap_or_default();
+    assert!(said.contains("`78:48:33`"), "no time: {said}");
+}
+
+#[test]
+fn columns_with_few_numbers_are_said() {
+    let cell = |i: usize| if i % 2 == 0 { "nan".into() } else { format!("{:.2}", numbers(i)[1]) };
+    let text: Vec<String> =
+        (0..ROWS).map(|i| format!("{:.2},{},nan", numbers(i)[0], cell(i))).collect();
+    let said = survey(&text).remarks().join("; ");
+    assert!(said.contains("up to 50 % of the rows") && said.ends_with("columns 2"), "{said}");
+    assert!(said.contains("hold no numbers, so they are left out: columns 3"), "{said}");
 }
 
 #[test]

@@ -96,7 +96,8 @@ pub(super) fn mix(hash: u64, bytes: &[u8]) -> u64 {
 const SEED: u64 = 0xcbf2_9ce4_8422_2325;
 
 fn is_blank(byte: u8) -> bool {
-    matches!(byte, b' ' | b'\t' | 0x0b | 0x0c)
+    // As in `x=1&y=2`, as forms on web pages are sent.
+    matches!(byte, b' ' | b'\t' | 0x0b | 0x0c | b'&')
 }
 
 fn is_bracket(byte: u8) -> bool {
@@ -369,7 +370,9 @@ impl Cells {
         let next = rest.get(length + blanks).copied();
         if matches!(next, Some(b':' | b'=')) && begins_value(&rest[length + blanks + 1..]) {
             if between.words.is_some() && between.hard && stuck.is_empty() && blanks == 0 {
-                // `name:timestamp:value`: the timestamp has a column of its own.
+                // `name:timestamp:value`: the timestamp has a column of its own. Three numbers are
+                // neither that nor, out of range, a time of day.
+                self.odd |= line[between.last_word].is_ascii_digit();
                 return self.stamp(line, at + length + 1, value, between);
             }
             // A name that begins with a digit, as in `0:512`; or another value of `name:t:x;t:x`.
@@ -552,20 +555,38 @@ fn time_of(text: &[u8]) -> Option<(f64, usize)> {
         return None;
     }
     let clock = (digits(at, at + 2), is(at + 2, b':'), digits(at + 3, at + 5));
-    let (Some(hours), true, Some(minutes)) = clock else { return days.map(|s| (s, at - 1)) };
+    let (Some(hours @ 0.0..24.0), true, Some(minutes @ 0.0..60.0)) = clock else {
+        return days.map(|s| (s, at - 1));
+    };
     let mut seconds = days.unwrap_or(0.0) + hours * 3600.0 + minutes * 60.0;
     at += 5;
     if let Some(whole) = digits(at + 1, at + 3).filter(|_| is(at, b':')) {
+        // A leap second is the 61st.
+        if whole > 60.0 {
+            return None;
+        }
         seconds += whole;
         at += 3;
         let length = text.get(at + 1..).unwrap_or_default();
         let length = length.iter().take_while(|byte| byte.is_ascii_digit()).count();
         // `12:34:56,789 ` has milliseconds, and `12:34:56,789,5` another column.
-        let comma = is(at, b',') && length == 3 && (is(at + 4, b' ') || is(at + 4, b'Z'));
+        let ends =
+            matches!(text.get(at + 4), Some(b' ' | b'\t' | b'Z' | b';' | b'|' | b']' | b'"'));
+        let comma = is(at, b',') && length == 3 && ends;
         if is(at, b'.') || comma {
             let fraction = digits(at + 1, at + 1 + length.min(12))?;
             seconds += fraction / 10_u64.pow(length.min(12) as u32) as f64;
             at += usize::from(length > 0) + length;
+            // Zephyr's `[00:00:00.020,037]` has microseconds after its milliseconds.
+            if let Some(micros) = digits(at + 1, at + 4)
+                && !comma
+                && length == 3
+                && is(at, b',')
+                && is(at + 4, b']')
+            {
+                seconds += micros * 1e-6;
+                at += 4;
+            }
         }
     }
     if is(at, b'Z') {

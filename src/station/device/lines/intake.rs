@@ -522,7 +522,7 @@ impl LinesIntake {
     /// The reason why lines come, but no rows; `None` if the lines are not to blame.
     pub(super) fn why_silent(&self) -> Option<String> {
         let dead = |column| format!("{} holds no numbers; check its sensor", self.called(column));
-        self.refused.clone().or_else(|| self.dead.map(dead))
+        self.refused.clone().or_else(|| self.dead.map(dead)).or_else(|| self.parser.no_form())
     }
 
     /// A warning if two columns seem to have changed places since the last call.

@@ -8,6 +8,7 @@
 use super::cells::{Cells, Kind};
 use super::commas::Commas;
 use super::form::{Form, FormFinder};
+use super::intake::shown;
 
 /// Longest line in bytes; longer lines are dropped.
 pub(super) const LONGEST_LINE: usize = 4096;
@@ -66,6 +67,15 @@ struct Reader {
     unclear: String,
 }
 
+/// Says that `lines` have no form in common.
+pub(super) fn no_form(lines: &str) -> String {
+    let but = if lines.is_empty() { String::new() } else { format!(", but for example {lines}") };
+    format!(
+        "no lines of numbers in one form come{but}; print the same names or the same number of \
+         values in each line"
+    )
+}
+
 impl LineParser {
     /// A parser to which `decimal_comma` says whether commas are decimal; `None` to find out.
     pub(super) fn new(decimal_comma: Option<bool>) -> Self {
@@ -84,6 +94,13 @@ impl LineParser {
     /// Whether the lines themselves name the columns.
     pub(super) fn names_itself(&self) -> bool {
         self.reader.form.as_ref().is_some_and(|form| form.named)
+    }
+
+    /// The reason why lines of numbers wait for their form, if they do: they have none in common.
+    pub(super) fn no_form(&self) -> Option<String> {
+        let lines = self.reader.held.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+        let lines: Vec<String> = lines.take(2).map(|line| format!("`{}`", shown(line))).collect();
+        (!lines.is_empty()).then(|| no_form(&lines.join(" and ")))
     }
 
     /// Whether decimal commas were found.
@@ -192,6 +209,13 @@ impl Reader {
         }
         let decimal = self.commas.are_decimal(text);
         self.cells.read(text, decimal.unwrap_or(false));
+        if !text.iter().any(|byte| byte.is_ascii_alphanumeric() || *byte >= 0x80) {
+            // A rule, a bracket or the like, unless it is a row without any value.
+            if let Some(form) = self.form.as_mut().filter(|_| !half) {
+                form.take(&self.cells, |row| on(line, Line::Row(row)));
+            }
+            return;
+        }
         let is_row = self.cells.cells.iter().any(|cell| cell.kind == Kind::Number)
             || self.cells.cells.iter().any(|cell| cell.kind == Kind::Missing) && !self.has_name();
         if !is_row || self.cells.odd {

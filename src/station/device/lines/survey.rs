@@ -3,7 +3,7 @@
 
 use super::clocks::{FEWEST, MICROS, ROWS, Steps};
 use super::intake::{Column, Count, LinesStream, rounded, shown};
-use super::parser::{Line, LineParser};
+use super::parser::{Line, LineParser, no_form};
 use crate::scene::SourceId;
 
 pub const SURVEY_S: f64 = 3.0;
@@ -167,13 +167,9 @@ impl Survey {
             return Some(why.clone());
         }
         let line = self.misfit.as_ref().or(self.first_lines.first());
-        let line = line.map(|line| format!(", but for example `{line}`")).unwrap_or_default();
-        (!self.has_rows()).then(|| {
-            format!(
-                "no lines of numbers in one form come{line}; print the same names or the same \
-                 number of values in each line"
-            )
-        })
+        let line = line.map(|line| format!("`{line}`")).unwrap_or_default();
+        let why = || self.parser.no_form().unwrap_or_else(|| no_form(&line));
+        (!self.has_rows()).then(why)
     }
 
     /// Findings that a user should know: one line for each subject.
@@ -204,6 +200,20 @@ impl Survey {
             remarks.push(format!(
                 "only count or tell the time, so they are no channels: columns {clocks}; name them \
                  in [lines.sources] to change that"
+            ));
+        }
+        let empty = list(&|column| column.lowest.is_none());
+        if !empty.is_empty() {
+            remarks.push(format!("hold no numbers, so they are left out: columns {empty}"));
+        }
+        let share = |column: &ColumnSurvey| column.steps.numbers as f64 / self.rows.max(1) as f64;
+        let patchy = list(&|column| column.lowest.is_some() && share(column) < FITTING);
+        if !patchy.is_empty() {
+            let least = columns.iter().map(share).filter(|share| *share > 0.0).fold(1.0, f64::min);
+            remarks.push(format!(
+                "numbers are missing in up to {:.0} % of the rows, which cannot be used where these \
+                 columns are wanted: columns {patchy}",
+                100.0 * (1.0 - least)
             ));
         }
         let constant = list(&|column| column.constant);
