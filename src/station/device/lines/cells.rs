@@ -121,7 +121,7 @@ fn is_missing(word: &[u8]) -> bool {
 
 /// Units that may stand after a number and a blank, where they would read as the next name; also
 /// with a letter for thousands, millions and the like.
-fn is_unit(word: &[u8]) -> bool {
+pub(super) fn is_unit(word: &[u8]) -> bool {
     const UNITS: [&str; 47] = [
         "g", "mg", "m/s", "m/s2", "m/s^2", "m/s²", "m/s/s", "dps", "deg", "deg/s", "°", "°/s",
         "rad", "rad/s", "uT", "µT", "μT", "nT", "T", "gauss", "V", "mV", "A", "mA", "C", "°C",

@@ -5,7 +5,7 @@
 //! of another form is no row, and its numbers count for nothing; only when many such lines follow
 //! each other, they become the form.
 
-use super::cells::{Cells, Kind};
+use super::cells::{Cells, Kind, is_unit};
 use super::commas::Commas;
 use super::form::{Form, FormFinder};
 use super::intake::shown;
@@ -281,22 +281,29 @@ impl Reader {
     /// Takes a line without numbers.
     fn words(&mut self, line: &[u8], half: bool, on: &mut impl FnMut(&[u8], Line<'_>)) {
         let (hard, names) = header_of(line);
-        let renames = match &self.form {
-            Some(form) if form.named => false,
+        // A row of units below a header names no columns.
+        let units = names.iter().all(|name| is_unit(name.as_bytes()))
+            && self.headers.iter().any(|(_, other)| other.len() == names.len());
+        let (renames, may_name) = match &self.form {
+            _ if units || names.is_empty() => (false, false),
+            Some(form) if form.named => (false, false),
             Some(form) => {
                 // A log's words that happen to be as many as the columns are no names.
                 let known =
                     self.told.is_empty() || names.iter().any(|name| self.told.contains(name));
-                form.width() == names.len() && form.hard == hard && (hard || known)
+                (form.width() == names.len() && form.hard == hard && (hard || known), hard || known)
             }
-            None => !names.is_empty(),
+            None => (true, true),
         };
-        if renames {
+        // A header with other columns may stand before rows of another form.
+        if may_name {
             self.headers.retain(|(_, other)| *other != names);
             self.headers.push((hard, names.clone()));
             if self.headers.len() > MOST_HEADERS {
                 self.headers.remove(0);
             }
+        }
+        if renames {
             self.told = names;
             return on(line, Line::Header(&self.told));
         }
@@ -358,7 +365,7 @@ impl Reader {
 
 /// The names in a line of words, and whether commas, semicolons or bars separate them; no names if
 /// a word cannot be one.
-fn header_of(line: &[u8]) -> (bool, Vec<String>) {
+pub(super) fn header_of(line: &[u8]) -> (bool, Vec<String>) {
     let text = line.strip_prefix(b"//").unwrap_or(line);
     let text = text.strip_prefix(b"#").or(text.strip_prefix(b"%")).unwrap_or(text).trim_ascii();
     let is_hard = |byte: &u8| matches!(byte, b',' | b';' | b'|');

@@ -54,6 +54,32 @@ fn columns_become_channels_by_place_and_by_name() {
 }
 
 #[test]
+fn a_header_moves_names_and_never_places_in_silence() {
+    let wanted = |stream| LinesIntake::new(vec![stream], None, 1000.0);
+    let (mut by_place, mut by_name) = (wanted(stream("x", &[1])), wanted(named("x", &["v"])));
+    let (mut places, mut names) = (vec![Vec::new()], vec![Vec::new()]);
+    // Neither units below the header nor words between the rows are names.
+    for text in ["v,n\n", "g,mV\n", "1,2\n", "Error,retry\n", "3,4\n"] {
+        take(&mut by_place, text.as_bytes(), 0.0, &mut places);
+        take(&mut by_name, text.as_bytes(), 0.0, &mut names);
+    }
+    assert_eq!((&names[0][..], by_name.refused.as_ref()), (&[0.5, 1.5][..], None));
+    let text = b"v,n\n1,2\nn,v\n5,6\n";
+    take(&mut by_place, text, 0.0, &mut places);
+    take(&mut by_name, text, 0.0, &mut names);
+    assert!(by_place.swapped().unwrap().contains("v was column 1 and is now column 2"));
+    assert_eq!((names[0].last(), by_name.swapped()), (Some(&3.0), None));
+    // A header with one more column names the rows that follow.
+    by_name.reopened(false);
+    let text = "t,n,v\n".to_string() + &"7,8,9\n".repeat(30);
+    take(&mut by_name, text.as_bytes(), 1.0, &mut names);
+    take(&mut by_name, b"", 20.0, &mut names);
+    assert_eq!((names[0].last(), by_name.refused.as_ref()), (Some(&4.5), None));
+    take(&mut by_name, b"v,n,v\n1,2,3\n", 20.0, &mut names);
+    assert!(by_name.refused.unwrap().contains("columns 1 and 3 are both called v"));
+}
+
+#[test]
 fn a_line_that_cannot_be_used_is_a_missing_frame_and_has_a_count() {
     let long = "9".repeat(5000) + "\n";
     let texts = ["1,1\n", "\u{1}\u{2}?\n", "2,2\n", "nan,2\n", &long, "3\n", "4,4\n"];
