@@ -367,6 +367,19 @@ fn where_no_form_lasts_the_lines_are_shown() {
 }
 
 #[test]
+fn quantities_that_share_names_in_turn_are_said() {
+    let object = |i: usize| format!("{{\"type\":\"{}\",\"x\":{i}}}", ["acc", "gyr"][i % 2]);
+    let below = |i: usize| format!("{}\nX: {i}\nY: {i}.5", ["Acceleration", "Gyroscope"][i % 2]);
+    let state = |i: usize| format!("{{\"state\":\"{}\",\"x\":{i}}}", ["a", "b"][i / 5 % 2]);
+    let said = |line: &dyn Fn(usize) -> String| {
+        survey(&(0..ROWS).map(line).collect::<Vec<_>>()).remarks().join("; ")
+    };
+    assert!(said(&object).contains("`acc` and with `gyr` come in turn"), "{}", said(&object));
+    assert!(said(&below).contains("`Acceleration` and with `Gyroscope`"), "{}", said(&below));
+    assert!(!said(&state).contains("in turn"), "{}", said(&state));
+}
+
+#[test]
 fn columns_with_few_numbers_are_said() {
     let cell = |i: usize| if i % 2 == 0 { "nan".into() } else { format!("{:.2}", numbers(i)[1]) };
     let text: Vec<String> =

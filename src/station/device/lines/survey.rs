@@ -22,6 +22,8 @@ const STEP: f64 = 1e-4;
 const ROOM: f64 = 3.0;
 /// Number of first lines that are kept as they came.
 const FIRST_LINES: usize = 5;
+/// Number of rows whose words are looked at.
+const KINDS: u64 = 1000;
 /// Least share of lines that fit, below which that is said.
 const FITTING: f64 = 0.9;
 
@@ -59,6 +61,12 @@ pub struct Survey {
     fit: Option<String>,
     misfit: Option<String>,
     unclear: Option<String>,
+    /// The last line of words alone.
+    heading: Vec<u8>,
+    /// The heading and the words of the last row whose lines name its columns, those of the one
+    /// before that had others, and the number of rows that had others than the row before.
+    kinds: [String; 2],
+    turns: u64,
     /// Sums of 1, t, rows, t² and t·rows over arrivals after [`SETTLE_S`], to fit a line to them.
     line: [f64; 5],
     last_s: f64,
@@ -85,6 +93,7 @@ impl Survey {
             match line {
                 Line::Row(row) => return self.row(row, text),
                 Line::Header(names) => return self.names = names.to_vec(),
+                Line::Words => self.heading = text.to_vec(),
                 Line::Unclear(why) => drop(self.unclear.get_or_insert_with(|| why.into())),
                 _ => {}
             }
@@ -116,6 +125,14 @@ impl Survey {
             self.columns = row.iter().map(|_| ColumnSurvey::default()).collect();
         }
         self.rows += 1;
+        if self.rows <= KINDS {
+            let kind = format!("{} {}", String::from_utf8_lossy(&self.heading), words_of(text));
+            if kind.trim() != self.kinds[0] {
+                self.turns += 1;
+                self.kinds.swap(0, 1);
+                self.kinds[0] = kind.trim().into();
+            }
+        }
         self.fit.get_or_insert_with(|| shown(text));
         for (column, &x) in self.columns.iter_mut().zip(row).filter(|(_, x)| x.is_finite()) {
             column.add(x);
@@ -200,6 +217,14 @@ impl Survey {
             remarks.push(format!(
                 "only count or tell the time, so they are no channels: columns {clocks}; name them \
                  in [lines.sources] to change that"
+            ));
+        }
+        let [one, other] = &self.kinds;
+        let names_itself = self.parser.names_itself() && self.rows >= FEWEST;
+        if names_itself && 10 * self.turns > 8 * self.rows.min(KINDS) {
+            remarks.push(format!(
+                "rows with `{other}` and with `{one}` come in turn and share their columns; if these \
+                 are different quantities, print them under different names"
             ));
         }
         let empty = list(&|column| column.lowest.is_none());
@@ -349,6 +374,17 @@ impl Survey {
 /// The f64 closest to a power of ten, such as 0.001 and not 0.0010000000000000002.
 fn power_of_ten(exponent: i32) -> f64 {
     format!("1e{exponent}").parse().unwrap_or(1.0)
+}
+
+/// The words of a line that are no names of values.
+fn words_of(line: &[u8]) -> String {
+    let line = String::from_utf8_lossy(line);
+    let words = line.split_inclusive(|c: char| !c.is_alphanumeric() && c != '_' && c != '"');
+    let is_word = |word: &&str| {
+        word.starts_with(|c: char| c.is_alphabetic() || c == '"') && !word.ends_with([':', '='])
+    };
+    let bare = |word: &str| word.trim_matches(|c: char| !c.is_alphanumeric()).to_string();
+    words.filter(is_word).map(bare).collect::<Vec<_>>().join(" ")
 }
 
 /// Rounds a rate to a usual fraction or to two digits if the error is at most 0.5 %, otherwise to
