@@ -383,8 +383,7 @@ impl Cells {
             return at + length;
         }
         self.name(line, between);
-        // What is stuck to a damaged number is no word of a log.
-        self.worded |= is_stuck_unit(stuck);
+        self.worded |= !stuck.is_empty();
         if stuck.is_empty() {
             self.push(value, Kind::Number, 0, between);
         } else if is_stuck_unit(stuck) {

@@ -70,7 +70,7 @@ impl Commas {
                 Some(false)
             }
             Look::Apart => {
-                self.apart = true;
+                (self.apart, self.both) = (true, false);
                 Some(false)
             }
             Look::Both | Look::Thousands if self.padded => Some(false),
