@@ -237,7 +237,9 @@ impl Work<'_> {
                 let half = (address.begins_half(), self.config.decimal_comma);
                 let stopped = |survey: &Survey| {
                     if !survey.is_empty() && !survey.has_rows() && begin.elapsed() >= STALLED * 4 {
-                        self.link.state(DeviceState::Stalled, address.no_numbers());
+                        let why = survey.problem().filter(|_| survey.is_text());
+                        let why = why.unwrap_or_else(|| address.no_numbers());
+                        self.link.state(DeviceState::Stalled, why);
                     }
                     self.link.stopped()
                 };

@@ -8,6 +8,7 @@ use std::sync::Mutex;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
+use socket2::{SockRef, TcpKeepalive};
 
 use crate::device::OpenError;
 use crate::device::serial::{Selector, WAIT};
@@ -16,6 +17,9 @@ use crate::device::system;
 /// Default rate of a microcontroller's serial port, in baud.
 const BAUD: u32 = 115_200;
 const CONNECT: Duration = Duration::from_secs(1);
+/// Silence of a TCP connection after which the other end is asked whether it is there, and the time
+/// between two such questions. After some ten without an answer, the connection is lost.
+const KEEPALIVE: [Duration; 2] = [Duration::from_secs(3), Duration::from_secs(1)];
 /// Length in bytes of the buffer for a datagram; no datagram is longer.
 const DATAGRAM: usize = 64 * 1024;
 
@@ -149,6 +153,10 @@ fn connect(host: &str) -> io::Result<TcpStream> {
         match TcpStream::connect_timeout(&address, CONNECT) {
             Ok(stream) => {
                 stream.set_read_timeout(Some(WAIT))?;
+                // A device that loses its power ends no connection.
+                let [time, interval] = KEEPALIVE;
+                let keepalive = TcpKeepalive::new().with_time(time).with_interval(interval);
+                SockRef::from(&stream).set_tcp_keepalive(&keepalive)?;
                 return Ok(stream);
             }
             Err(error) => last = error,
@@ -304,6 +312,13 @@ mod tests {
         assert!(dropped > 0);
         assert_eq!(text.len() as u64 / 4 + dropped, sent);
         assert_eq!(drops.fresh(), 0);
+    }
+
+    #[test]
+    fn a_connection_is_kept_alive() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let stream = connect(&listener.local_addr().unwrap().to_string()).unwrap();
+        assert!(SockRef::from(&stream).keepalive().unwrap());
     }
 
     #[test]
