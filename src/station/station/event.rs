@@ -102,8 +102,8 @@ pub struct Enrolled {
     pub probability: Option<f64>,
     /// Number of trials of `surface` that the library had then; `None` if it gave no answer.
     pub known: Option<usize>,
-    /// Number of trials that the order still lacks; 0 if it has ended, `u32::MAX` if it has no limit.
-    pub wanted: u32,
+    /// Number of trials that the order still lacks; 0 if it has ended, `None` if it has no limit.
+    pub wanted: Option<u32>,
 }
 
 /// The order for the next scan: surface and user of its trial, and the progress of the order.

@@ -319,7 +319,7 @@ pub(super) fn enrolled(
         nearest: None,
         probability: None,
         known: None,
-        wanted: 0,
+        wanted: Some(0),
     }
 }
 
