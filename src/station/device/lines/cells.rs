@@ -34,7 +34,6 @@ pub(super) struct Cell {
 /// Base of the names of cells before the first name.
 pub(super) const LEAD: u64 = 1 << 63;
 
-/// The cells of one line.
 #[derive(Debug, Default)]
 pub(super) struct Cells {
     pub cells: Vec<Cell>,
@@ -382,15 +381,8 @@ impl Cells {
 }
 
 fn begins_number(text: &[u8]) -> bool {
-    let text = match text.first() {
-        Some(b'+' | b'-') => &text[1..],
-        _ => text,
-    };
-    match text {
-        [b'.', digit, ..] => digit.is_ascii_digit(),
-        [digit, ..] => digit.is_ascii_digit(),
-        [] => false,
-    }
+    let text = text.strip_prefix(b"+").or(text.strip_prefix(b"-")).unwrap_or(text);
+    matches!(text, [b'0'..=b'9', ..] | [b'.', b'0'..=b'9', ..])
 }
 
 fn begins_value(text: &[u8]) -> bool {
@@ -425,10 +417,8 @@ fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize) {
     }
     let digits = |from: usize| text[from..].iter().take_while(|byte| byte.is_ascii_digit()).count();
     let mut at = signed + digits(signed);
-    let comma = match text.get(at) {
-        Some(b',') if decimal_comma && digits(at + 1) > 0 => Some(at),
-        _ => None,
-    };
+    let is_comma = decimal_comma && text.get(at) == Some(&b',') && digits(at + 1) > 0;
+    let comma = is_comma.then_some(at);
     if comma.is_some() || text.get(at) == Some(&b'.') {
         at += 1 + digits(at + 1);
     }
