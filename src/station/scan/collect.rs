@@ -102,7 +102,11 @@ impl Collector {
 
     fn drain(&mut self) -> bool {
         let longest_s = self.options.longest_scan_s + self.options.deliver_limit.as_secs_f64();
-        self.streams.iter_mut().fold(false, |any, stream| stream.drain(longest_s) || any)
+        let mut any = false;
+        for stream in &mut self.streams {
+            any |= stream.drain(longest_s);
+        }
+        any
     }
 
     fn on_report(&mut self, DeviceReport { device, kind }: DeviceReport) {
