@@ -262,9 +262,7 @@ mod tests {
             let model = Arc::new(oak::Oak(panics));
             let by = Arc::new(Recogniser::new(model, Scene::lmt108(), LibraryState::default()));
             for number in 1..=2 {
-                let (fresh, images) = (Vec::new(), Vec::new());
-                let (truth, scan_s, gap) = (None, 0.5, false);
-                let progress = Progress { number, truth, scan_s, fresh, images, gap };
+                let progress = Progress { number, scan_s: 0.5, ..Progress::default() };
                 for job in [Job::Progress(progress), Job::Scan(Box::new(scan(number)))] {
                     let work = Work { job, trial: None, by: Ok(by.clone()) };
                     worker.work.send(work).unwrap();
