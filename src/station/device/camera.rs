@@ -18,6 +18,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
 use self::compared_region::compared;
+use super::serial::Light;
 use super::{
     Device, DeviceError, DeviceLink, DeviceState, Disconnected, LONGEST_RETRY, OpenError,
     StreamSpec, WarningKind, keep_connected,
@@ -27,14 +28,11 @@ use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
 
 pub use compared_region::Turn;
-pub use viewfinder::{FlashState, Viewfinder};
+#[cfg(feature = "camera")]
+pub use v4l::{V4l, cameras};
+pub use viewfinder::{CameraView, FlashState, Viewfinder};
 
 pub(crate) use frame::Frame;
-#[cfg(feature = "camera")]
-#[doc(hidden)]
-pub use v4l::{V4l, cameras};
-#[doc(hidden)]
-pub use viewfinder::CameraView;
 
 /// The longest time that the device's thread waits for a message of the reader thread.
 const LOOK: Duration = Duration::from_millis(50);
@@ -122,7 +120,7 @@ impl Device for Camera {
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         link.state(DeviceState::Opening, "");
-        let cycle = Cycle::new(self.settle);
+        let cycle = Cycle { settle: self.settle, phase: FlashPhase::Off };
         let mut watch = CameraWatch {
             camera: self,
             sinks,
@@ -139,9 +137,9 @@ impl Device for Camera {
             let video = watch.camera.video.clone();
             let news = start_reader(video, stop.clone(), watch.torch.clone())?;
             let end = watch.follow(&news);
-            if watch.cycle.lit() {
+            if matches!(watch.cycle.phase, FlashPhase::Rising(_)) {
                 watch.switch(false);
-                watch.cycle.cancel();
+                watch.cycle.phase = FlashPhase::Off;
             }
             stop.request();
             // Waits until the reader has closed the camera; a hanging reader costs `STOP_TIMEOUT`.
@@ -236,23 +234,25 @@ impl CameraWatch<'_> {
     }
 
     fn switch(&mut self, on: bool) {
-        let switched = match &mut self.camera.flash {
+        let switched = match &self.camera.flash {
             None => Ok(()),
-            Some((_, Flash::Line(switch))) => switch(on),
+            Some((_, Flash::Stylus(light))) => light.switch(on),
             Some((_, Flash::Camera)) => {
                 self.torch.store(on, Ordering::Release);
                 Ok(())
             }
         };
         match switched {
-            Ok(()) if on => self.camera.viewfinder.light(FlashState::On),
-            Ok(()) => self.camera.viewfinder.light(FlashState::Off),
+            Ok(()) => {
+                self.camera.viewfinder.light(if on { FlashState::On } else { FlashState::Off })
+            }
             Err(why) => self.no_light(&why),
         }
     }
 
     fn no_light(&mut self, why: &str) {
-        self.cycle.cancel();
+        // The next frames count as taken without light.
+        self.cycle.phase = FlashPhase::Off;
         self.camera.viewfinder.light(FlashState::Failed);
         self.link.warn(WarningKind::Light, format!("the flash cannot be switched: {why}"));
     }
@@ -338,8 +338,8 @@ fn read(
 }
 
 pub enum Flash {
-    /// Switches a light that is not the camera's own, for example one of the stylus.
-    Line(Box<dyn FnMut(bool) -> Result<(), String> + Send>),
+    /// The stylus switches its light.
+    Stylus(Light),
     /// The camera switches its own light, by its control V4L2_CID_FLASH_LED_MODE (video for Linux).
     Camera,
 }
@@ -368,6 +368,8 @@ enum FrameLight {
 }
 
 struct Cycle {
+    /// The time after which all frames show a switch of the light: light and exposure control need
+    /// time, and some frames are on their way.
     settle: Duration,
     phase: FlashPhase,
 }
@@ -379,12 +381,6 @@ enum FlashPhase {
 }
 
 impl Cycle {
-    /// A cycle with the light off. `settle` is the time after which all frames show a switch of the
-    /// light: light and exposure control need time, and some frames are on their way.
-    fn new(settle: Duration) -> Self {
-        Self { settle, phase: FlashPhase::Off }
-    }
-
     /// Judges the light of a frame that arrived at `now`. Also returns whether to switch the light
     /// on or off now (`None`: leave it). `wanted` tells whether a picture with flash is requested.
     fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> (FrameLight, Option<bool>) {
@@ -405,15 +401,6 @@ impl Cycle {
             }
             FlashPhase::Off => (FrameLight::Plain, None),
         }
-    }
-
-    /// To be called if the light is off or failed: the next frames count as taken without light.
-    fn cancel(&mut self) {
-        self.phase = FlashPhase::Off;
-    }
-
-    fn lit(&self) -> bool {
-        matches!(self.phase, FlashPhase::Rising(_))
     }
 }
 

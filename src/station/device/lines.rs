@@ -211,12 +211,11 @@ pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, S
         drop(line);
         let found = speed_of(port, *baud).map_err(|error| error.to_string())?;
         let speeds = SPEEDS.map(|speed| speed.to_string()).join(", ");
-        let at = |speed| LinesAddress::Serial(port.clone(), speed);
         return Err(match found {
             Some(speed) => format!(
                 "{path}: at {baud} baud comes noise, and at {speed} baud comes text; name \
                  the port {}",
-                at(speed)
+                LinesAddress::Serial(port.clone(), speed)
             ),
             None => format!(
                 "{path}: only noise comes, at {baud} baud and at {speeds}; check what the device \
@@ -381,7 +380,7 @@ impl Work<'_> {
         if let Some(intake) = &mut self.intake {
             intake.errors.report(self.link);
             let warn = |example| self.link.warn(WarningKind::Damaged, example);
-            intake.examples.take().into_iter().for_each(warn);
+            intake.examples.next.drain(..).for_each(warn);
             if let Some(swapped) = intake.swapped() {
                 self.link.warn(WarningKind::Swapped, swapped);
             }

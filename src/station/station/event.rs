@@ -82,7 +82,7 @@ impl Guess {
 }
 
 /// The outcome of a scan that was to be kept as a trial of a library.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Enrolled {
     pub scan: u32,
     pub surface: String,
@@ -135,12 +135,13 @@ pub struct RefusedScan {
     pub doubts: Vec<Doubt>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EnrolledOutcome {
     Kept,
     Refused,
     /// The scan could not be written yet; it stays in memory, and writing is tried again.
+    #[default]
     Waiting,
     Lost,
 }

@@ -41,27 +41,28 @@ impl FromStr for LinesAddress {
         let expected = "expected a serial port (`/dev/ttyACM0`, `COM3`, `usb:2341:0043`, with \
                         `@9600` for another rate than 115200 baud), `tcp://HOST:PORT`, \
                         `udp://HOST:PORT`, or `-` for standard input";
-        let refused = || Err(format!("`{text}` is not a place that lines come from; {expected}"));
         let host = |rest: &str| {
             let (host, port) = rest.rsplit_once(':')?;
             (!host.is_empty() && port.parse::<u16>().is_ok()).then(|| rest.to_string())
         };
-        match text.split_once("://") {
-            Some(("tcp", rest)) => host(rest).map_or_else(refused, |host| Ok(Self::Tcp(host))),
-            Some(("udp", rest)) => host(rest).map_or_else(refused, |host| Ok(Self::Udp(host))),
-            Some(_) => refused(),
-            None if text == "-" => Ok(Self::Stdin),
+        let found = match text.split_once("://") {
+            Some(("tcp", rest)) => host(rest).map(Self::Tcp),
+            Some(("udp", rest)) => host(rest).map(Self::Udp),
+            Some(_) => None,
+            None if text == "-" => Some(Self::Stdin),
             None => {
                 let rated = text.rsplit_once('@').map(|(port, baud)| (port, baud.parse()));
                 let (port, baud) = rated.unwrap_or((text, Ok(BAUD)));
                 match (port.parse(), baud) {
                     // `auto` is refused: it selects the stylus's chip, which prints no lines.
-                    (Ok(Selector::Auto), _) => refused(),
-                    (Ok(port), Ok(baud @ 1..)) => Ok(Self::Serial(port, baud)),
-                    _ => refused(),
+                    (Ok(port), Ok(baud @ 1..)) if port != Selector::Auto => {
+                        Some(Self::Serial(port, baud))
+                    }
+                    _ => None,
                 }
             }
-        }
+        };
+        found.ok_or_else(|| format!("`{text}` is not a place that lines come from; {expected}"))
     }
 }
 
@@ -119,7 +120,6 @@ impl LinesAddress {
     }
 }
 
-/// An address that was opened.
 pub struct OpenLine {
     pub line: Box<dyn Read>,
     /// The name of the opened line, such as the path of a serial port.
@@ -186,20 +186,6 @@ impl Datagrams {
         self.kept = n + 1;
         Ok(())
     }
-
-    /// Moves datagrams that have arrived to `buffer`; returns the number of bytes.
-    fn take_all(&mut self, buffer: &mut [u8]) -> usize {
-        let mut n = 0;
-        while n + self.kept <= buffer.len() {
-            buffer[n..n + self.kept].copy_from_slice(&self.datagram[..self.kept]);
-            n += std::mem::take(&mut self.kept);
-            // If none has arrived, or receiving fails, the next read says so.
-            if self.receive().is_err() {
-                break;
-            }
-        }
-        n
-    }
 }
 
 impl Read for Datagrams {
@@ -210,7 +196,15 @@ impl Read for Datagrams {
             self.receive()?;
         }
         self.socket.set_nonblocking(true)?;
-        let n = self.take_all(buffer);
+        let mut n = 0;
+        while n + self.kept <= buffer.len() {
+            buffer[n..n + self.kept].copy_from_slice(&self.datagram[..self.kept]);
+            n += std::mem::take(&mut self.kept);
+            // If none has arrived, or receiving fails, the next read says so.
+            if self.receive().is_err() {
+                break;
+            }
+        }
         self.socket.set_nonblocking(false)?;
         Ok(n)
     }

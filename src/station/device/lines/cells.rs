@@ -44,7 +44,6 @@ pub(super) const FRACTION: u8 = 4;
 /// Base of the names of cells before the first name.
 pub(super) const LEAD: u64 = 1 << 63;
 
-/// The cells of one line.
 #[derive(Debug, Default)]
 pub(super) struct Cells {
     pub cells: Vec<Cell>,
@@ -436,15 +435,8 @@ fn is_sign(line: &[u8], at: usize, between: &Between) -> bool {
 }
 
 fn begins_number(text: &[u8]) -> bool {
-    let text = match text.first() {
-        Some(b'+' | b'-') => &text[1..],
-        _ => text,
-    };
-    match text {
-        [b'.', digit, ..] => digit.is_ascii_digit(),
-        [digit, ..] => digit.is_ascii_digit(),
-        [] => false,
-    }
+    let text = text.strip_prefix(b"+").or(text.strip_prefix(b"-")).unwrap_or(text);
+    matches!(text, [b'0'..=b'9', ..] | [b'.', b'0'..=b'9', ..])
 }
 
 fn begins_value(text: &[u8]) -> bool {

@@ -26,7 +26,7 @@ pub(super) struct Steps {
     pub down: u64,
     /// Sum of the steps that go up.
     sum: f64,
-    /// Whether all numbers are integers.
+    /// Whether some number is no integer.
     fractions: bool,
     /// The first steps that go up. Steps near their median are usual, even if rows are lost.
     up: Vec<f64>,

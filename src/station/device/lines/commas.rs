@@ -186,7 +186,9 @@ fn look(line: &[u8]) -> Look {
         }
     }
     let tail = line.trim_ascii_end().strip_suffix(b";").unwrap_or(line);
-    let other = tail.contains(&b';') || line.windows(3).any(is_tab_between);
+    // A tab beside a comma is padding.
+    let is_tab = |three: &[u8]| three[1] == b'\t' && three[0] != b',' && three[2] != b',';
+    let other = tail.contains(&b';') || line.windows(3).any(is_tab);
     // In the brackets of a list, commas separate, unless blanks do.
     let list = line.iter().any(|byte| matches!(byte, b'[' | b'{'));
     let named = line.iter().any(|byte| matches!(byte, b':' | b'='));
@@ -197,10 +199,11 @@ fn look(line: &[u8]) -> Look {
 fn is_decimal(text: &[u8]) -> bool {
     let text = text.strip_prefix(b"-").unwrap_or(text);
     let mut parts = text.split(|byte| *byte == b',');
-    let digits = |part: Option<&[u8]>| {
-        part.is_some_and(|part| !part.is_empty() && part.iter().all(u8::is_ascii_digit))
-    };
-    digits(parts.next()) && digits(parts.next()) && parts.next().is_none()
+    parts.clone().count() == 2 && parts.all(digits)
+}
+
+fn digits(text: &[u8]) -> bool {
+    !text.is_empty() && text.iter().all(u8::is_ascii_digit)
 }
 
 /// Whether only blanks stand between two cells.
@@ -216,11 +219,6 @@ fn has_blank_between(line: &[u8]) -> bool {
     .any(|(piece, comma)| piece.last().is_some_and(alone) && !comma)
 }
 
-/// Whether a tab separates two numbers by itself, rather than as padding beside a comma.
-fn is_tab_between(three: &[u8]) -> bool {
-    three[1] == b'\t' && three[0] != b',' && three[2] != b','
-}
-
 impl Runs {
     fn add(&mut self, run: &[u8]) {
         self.numbers += 1;
@@ -234,7 +232,6 @@ impl Runs {
         self.groups += usize::from(is_us);
         self.grouped |= is_us && run.contains(&b'.') && run.windows(2).any(|two| two == b",0");
         self.thousands += usize::from(run.contains(&b'.') && is_grouped(run, b'.', b','));
-        let digits = |part: &[u8]| !part.is_empty() && part.iter().all(u8::is_ascii_digit);
         let is_padded = |part: &[u8]| digits(part) && part.len() > 1 && part[0] == b'0';
         self.integers |= is_padded(whole) && (whole.len() > 2 || parts.clone().next().is_some());
         let unsigned = whole.strip_prefix(b"-").or(whole.strip_prefix(b"+")).unwrap_or(whole);
@@ -285,8 +282,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_separator_makes_commas_decimal() {
-        let lines = [
+    fn each_line_looks_as_its_commas_are_used() {
+        let decimal = [
             "9,81;0,50",
             "1;0,12;9,81;",
             "0,12\t9,81",
@@ -296,37 +293,28 @@ mod tests {
             "08,50;09,81",
             "\"0,1\",\"9,8\"",
         ];
-        for line in lines {
-            assert_eq!(look(line.as_bytes()), Look::Decimal, "{line}");
-        }
-        assert_eq!(look(b"0,12 9,81 3,10"), Look::Likely);
-        assert_eq!(look(b"9,81, 0,50"), Look::Likely);
-    }
-
-    #[test]
-    fn commas_that_can_only_separate_are_separators() {
-        assert_eq!(look(b"0.5,1;2,3"), Look::Apart);
-        let lines = ["1,982.19", "1, 2, 3", "[1,2] [3,4]", "a:1,b:2", "12:30:01,250 1", "1;2"];
-        for line in lines {
-            assert_eq!(look(line.as_bytes()), Look::Separate, "{line}");
-        }
-        for line in ["1,2,3", "1,2", "1,-2", "1,2,3;4,5,6", "$512,300,200;"] {
-            assert_eq!(look(line.as_bytes()), Look::Integers, "{line}");
+        let separate = ["1,982.19", "1, 2, 3", "[1,2] [3,4]", "a:1,b:2", "12:30:01,250 1", "1;2"];
+        let thousands = ["1,050.5 2,000.5", "1,982.19;5", "F: 1,982.19 N", "\"1,982.1\",\"5\""];
+        let mut unsure = vec!["1,2 3,4", "512,498 601,330", "1, 2,3"];
+        unsure.extend(["-50;1,000", "4 1,000", "6,411\t99,446", "F: 1,050", "\"1,982\""]);
+        for (expected, lines) in [
+            (Look::Decimal, &decimal[..]),
+            (Look::Likely, &["0,12 9,81 3,10", "9,81, 0,50"]),
+            (Look::Separate, &separate),
+            (Look::Apart, &["0.5,1;2,3"]),
+            (Look::Integers, &["1,2,3", "1,2", "1,-2", "1,2,3;4,5,6", "$512,300,200;"]),
+            (Look::Both, &["0,12,9,05", "1.234,56;2.000,10", "9,05"]),
+            (Look::Thousands, &thousands),
+            (Look::Unsure, &unsure),
+        ] {
+            for line in lines {
+                assert_eq!(look(line.as_bytes()), expected, "{line}");
+            }
         }
     }
 
     #[test]
     fn what_is_ambiguous_is_no_guess() {
-        for line in ["0,12,9,05", "1.234,56;2.000,10", "9,05"] {
-            assert_eq!(look(line.as_bytes()), Look::Both, "{line}");
-        }
-        for line in ["1,050.5 2,000.5", "1,982.19;5", "F: 1,982.19 N", "\"1,982.1\",\"5\""] {
-            assert_eq!(look(line.as_bytes()), Look::Thousands, "{line}");
-        }
-        let thousands = ["-50;1,000", "4 1,000", "6,411\t99,446", "F: 1,050", "\"1,982\""];
-        for line in ["1,2 3,4", "512,498 601,330", "1, 2,3"].into_iter().chain(thousands) {
-            assert_eq!(look(line.as_bytes()), Look::Unsure, "{line}");
-        }
         let mut commas = Commas::default();
         assert_eq!(commas.are_decimal(b"512,0498"), None);
         assert_eq!(commas.are_decimal(b"0512,0498"), Some(false));

@@ -85,7 +85,8 @@ pub enum LinesEvent<'a> {
 pub(super) struct Examples {
     /// Kinds that have had their example.
     had: Vec<&'static str>,
-    next: Vec<String>,
+    /// Examples that were not taken yet.
+    pub next: Vec<String>,
 }
 
 impl Examples {
@@ -94,11 +95,6 @@ impl Examples {
             self.had.push(why);
             self.next.push(format!("{why}, for example `{}`", shown(text)));
         }
-    }
-
-    /// Takes the examples that came since the last call.
-    pub(super) fn take(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.next)
     }
 }
 
@@ -160,7 +156,6 @@ pub struct LinesIntake {
     layout: Option<Layout>,
     /// The reason why rows cannot be used; `None` if they can be used.
     pub refused: Option<String>,
-    /// The first lines of each kind that could not be used, with what they lack, to be shown.
     pub(super) examples: Examples,
     swaps: Swaps,
     /// A warning, not taken yet, that the header has moved a column that is configured by its place.
@@ -288,7 +283,6 @@ impl LinesIntake {
         on(LinesEvent::Missing(frames));
     }
 
-    /// Counts missing frames as a gap.
     fn gap(&mut self, missing: u64, on: &mut impl FnMut(LinesEvent<'_>)) {
         if missing > 0 {
             self.errors.add(GAPS, 1);
@@ -578,7 +572,6 @@ impl LinesIntake {
     }
 }
 
-/// A rate to this many digits.
 pub(super) fn rounded(rate_hz: f64, digits: i32) -> f64 {
     let unit = 10_f64.powi(digits - 1 - rate_hz.max(1e-3).log10().floor() as i32);
     (rate_hz * unit).round() / unit

@@ -216,8 +216,9 @@ impl Reader {
             }
             return;
         }
-        let is_row = self.cells.cells.iter().any(|cell| cell.kind == Kind::Number)
-            || self.cells.cells.iter().any(|cell| cell.kind == Kind::Missing) && !self.has_name();
+        let any = |kind| self.cells.cells.iter().any(|cell| cell.kind == kind);
+        // Beside a word that can be a name, words such as `none` make no row.
+        let is_row = any(Kind::Number) || any(Kind::Missing) && !any(Kind::Word);
         if !is_row || self.cells.odd {
             return self.words(text, half, on);
         }
@@ -246,11 +247,7 @@ impl Reader {
         }
         self.held.extend_from_slice(line);
         self.held.push(b'\n');
-        self.read_held(on);
-    }
-
-    /// Reads the lines that were held, after their form was found.
-    fn read_held(&mut self, on: &mut impl FnMut(&[u8], Line<'_>)) {
+        // Now that the form is found, the lines that waited for it are read.
         let held = std::mem::take(&mut self.held);
         for line in held.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
             self.line(line, false, on);
@@ -314,11 +311,6 @@ impl Reader {
             false if 2 * letters >= line.len() => on(line, Line::Words),
             false => on(line, Line::Garbage),
         }
-    }
-
-    /// Whether a word of the line can be a name, so that words such as `none` make no row.
-    fn has_name(&self) -> bool {
-        self.cells.cells.iter().any(|cell| cell.kind == Kind::Word)
     }
 
     fn names_of(&self, form: &Form) -> Vec<String> {

@@ -154,7 +154,6 @@ impl Survey {
         self.bytes >= LEAST && !self.is_noise()
     }
 
-    /// Whether no bytes came.
     pub fn is_empty(&self) -> bool {
         self.bytes == 0
     }
@@ -169,7 +168,6 @@ impl Survey {
         self.rows as f64 / (self.rows + self.others).max(1) as f64
     }
 
-    /// The first lines as they came.
     pub fn first_lines(&self) -> &[String] {
         &self.first_lines
     }
@@ -354,7 +352,9 @@ impl Survey {
         let highest = ends.map(f64::abs).fold(0.0, f64::max);
         let by_step = STEP.log10() as i32 + decimals;
         let by_range = -(ROOM * highest).max(1.0).log10().ceil() as i32;
-        power_of_ten(by_step.min(by_range).clamp(-30, 0))
+        let exponent = by_step.min(by_range).clamp(-30, 0);
+        // The closest f64, such as 0.001 and not 0.0010000000000000002.
+        format!("1e{exponent}").parse().unwrap_or(1.0)
     }
 
     pub fn scaled(&self, streams: &[LinesStream]) -> Vec<LinesStream> {
@@ -369,11 +369,6 @@ impl Survey {
         let scale = Some(self.scale(&columns));
         (!columns.is_empty()).then_some(LinesStream { id, columns, scale })
     }
-}
-
-/// The f64 closest to a power of ten, such as 0.001 and not 0.0010000000000000002.
-fn power_of_ten(exponent: i32) -> f64 {
-    format!("1e{exponent}").parse().unwrap_or(1.0)
 }
 
 /// The words of a line that are no names of values.
