@@ -50,6 +50,8 @@ pub struct Camera {
     video: Arc<dyn Video>,
     turn: Turn,
     every: Duration,
+    /// The time after which all frames show a switch of the light: light and exposure control need
+    /// time, and some frames are on their way.
     settle: Duration,
     shutter: Shutter,
     viewfinder: Viewfinder,
@@ -61,7 +63,7 @@ struct CameraWatch<'a> {
     camera: &'a mut Camera,
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
-    cycle: Cycle,
+    phase: FlashPhase,
     /// Time at which the last picture without flash was pushed; `None` before the first one.
     pushed: Option<Instant>,
     damaged: usize,
@@ -120,12 +122,11 @@ impl Device for Camera {
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         link.state(DeviceState::Opening, "");
-        let cycle = Cycle { settle: self.settle, phase: FlashPhase::Off };
         let mut watch = CameraWatch {
             camera: self,
             sinks,
             link,
-            cycle,
+            phase: FlashPhase::Off,
             pushed: None,
             damaged: 0,
             summed_up: None,
@@ -137,9 +138,9 @@ impl Device for Camera {
             let video = watch.camera.video.clone();
             let news = start_reader(video, stop.clone(), watch.torch.clone())?;
             let end = watch.follow(&news);
-            if matches!(watch.cycle.phase, FlashPhase::Rising(_)) {
+            if matches!(watch.phase, FlashPhase::Rising(_)) {
                 watch.switch(false);
-                watch.cycle.phase = FlashPhase::Off;
+                watch.phase = FlashPhase::Off;
             }
             stop.request();
             // Waits until the reader has closed the camera; a hanging reader costs `STOP_TIMEOUT`.
@@ -182,10 +183,10 @@ impl CameraWatch<'_> {
 
     /// Makes a picture from a frame if one is due. Returns false if the frame is damaged.
     fn frame(&mut self, frame: &Frame, at: Instant) -> bool {
-        let has_flash = self.camera.flash.is_some();
-        let shutter = &self.camera.shutter;
-        let (light, switch) = self.cycle.judge(at, || has_flash && shutter.take());
-        let due = self.pushed.is_none_or(|pushed| at >= pushed + self.camera.every);
+        let Camera { flash, settle, shutter, every, .. } = &*self.camera;
+        let wanted = || flash.is_some() && shutter.take();
+        let (light, switch) = self.phase.judge(at, *settle, wanted);
+        let due = self.pushed.is_none_or(|pushed| at >= pushed + *every);
         let sink = match light {
             FrameLight::Plain if due => Some(0),
             FrameLight::Flash => Some(1),
@@ -252,7 +253,7 @@ impl CameraWatch<'_> {
 
     fn no_light(&mut self, why: &str) {
         // The next frames count as taken without light.
-        self.cycle.phase = FlashPhase::Off;
+        self.phase = FlashPhase::Off;
         self.camera.viewfinder.light(FlashState::Failed);
         self.link.warn(WarningKind::Light, format!("the flash cannot be switched: {why}"));
     }
@@ -367,39 +368,37 @@ enum FrameLight {
     Between,
 }
 
-struct Cycle {
-    /// The time after which all frames show a switch of the light: light and exposure control need
-    /// time, and some frames are on their way.
-    settle: Duration,
-    phase: FlashPhase,
-}
-
 enum FlashPhase {
     Off,
     Rising(Instant),
     Falling(Instant),
 }
 
-impl Cycle {
+impl FlashPhase {
     /// Judges the light of a frame that arrived at `now`. Also returns whether to switch the light
     /// on or off now (`None`: leave it). `wanted` tells whether a picture with flash is requested.
-    fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> (FrameLight, Option<bool>) {
-        let settled = |since: Instant| now.saturating_duration_since(since) >= self.settle;
-        match self.phase {
-            FlashPhase::Rising(since) if settled(since) => {
-                self.phase = FlashPhase::Falling(now);
+    fn judge(
+        &mut self,
+        now: Instant,
+        settle: Duration,
+        wanted: impl FnOnce() -> bool,
+    ) -> (FrameLight, Option<bool>) {
+        let settled = |since: Instant| now.saturating_duration_since(since) >= settle;
+        match *self {
+            Self::Rising(since) if settled(since) => {
+                *self = Self::Falling(now);
                 (FrameLight::Flash, Some(false))
             }
-            FlashPhase::Falling(since) if settled(since) => {
-                self.phase = FlashPhase::Off;
+            Self::Falling(since) if settled(since) => {
+                *self = Self::Off;
                 (FrameLight::Plain, None)
             }
-            FlashPhase::Rising(_) | FlashPhase::Falling(_) => (FrameLight::Between, None),
-            FlashPhase::Off if wanted() => {
-                self.phase = FlashPhase::Rising(now);
+            Self::Rising(_) | Self::Falling(_) => (FrameLight::Between, None),
+            Self::Off if wanted() => {
+                *self = Self::Rising(now);
                 (FrameLight::Plain, Some(true))
             }
-            FlashPhase::Off => (FrameLight::Plain, None),
+            Self::Off => (FrameLight::Plain, None),
         }
     }
 }

@@ -229,9 +229,9 @@ fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
 
 #[test]
 fn a_picture_with_flash_is_one_taken_after_the_light_has_settled() {
-    let mut cycle = Cycle { settle: Duration::from_millis(100), phase: FlashPhase::Off };
+    let (mut phase, settle) = (FlashPhase::Off, Duration::from_millis(100));
     let begin = Instant::now();
-    let judge = |i: u64| cycle.judge(begin + Duration::from_millis(40 * i), || i == 2);
+    let judge = |i: u64| phase.judge(begin + Duration::from_millis(40 * i), settle, || i == 2);
     let seen: Vec<_> = (0..12).map(judge).collect();
     let plain = (FrameLight::Plain, None);
     let between = (FrameLight::Between, None);
