@@ -355,7 +355,7 @@ fn clocks_and_constant_columns_are_no_channels_and_that_is_said() {
 
 #[test]
 fn where_no_form_lasts_the_lines_are_shown() {
-    let forms = [[&"ACC,{},1"[..], "GYR,{},2"], ["ax 0.{}", "ay 0.2{}"]];
+    let forms = [["ACC,{},1", "GYR,{},2"], ["ax 0.{}", "ay 0.2{}"]];
     for lines in forms {
         let line = |i: usize| lines[i % 2].replace("{}", &(10 + i % 7).to_string());
         let text: Vec<String> = (0..60).map(line).collect();
@@ -381,7 +381,8 @@ fn quantities_that_share_names_in_turn_are_said() {
 
 #[test]
 fn columns_with_few_numbers_are_said() {
-    let cell = |i: usize| if i % 2 == 0 { "nan".into() } else { format!("{:.2}", numbers(i)[1]) };
+    let cell =
+        |i: usize| if i.is_multiple_of(2) { "nan".into() } else { format!("{:.2}", numbers(i)[1]) };
     let text: Vec<String> =
         (0..ROWS).map(|i| format!("{:.2},{},nan", numbers(i)[0], cell(i))).collect();
     let said = survey(&text).remarks().join("; ");
