@@ -116,10 +116,9 @@ impl Terminal {
             }
         }
         self.last = Some(match wanted {
-            0 => format!("{surface} is complete"),
-            // An order without an end has no count-down, so the number of missing trials is not printed.
-            wanted if *wanted > u32::MAX / 2 => format!("{surface} kept"),
-            wanted => format!("{surface}, {wanted} to go; tap, then drag"),
+            Some(0) => format!("{surface} is complete"),
+            None => format!("{surface} kept"),
+            Some(wanted) => format!("{surface}, {wanted} to go; tap, then drag"),
         });
     }
 

@@ -4,6 +4,7 @@
 
 pub mod edited;
 pub mod http;
+pub mod oak;
 pub mod replayed;
 pub mod running;
 pub mod scores;

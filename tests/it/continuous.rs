@@ -130,14 +130,9 @@ fn heard(samples: &[f32], gap: std::ops::Range<usize>, says_gap: bool) -> (Vec<C
         last = samples[hop - 1];
         let (source, rate_hz, channels) = (id("ir"), RATE_HZ, 1);
         let fresh = Fresh { source, rate_hz, channels, start: start as u64, samples };
-        let progress = Progress {
-            number: 1,
-            truth: None,
-            scan_s: (start + hop) as f64 / RATE_HZ,
-            fresh: vec![fresh],
-            images: Vec::new(),
-            gap: missing && says_gap,
-        };
+        let (scan_s, gap) = ((start + hop) as f64 / RATE_HZ, missing && says_gap);
+        let fresh = vec![fresh];
+        let progress = Progress { number: 1, scan_s, fresh, gap, ..Progress::default() };
         changes.extend(naming.hear(&progress, &by).change);
     }
     (changes, Answer::clone(&naming.end().unwrap().answer))
@@ -172,14 +167,8 @@ fn certainty_is_that_of_the_data_and_not_of_the_number_of_windows() {
             let (source, rate_hz, channels) = (id("ir"), RATE_HZ, 1);
             let start = (number * hop) as u64;
             let fresh = Fresh { source, rate_hz, channels, start, samples: samples.to_vec() };
-            let progress = Progress {
-                number: 1,
-                truth: None,
-                scan_s: (number + 1) as f64 * hop_s,
-                fresh: vec![fresh],
-                images: Vec::new(),
-                gap: false,
-            };
+            let (scan_s, fresh) = ((number + 1) as f64 * hop_s, vec![fresh]);
+            let progress = Progress { number: 1, scan_s, fresh, ..Progress::default() };
             let guess = naming.hear(&progress, &by).guess;
             if let [first, second, ..] = &guess.named[..] {
                 odds = (first.probability / second.probability).ln();

@@ -1,7 +1,6 @@
 //! An end takes less than five seconds, whatever happens; nothing recorded is lost, and every scan
 //! without an answer is reported.
 
-use std::any::Any;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
@@ -9,15 +8,13 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use crate::common::id;
+use crate::common::oak::Oak;
 use surfaced::dataset;
 use surfaced::device::{
     Begin, Device, DeviceError, DeviceLink, Mark, Open, StreamKind, StreamSpec,
 };
 use surfaced::history::{History, Keeper};
-use surfaced::library::Entry;
 use surfaced::outputs::Output;
-use surfaced::recognise::features::FeatureVector;
-use surfaced::recognise::{Evidence, Model, Prepared, RankedSurface, Ranking, RecogniseError};
 use surfaced::record::edit::LibraryLock;
 use surfaced::ring::Sink;
 use surfaced::scan::{CutFrom, Options};
@@ -28,7 +25,6 @@ use surfaced::station::{
     Command, Enrolled, EnrolledOutcome, Keep, LibraryState, Listener, Recogniser, ScanStore,
     Station, StationEvent,
 };
-use surfaced::trial::{Trial, TrialKey};
 
 /// An end may take this long.
 const LIMIT: Duration = Duration::from_secs(5);
@@ -176,49 +172,6 @@ impl Listener for Became {
     }
 }
 
-/// Takes for ever in one of its parts.
-#[derive(Clone, Copy)]
-struct Slow(&'static str);
-
-impl Slow {
-    fn reach(self, part: &str) {
-        if self.0 == part {
-            std::thread::sleep(FOR_EVER);
-        }
-    }
-}
-
-impl Model for Slow {
-    fn explain(&self, _: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
-        self.reach("explain");
-        Ok(None)
-    }
-
-    fn prepare(&self, entry: &Entry, _: &Trial) -> Result<Prepared, RecogniseError> {
-        self.reach("prepare");
-        let (key, sources) = (entry.key.clone(), BTreeMap::new());
-        Ok(Prepared::Features(Arc::new(FeatureVector { key, sources })))
-    }
-
-    fn rank(&self, _: &Prepared) -> Result<Ranking, RecogniseError> {
-        self.reach("rank");
-        Ok(Ranking {
-            ranked: vec![RankedSurface { surface: "oak".into(), score: 1.0 }],
-            margin: 0.0,
-            sources: Vec::new(),
-            nearest: TrialKey::new("oak", "", 1),
-            confidence: None,
-            p_value: None,
-        })
-    }
-
-    // It calibrates itself when the first scan is followed.
-    fn as_any(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
-        self.reach("follow");
-        None
-    }
-}
-
 #[test]
 fn of_a_station_that_classifies_or_calibrates() {
     for part in ["prepare", "rank", "follow"] {
@@ -227,8 +180,12 @@ fn of_a_station_that_classifies_or_calibrates() {
 }
 
 fn named_by<'a>(mut station: Station<'a>, slow_part: &'static str) -> Station<'a> {
-    let model = Arc::new(Slow(slow_part));
-    let by = Recogniser::new(model, Scene::lmt108(), LibraryState::default());
+    let reach = move |part: &str| {
+        if part == slow_part {
+            std::thread::sleep(FOR_EVER);
+        }
+    };
+    let by = Recogniser::new(Arc::new(Oak(reach)), Scene::lmt108(), LibraryState::default());
     station.recogniser = Some(Arc::new(by));
     station
 }

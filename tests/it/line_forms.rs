@@ -79,6 +79,34 @@ const FORMS: &[(&str, Print)] = &[
     ("trailing comma", |_, [x, y, z]| format!("{x}, {y}, {z},")),
     ("bars", |_, [x, y, z]| format!("| {x} | {y} | {z} |")),
     ("plus signs", |_, [x, y, z]| format!("{:+.2};{:+.2};{:+.2}", f(&x), f(&y), f(&z))),
+    ("signs apart", |_, all| all.map(|x| x.replace('-', "-   ")).join(",")),
+    ("a balance", |_, all| {
+        let sign = |x: String| match x.strip_prefix('-') {
+            Some(x) => format!("-{x:>9}"),
+            None => format!("+{x:>9}"),
+        };
+        let [x, y, z] = all.map(sign);
+        format!("N     {x} g,ST,GS,{y}kg,{z}")
+    }),
+    ("signs after names", |_, all| {
+        let [x, y, z] = all.map(|x| x.replace('-', "- "));
+        format!("X = {x} Y = {y} Z = {z}")
+    }),
+    ("log with dashes", |i, [x, y, z]| {
+        format!("2024-03-01 10:00:{:02} - root - INFO - {x} {y} {z}", i / 100)
+    }),
+    ("rules between rows", |i, [x, y, z]| {
+        format!("{}\n{x},{y},{z}", ["=====", "-----", "--", "},", "}", "]", "|"][i % 7])
+    }),
+    ("object in lines", |_, [x, y, z]| {
+        format!("{{\n  \"x\": {x},\n  \"y\": {y},\n  \"z\": {z}\n}},")
+    }),
+    ("Zephyr", |i, [x, y, z]| {
+        format!("[00:00:{:02}.{:03},037] <inf> imu: {x} {y} {z}", i / 100, 10 * (i % 100))
+    }),
+    ("log with semicolons", |i, [x, y, z]| {
+        format!("2024-03-01 10:00:{:02},{:03};{x};{y};{z}", i / 100, 10 * (i % 100))
+    }),
     ("exponents", |_, [x, y, z]| format!("{:+.3e} {:.3E} {:e}", f(&x), f(&y), f(&z))),
     ("decimal commas", |_, [x, y, z]| comma(&format!("{x};{y};{z}"))),
     ("decimal commas and tabs", |_, [x, y, z]| comma(&format!("{x}\t{y}\t{z}"))),
@@ -200,25 +228,38 @@ fn what_has_two_readings_is_an_error_that_shows_both() {
         &["1,2 3,4"],
         &["512,498 601,330"],
         &["1.234,56;2.000,10"],
+        // Marks of thousands, beside numbers that lack them.
+        &["1,982.19;-97", "1,982.19;5"],
+        &["F: 1,982.19 N"],
+        &["-97;999", "-50;1,000"],
+        &["6,411\t99,446"],
+        &["1.280,486"],
+        &["-97;999", "-50;1.000"],
+        &["x:999 y:5", "y:6 x:1.000"],
     ];
     for lines in both {
         let text = repeated(lines);
         let (_, refused) = frames(vec![Column::Place(1)], &text);
         let why = refused.unwrap_or_else(|| panic!("{lines:?}"));
         assert!(why.contains("decimal = \",\"") && why.contains(" | "), "{why}");
-        let told = survey(&text).problem();
-        assert!(told.as_ref().is_some_and(|told| told.contains("decimal")), "{lines:?} {told:?}");
+        let survey = survey(&text);
+        let told = survey.problem().unwrap_or_else(|| survey.remarks().join("; "));
+        assert!(told.contains("decimal = \",\""), "{lines:?} {told}");
     }
     let (_, refused) = frames(vec![Column::Place(1)], &repeated(&["0,12,9,81", "0,05,9,80"]));
     let why = refused.unwrap();
     assert!(why.contains("0 | 5 | 9 | 80") && why.contains("0.05 | 9.8"), "{why}");
+    let (_, refused) = frames(vec![Column::Place(1)], &repeated(&["1.280,486"]));
+    let why = refused.unwrap();
+    assert!(why.contains("1.28 | 486") && why.contains("commas 1280.486"), "{why}");
 }
 
 #[test]
 fn a_cell_that_is_damaged_is_missing_and_never_a_number() {
-    for cell in
-        ["nan", "NaN", "-nan", "inf", "-inf", "ovf", "null", "", "-", "1.2.3", "1-2", "0x", "1e999"]
-    {
+    for cell in [
+        "nan", "NaN", "-nan", "inf", "-inf", "ovf", "null", "", "-", " - ", "1.2.3", "1-2", "0x",
+        "1e999",
+    ] {
         let mut text = vec!["1.5,2.5,3.5".to_string(); 30];
         text.push(format!("1.5,{cell},3.5"));
         let (all, _) = frames(vec![Column::Place(2)], &text);
@@ -241,6 +282,13 @@ fn a_line_of_another_form_is_no_row() {
         ("$ACC,1,2", "$GYR,1,2"),
         ("x:1 y:2", "x:1"),
         ("x:1 y:2", "x:1 y:2mm"),
+        ("U: 290 mV", "U: 0.78 V"),
+        ("U: 290 mN, V: 1", "U: 0.78 kN, V: 1"),
+        // Lost line ends, and a damaged row.
+        ("-0.2888,700", "-0.2888,700-0.2882,701"),
+        ("0.1,702", "0.1,7020.1,703"),
+        ("0.12,9.81", "0.12,9.8q1.3,9.82"),
+        ("0.12,9.81", "q.12,9.81,9.82"),
     ];
     for (usual, other) in others {
         let mut text = vec![usual.to_string(); 30];
@@ -293,14 +341,53 @@ fn clocks_and_constant_columns_are_no_channels_and_that_is_said() {
     let places = [17, 18, 19, 29, 30, 31].map(Column::Place);
     assert_eq!(survey.measuring(), places);
     let said = survey.remarks();
-    assert_eq!(said.len(), 2, "{said:?}");
+    assert_eq!(said.len(), 3, "{said:?}");
     assert!(
-        said[0].contains("columns 1, 2;") && said[1].contains("left out: columns 4, 5, 6"),
+        said[0].contains("columns 1, 2;")
+            && said[1].contains("hold no numbers, so they are left out: columns 3")
+            && said[2].contains("left out: columns 4, 5, 6"),
         "{said:?}"
     );
     // Seconds since 1970 set no channel's scale.
     let all = [1, 29, 30, 31].map(Column::Place);
     assert_eq!(survey.scale(&all), survey.scale(&places[3..]));
+}
+
+#[test]
+fn where_no_form_lasts_the_lines_are_shown() {
+    let forms = [["ACC,{},1", "GYR,{},2"], ["ax 0.{}", "ay 0.2{}"]];
+    for lines in forms {
+        let line = |i: usize| lines[i % 2].replace("{}", &(10 + i % 7).to_string());
+        let text: Vec<String> = (0..60).map(line).collect();
+        let said = survey(&text).problem().unwrap_or_default();
+        assert!(said.contains(&text[0]) && said.contains(&text[1]), "{lines:?}: {said}");
+    }
+    let said = survey(&vec!["78:48:33".into(); 60]).problem().unwrap_or_default();
+    assert!(said.contains("`78:48:33`"), "no time: {said}");
+}
+
+#[test]
+fn quantities_that_share_names_in_turn_are_said() {
+    let object = |i: usize| format!("{{\"type\":\"{}\",\"x\":{i}}}", ["acc", "gyr"][i % 2]);
+    let below = |i: usize| format!("{}\nX: {i}\nY: {i}.5", ["Acceleration", "Gyroscope"][i % 2]);
+    let state = |i: usize| format!("{{\"state\":\"{}\",\"x\":{i}}}", ["a", "b"][i / 5 % 2]);
+    let said = |line: &dyn Fn(usize) -> String| {
+        survey(&(0..ROWS).map(line).collect::<Vec<_>>()).remarks().join("; ")
+    };
+    assert!(said(&object).contains("`acc` and with `gyr` come in turn"), "{}", said(&object));
+    assert!(said(&below).contains("`Acceleration` and with `Gyroscope`"), "{}", said(&below));
+    assert!(!said(&state).contains("in turn"), "{}", said(&state));
+}
+
+#[test]
+fn columns_with_few_numbers_are_said() {
+    let cell =
+        |i: usize| if i.is_multiple_of(2) { "nan".into() } else { format!("{:.2}", numbers(i)[1]) };
+    let text: Vec<String> =
+        (0..ROWS).map(|i| format!("{:.2},{},nan", numbers(i)[0], cell(i))).collect();
+    let said = survey(&text).remarks().join("; ");
+    assert!(said.contains("up to 50 % of the rows") && said.ends_with("columns 2"), "{said}");
+    assert!(said.contains("hold no numbers, so they are left out: columns 3"), "{said}");
 }
 
 #[test]

@@ -217,7 +217,7 @@ fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
             nearest: Some("ash".into()),
             probability: Some(0.75),
             known: Some(2),
-            wanted,
+            wanted: Some(wanted),
         });
         served.report([enrolled, ash(wanted)]);
         let enrolled = events.next("enrolled");

@@ -18,6 +18,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
 use self::compared_region::compared;
+use super::serial::Light;
 use super::{
     Device, DeviceError, DeviceLink, DeviceState, Disconnected, LONGEST_RETRY, OpenError,
     StreamSpec, WarningKind, keep_connected,
@@ -27,14 +28,11 @@ use crate::ring::{Sink, Stop};
 use crate::scene::SourceId;
 
 pub use compared_region::Turn;
-pub use viewfinder::{FlashState, Viewfinder};
+#[cfg(feature = "camera")]
+pub use v4l::{V4l, cameras};
+pub use viewfinder::{CameraView, FlashState, Viewfinder};
 
 pub(crate) use frame::Frame;
-#[cfg(feature = "camera")]
-#[doc(hidden)]
-pub use v4l::{V4l, cameras};
-#[doc(hidden)]
-pub use viewfinder::CameraView;
 
 /// The longest time that the device's thread waits for a message of the reader thread.
 const LOOK: Duration = Duration::from_millis(50);
@@ -52,6 +50,8 @@ pub struct Camera {
     video: Arc<dyn Video>,
     turn: Turn,
     every: Duration,
+    /// The time after which all frames show a switch of the light: light and exposure control need
+    /// time, and some frames are on their way.
     settle: Duration,
     shutter: Shutter,
     viewfinder: Viewfinder,
@@ -63,7 +63,7 @@ struct CameraWatch<'a> {
     camera: &'a mut Camera,
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
-    cycle: Cycle,
+    phase: FlashPhase,
     /// Time at which the last picture without flash was pushed; `None` before the first one.
     pushed: Option<Instant>,
     damaged: usize,
@@ -122,12 +122,11 @@ impl Device for Camera {
 
     fn run(&mut self, sinks: &mut [Sink], link: &DeviceLink) -> Result<(), DeviceError> {
         link.state(DeviceState::Opening, "");
-        let cycle = Cycle::new(self.settle);
         let mut watch = CameraWatch {
             camera: self,
             sinks,
             link,
-            cycle,
+            phase: FlashPhase::Off,
             pushed: None,
             damaged: 0,
             summed_up: None,
@@ -139,9 +138,9 @@ impl Device for Camera {
             let video = watch.camera.video.clone();
             let news = start_reader(video, stop.clone(), watch.torch.clone())?;
             let end = watch.follow(&news);
-            if watch.cycle.lit() {
+            if matches!(watch.phase, FlashPhase::Rising(_)) {
                 watch.switch(false);
-                watch.cycle.cancel();
+                watch.phase = FlashPhase::Off;
             }
             stop.request();
             // Waits until the reader has closed the camera; a hanging reader costs `STOP_TIMEOUT`.
@@ -184,10 +183,10 @@ impl CameraWatch<'_> {
 
     /// Makes a picture from a frame if one is due. Returns false if the frame is damaged.
     fn frame(&mut self, frame: &Frame, at: Instant) -> bool {
-        let has_flash = self.camera.flash.is_some();
-        let shutter = &self.camera.shutter;
-        let (light, switch) = self.cycle.judge(at, || has_flash && shutter.take());
-        let due = self.pushed.is_none_or(|pushed| at >= pushed + self.camera.every);
+        let Camera { flash, settle, shutter, every, .. } = &*self.camera;
+        let wanted = || flash.is_some() && shutter.take();
+        let (light, switch) = self.phase.judge(at, *settle, wanted);
+        let due = self.pushed.is_none_or(|pushed| at >= pushed + *every);
         let sink = match light {
             FrameLight::Plain if due => Some(0),
             FrameLight::Flash => Some(1),
@@ -236,23 +235,25 @@ impl CameraWatch<'_> {
     }
 
     fn switch(&mut self, on: bool) {
-        let switched = match &mut self.camera.flash {
+        let switched = match &self.camera.flash {
             None => Ok(()),
-            Some((_, Flash::Line(switch))) => switch(on),
+            Some((_, Flash::Stylus(light))) => light.switch(on),
             Some((_, Flash::Camera)) => {
                 self.torch.store(on, Ordering::Release);
                 Ok(())
             }
         };
         match switched {
-            Ok(()) if on => self.camera.viewfinder.light(FlashState::On),
-            Ok(()) => self.camera.viewfinder.light(FlashState::Off),
+            Ok(()) => {
+                self.camera.viewfinder.light(if on { FlashState::On } else { FlashState::Off })
+            }
             Err(why) => self.no_light(&why),
         }
     }
 
     fn no_light(&mut self, why: &str) {
-        self.cycle.cancel();
+        // The next frames count as taken without light.
+        self.phase = FlashPhase::Off;
         self.camera.viewfinder.light(FlashState::Failed);
         self.link.warn(WarningKind::Light, format!("the flash cannot be switched: {why}"));
     }
@@ -338,8 +339,8 @@ fn read(
 }
 
 pub enum Flash {
-    /// Switches a light that is not the camera's own, for example one of the stylus.
-    Line(Box<dyn FnMut(bool) -> Result<(), String> + Send>),
+    /// The stylus switches its light.
+    Stylus(Light),
     /// The camera switches its own light, by its control V4L2_CID_FLASH_LED_MODE (video for Linux).
     Camera,
 }
@@ -367,53 +368,38 @@ enum FrameLight {
     Between,
 }
 
-struct Cycle {
-    settle: Duration,
-    phase: FlashPhase,
-}
-
 enum FlashPhase {
     Off,
     Rising(Instant),
     Falling(Instant),
 }
 
-impl Cycle {
-    /// A cycle with the light off. `settle` is the time after which all frames show a switch of the
-    /// light: light and exposure control need time, and some frames are on their way.
-    fn new(settle: Duration) -> Self {
-        Self { settle, phase: FlashPhase::Off }
-    }
-
+impl FlashPhase {
     /// Judges the light of a frame that arrived at `now`. Also returns whether to switch the light
     /// on or off now (`None`: leave it). `wanted` tells whether a picture with flash is requested.
-    fn judge(&mut self, now: Instant, wanted: impl FnOnce() -> bool) -> (FrameLight, Option<bool>) {
-        let settled = |since: Instant| now.saturating_duration_since(since) >= self.settle;
-        match self.phase {
-            FlashPhase::Rising(since) if settled(since) => {
-                self.phase = FlashPhase::Falling(now);
+    fn judge(
+        &mut self,
+        now: Instant,
+        settle: Duration,
+        wanted: impl FnOnce() -> bool,
+    ) -> (FrameLight, Option<bool>) {
+        let settled = |since: Instant| now.saturating_duration_since(since) >= settle;
+        match *self {
+            Self::Rising(since) if settled(since) => {
+                *self = Self::Falling(now);
                 (FrameLight::Flash, Some(false))
             }
-            FlashPhase::Falling(since) if settled(since) => {
-                self.phase = FlashPhase::Off;
+            Self::Falling(since) if settled(since) => {
+                *self = Self::Off;
                 (FrameLight::Plain, None)
             }
-            FlashPhase::Rising(_) | FlashPhase::Falling(_) => (FrameLight::Between, None),
-            FlashPhase::Off if wanted() => {
-                self.phase = FlashPhase::Rising(now);
+            Self::Rising(_) | Self::Falling(_) => (FrameLight::Between, None),
+            Self::Off if wanted() => {
+                *self = Self::Rising(now);
                 (FrameLight::Plain, Some(true))
             }
-            FlashPhase::Off => (FrameLight::Plain, None),
+            Self::Off => (FrameLight::Plain, None),
         }
-    }
-
-    /// To be called if the light is off or failed: the next frames count as taken without light.
-    fn cancel(&mut self) {
-        self.phase = FlashPhase::Off;
-    }
-
-    fn lit(&self) -> bool {
-        matches!(self.phase, FlashPhase::Rising(_))
     }
 }
 

@@ -211,12 +211,11 @@ pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, S
         drop(line);
         let found = speed_of(port, *baud).map_err(|error| error.to_string())?;
         let speeds = SPEEDS.map(|speed| speed.to_string()).join(", ");
-        let at = |speed| LinesAddress::Serial(port.clone(), speed);
         return Err(match found {
             Some(speed) => format!(
                 "{path}: at {baud} baud comes noise, and at {speed} baud comes text; name \
                  the port {}",
-                at(speed)
+                LinesAddress::Serial(port.clone(), speed)
             ),
             None => format!(
                 "{path}: only noise comes, at {baud} baud and at {speeds}; check what the device \
@@ -237,7 +236,9 @@ impl Work<'_> {
                 let half = (address.begins_half(), self.config.decimal_comma);
                 let stopped = |survey: &Survey| {
                     if !survey.is_empty() && !survey.has_rows() && begin.elapsed() >= STALLED * 4 {
-                        self.link.state(DeviceState::Stalled, address.no_numbers());
+                        let why = survey.problem().filter(|_| survey.is_text());
+                        let why = why.unwrap_or_else(|| address.no_numbers());
+                        self.link.state(DeviceState::Stalled, why);
                     }
                     self.link.stopped()
                 };
@@ -379,7 +380,7 @@ impl Work<'_> {
         if let Some(intake) = &mut self.intake {
             intake.errors.report(self.link);
             let warn = |example| self.link.warn(WarningKind::Damaged, example);
-            intake.examples.take().into_iter().for_each(warn);
+            intake.examples.next.drain(..).for_each(warn);
             if let Some(swapped) = intake.swapped() {
                 self.link.warn(WarningKind::Swapped, swapped);
             }

@@ -54,10 +54,9 @@ fn serial_port(port: &serialport::SerialPortInfo) -> ListedDevice {
         SerialPortType::BluetoothPort => (node.into(), "Bluetooth".to_string(), true),
         SerialPortType::Unknown => (node.into(), "on board".to_string(), true),
     };
-    let unstable = || {
-        let text = "it has no permanent name (no udev?); its number may change when it is plugged in again";
-        (!stays).then(|| text.to_string())
-    };
+    let text =
+        "it has no permanent name (no udev?); its number may change when it is plugged in again";
+    let unstable = || (!stays).then(|| text.to_string());
     ListedDevice {
         id: id.display().to_string(),
         name: name.trim_end().to_string(),

@@ -17,11 +17,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender};
 
 #[cfg(feature = "microphone")]
-pub use alsa::Alsa;
-
-#[cfg(feature = "microphone")]
-#[doc(hidden)]
-pub use alsa::microphones;
+pub use alsa::{Alsa, microphones};
 use lost_sound::Listening;
 
 use super::{

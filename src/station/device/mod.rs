@@ -178,6 +178,12 @@ impl DeviceLink {
         self.send(DeviceReportKind::Rate(rate_hz));
     }
 
+    /// Reports the result of the device's thread, also after a stop.
+    pub(crate) fn ended(&self, result: Result<(), DeviceError>) {
+        let kind = DeviceReportKind::Ended(result);
+        let _ = self.reports.send(DeviceReport { device: self.device, kind });
+    }
+
     /// Sends a report that must arrive: waits for room in the channel until a stop is requested.
     fn send(&self, kind: DeviceReportKind) {
         let mut report = DeviceReport { device: self.device, kind };
@@ -283,16 +289,13 @@ pub enum OpenError {
     Failed(String),
 }
 
-/// The reason why hardware is not connected: it was lost, or could not be opened.
+/// The reason why hardware is not connected.
+#[derive(Debug, thiserror::Error)]
 enum Disconnected {
+    #[error("{0}")]
     Lost(String),
-    NotOpened(OpenError),
-}
-
-impl From<OpenError> for Disconnected {
-    fn from(error: OpenError) -> Self {
-        Self::NotOpened(error)
-    }
+    #[error(transparent)]
+    NotOpened(#[from] OpenError),
 }
 
 /// Calls `connect`, which opens hardware and works with it, again and again until a stop. Waits

@@ -108,7 +108,7 @@ impl Device for Replay {
         }
         link.state(DeviceState::Opening, "reading the first trial");
         let loaded = load_ahead(self.entries.clone(), self.speed)?;
-        let mut joined = None;
+        let mut player = Player { replay: self, sinks, link, due: Instant::now(), joined: None };
         for entry in &self.entries {
             let trial = match next(&loaded, link)? {
                 Ok(trial) => trial,
@@ -119,9 +119,9 @@ impl Device for Replay {
                 }
             };
             link.state(DeviceState::Streaming, "");
-            let mut player = Player { replay: self, sinks, link, due: Instant::now() };
+            player.due = Instant::now();
             if self.is_joined {
-                player.join(trial, &mut joined)?;
+                player.join(trial)?;
                 continue;
             }
             player.play(trial)?;
@@ -129,7 +129,7 @@ impl Device for Replay {
                 link.sleep_until(Instant::now() + Duration::from_secs_f64(self.rest_s / factor));
             }
         }
-        if joined.is_some() {
+        if player.joined.is_some() {
             link.mark(Mark::End { at: Instant::now() });
         }
         Ok(())
@@ -225,6 +225,7 @@ struct Player<'a> {
     link: &'a DeviceLink,
     /// Time at which the part pushed last should end, at the set speed.
     due: Instant,
+    joined: Option<JoinedDrags>,
 }
 
 struct Track {
@@ -244,7 +245,7 @@ struct JoinedDrags {
 
 impl Player<'_> {
     /// Plays the trial, with its marks, until a stop is requested.
-    fn play(mut self, mut trial: Trial) -> Result<(), DeviceError> {
+    fn play(&mut self, mut trial: Trial) -> Result<(), DeviceError> {
         self.begin(&trial);
         for phase in [Phase::Still, Phase::Tap, Phase::Drag] {
             let tracks = self.tracks(phase, &mut trial)?;
@@ -256,17 +257,13 @@ impl Player<'_> {
     }
 
     /// Plays the drag of the trial as the continuation of a scan, if its sources fit.
-    fn join(
-        &mut self,
-        mut trial: Trial,
-        scan: &mut Option<JoinedDrags>,
-    ) -> Result<(), DeviceError> {
+    fn join(&mut self, mut trial: Trial) -> Result<(), DeviceError> {
         let mut tracks = self.tracks(Phase::Drag, &mut trial)?;
         let durations = tracks.iter().map(|track| track.series.duration_s());
         let Some(shortest_s) = durations.reduce(f64::min) else { return Ok(()) };
         let form = |track: &Track| (track.index, track.series.rate_hz(), track.series.channels());
         let forms: Vec<_> = tracks.iter().map(form).collect();
-        let begun = scan.take();
+        let begun = self.joined.take();
         let goes_on = begun.as_ref().is_some_and(|scan| scan.forms == forms);
         let from_s = begun.as_ref().filter(|_| goes_on).map_or(0.0, |scan| scan.played_s);
         let until_s = from_s + shortest_s;
@@ -284,7 +281,7 @@ impl Player<'_> {
             self.begin(&trial);
             self.open_all(&tracks);
         }
-        *scan = Some(JoinedDrags { forms, played_s: until_s });
+        self.joined = Some(JoinedDrags { forms, played_s: until_s });
         self.series(tracks)
     }
 

@@ -350,7 +350,7 @@ impl Connection<'_> {
 struct LinkErrors {
     counts: ErrorCounts,
     /// The last warning about an introduction (hello) of the stylus, and the number of such warnings.
-    hello: Option<(String, u64)>,
+    hello: (String, u64),
 }
 
 impl LinkErrors {
@@ -366,18 +366,14 @@ impl LinkErrors {
     }
 
     fn hello(&mut self, warning: String) {
-        let count = self.hello.as_ref().map_or(0, |(_, count)| *count);
-        self.hello = Some((warning, count + 1));
+        self.hello = (warning, self.hello.1 + 1);
     }
 
-    /// Reports the errors so far as a summary, and resets the counts.
     fn report(&mut self, link: &DeviceLink) {
-        if let Some((last, count)) = self.hello.take() {
-            let text = match count {
-                2.. => format!("{last} (and {} more)", count - 1),
-                _ => last,
-            };
-            link.warn(WarningKind::Damaged, text);
+        match std::mem::take(&mut self.hello) {
+            (_, 0) => {}
+            (last, 1) => link.warn(WarningKind::Damaged, last),
+            (last, n) => link.warn(WarningKind::Damaged, format!("{last} (and {} more)", n - 1)),
         }
         self.counts.report(link);
     }

@@ -43,7 +43,6 @@ pub struct Actor {
     pub person: Option<String>,
 }
 
-/// One change.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AuditRecord {
     unix_ms: u64,

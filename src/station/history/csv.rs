@@ -30,19 +30,18 @@ pub fn write_csv(
 }
 
 fn cell(scan: &Value, column: &str) -> String {
-    let (value, text) = match column {
-        "nearest" => (&scan["ranked"][0]["surface"], None),
+    let text = match column {
+        "nearest" => text(&scan["ranked"][0]["surface"]),
         "correction" => match text(&scan["correction"]["was"]).as_str() {
-            "surface" | "" => (&scan["correction"]["surface"], None),
-            other => (&Value::Null, Some(format!("({other})"))),
+            "surface" | "" => text(&scan["correction"]["surface"]),
+            other => format!("({other})"),
         },
-        "corrected_by" => (&scan["correction"]["person"], None),
-        "doubts" => (&Value::Null, Some(kinds(&scan["doubts"]))),
-        column => (&scan[column], None),
+        "corrected_by" => text(&scan["correction"]["person"]),
+        "doubts" => kinds(&scan["doubts"]),
+        column => text(&scan[column]),
     };
-    let text = text.unwrap_or_else(|| self::text(value));
     // A quote is put before a text that a spreadsheet would run as a formula.
-    match !value.is_number() && text.starts_with(['+', '-', '=', '@', '\t', '\r']) {
+    match !scan[column].is_number() && text.starts_with(['+', '-', '=', '@', '\t', '\r']) {
         true => format!("'{text}"),
         false => text,
     }

@@ -260,8 +260,7 @@ fn view((quantity, of): Key, points: &Points<'_>, chart: Option<Chart>) -> Chart
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::history::{History, Truth};
-    use crate::scan::Scan;
+    use crate::history::{History, Truth, tests};
     use crate::seed;
     use crate::station::Answer;
 
@@ -273,13 +272,10 @@ mod tests {
     fn answer(scan: u32, surface: &str, level_db: f64, noise_db: Option<f64>) -> Answer {
         let level = ChannelLevel { source: id("ac"), channel: 1, level_db, noise_db };
         Answer {
-            id: format!("20260921-143000.{scan:03}-{scan:02}"),
             unix_ms: 1000 + u64::from(scan),
-            surface: Some(surface.into()),
-            state: AnswerState::Named,
             p_value: Some(0.5),
             levels: vec![level],
-            ..Answer::of(&Scan::of_signals(scan, BTreeMap::new()), 1.0)
+            ..tests::answer(scan, Some(surface))
         }
     }
 

@@ -132,10 +132,7 @@ impl Log {
     pub fn open(path: &Path, read_only: bool) -> Result<Self, HistoryError> {
         let fail = HistoryError::io(path);
         let mut options = OpenOptions::new();
-        options.read(true);
-        if !read_only {
-            options.append(true).create(true);
-        }
+        options.read(true).append(!read_only).create(!read_only);
         // Only a regular file is opened, since opening a named pipe would wait for a writer.
         let is_regular = match files::open(path) {
             Err(error) if read_only || error.kind() != ErrorKind::NotFound => Err(error),
@@ -161,39 +158,36 @@ impl Log {
     pub(crate) fn each(
         &self,
         range: Range<u64>,
-        act: impl FnMut(&[u8], Span) -> io::Result<()>,
-    ) -> Result<(), HistoryError> {
-        self.lines(range, act).map_err(HistoryError::io(&self.path))
-    }
-
-    fn lines(
-        &self,
-        range: Range<u64>,
         mut act: impl FnMut(&[u8], Span) -> io::Result<()>,
-    ) -> io::Result<()> {
-        let mut reader = BufReader::new(File::open(&self.path)?);
-        let mut offset = reader.seek(SeekFrom::Start(range.start))?;
-        let (mut text, mut is_begin) = (Vec::new(), offset == 0);
-        loop {
-            text.clear();
-            let most = range.end.saturating_sub(offset).min(LONGEST as u64);
-            let read = reader.by_ref().take(most).read_until(b'\n', &mut text)?;
-            if read == 0 {
-                return Ok(());
+    ) -> Result<(), HistoryError> {
+        let mut read = || {
+            let mut reader = BufReader::new(File::open(&self.path)?);
+            let mut offset = reader.seek(SeekFrom::Start(range.start))?;
+            let (mut text, mut is_begin) = (Vec::new(), offset == 0);
+            loop {
+                text.clear();
+                let most = range.end.saturating_sub(offset).min(LONGEST as u64);
+                let read = reader.by_ref().take(most).read_until(b'\n', &mut text)?;
+                if read == 0 {
+                    return Ok(());
+                }
+                let line = text.trim_ascii_end();
+                if is_begin {
+                    act(line, Span { offset, length: line.len() as u32 })?;
+                }
+                is_begin = text.ends_with(b"\n");
+                offset += read as u64;
             }
-            let line = text.trim_ascii_end();
-            if is_begin {
-                act(line, Span { offset, length: line.len() as u32 })?;
-            }
-            is_begin = text.ends_with(b"\n");
-            offset += read as u64;
-        }
+        };
+        read().map_err(HistoryError::io(&self.path))
     }
 
     pub fn append(&mut self, line: &str) -> Result<Span, HistoryError> {
-        let mut text = Vec::with_capacity(line.len() + 2);
+        let (mut text, mut last) = (Vec::with_capacity(line.len() + 2), [0]);
+        let mut ends_well =
+            || read_exact_at(&self.file, &mut last, self.bytes - 1).is_ok_and(|()| last == *b"\n");
         // After a crash, the last line may lack its line break, so one is written before this line.
-        if self.bytes > 0 && !self.ends_well() {
+        if self.bytes > 0 && !ends_well() {
             text.push(b'\n');
         }
         let span = Span { offset: self.bytes + text.len() as u64, length: line.len() as u32 };
@@ -215,11 +209,6 @@ impl Log {
             Ok(span) => (Text::InLog(span), Ok(())),
             Err(error) => (Text::Here(text), Err(error)),
         }
-    }
-
-    fn ends_well(&self) -> bool {
-        let mut last = [0];
-        read_exact_at(&self.file, &mut last, self.bytes - 1).is_ok_and(|()| last == *b"\n")
     }
 
     pub fn line(&self, span: Span) -> Result<String, HistoryError> {

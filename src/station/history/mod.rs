@@ -25,16 +25,14 @@ pub mod log;
 mod view;
 
 #[doc(hidden)]
-pub use self::audit::{Actor, AuditRecord, Role};
-#[doc(hidden)]
-pub use self::csv::{COLUMNS, STATION_COLUMNS, write_csv};
-#[doc(hidden)]
-pub use self::entries::HistoryRow;
-#[doc(hidden)]
-pub use drift::{ChartView, Drift, Quantity, ReferenceView, news};
+pub use self::{
+    audit::{Actor, AuditRecord, Role},
+    csv::{COLUMNS, STATION_COLUMNS, write_csv},
+    drift::{ChartView, Drift, Quantity, ReferenceView, news},
+    entries::HistoryRow,
+    view::{Bands, WINDOW, bands, four_digits},
+};
 pub use keeper::Keeper;
-#[doc(hidden)]
-pub use view::{Bands, WINDOW, bands, four_digits};
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -79,7 +77,6 @@ pub struct Wanted {
     pub states: Vec<AnswerState>,
     /// The surface that was answered, or that the scan was by its correction.
     pub surface: Option<String>,
-    /// Who made the scan.
     pub user: Option<String>,
     /// Times in milliseconds since 1970; both are included.
     pub from_unix_ms: Option<u64>,
@@ -280,7 +277,6 @@ impl History {
         (0..self.lock().entries.len()).filter_map(move |at| self.at(at, &wanted))
     }
 
-    /// The answer at a place, if it is wanted.
     fn at(&self, at: usize, wanted: &Wanted) -> Option<Result<HistoryRow, HistoryError>> {
         let inner = self.lock();
         let row = inner.row(inner.entries.get(at).filter(|entry| wanted.lets(entry))?);

@@ -7,41 +7,39 @@
 //! clock skew from network delay measurements*, INFOCOM 1999). Arrival times cannot show the
 //! smallest delay, which remains as a constant offset of all frames.
 //!
-//! This module does no I/O, since the arrival times are passed in.
+//! Times are in seconds on the daemon's time base. This module does no I/O, since the arrival times
+//! are passed in.
 
 use std::collections::VecDeque;
 
-/// A time on the daemon's time base, or a duration, in seconds.
-pub(crate) type ClockSecond = f64;
-
 /// Length of a bin of arrivals. The clock keeps only the point with the least delay in each bin.
-const BIN_S: ClockSecond = 0.5;
+const BIN_S: f64 = 0.5;
 /// Number of bins kept; together they cover one minute.
 const BINS: usize = 120;
 /// Shortest span from which drift is estimated, since 1 ms of noise in 10 s makes an error of 100 ppm.
-const LEAST_SPAN_S: ClockSecond = 10.0;
+const LEAST_SPAN_S: f64 = 10.0;
 /// Largest plausible drift, twice the drift of a stylus without a crystal (1 %).
 const WORST_DRIFT: f64 = 0.02;
 /// The index has jumped if this many bins in a row are off the line by more than [`STEP_S`].
 const STEP_BINS: usize = 3;
-const STEP_S: ClockSecond = 0.01;
+const STEP_S: f64 = 0.01;
 
 /// Converts frame indexes of a stream to times of the time base, by a line fitted to arrivals.
 #[derive(Clone, Debug)]
 pub(crate) struct Clock {
-    period_s: ClockSecond,
+    period_s: f64,
     /// Finished bins, oldest first, as points (nominal time, delay).
     bins: VecDeque<ClockPoint>,
     /// The time when the unfinished bin began, and the bin's point with the least delay so far.
-    current: Option<(ClockSecond, ClockPoint)>,
+    current: Option<(f64, ClockPoint)>,
     line: Option<Line>,
 }
 
 /// `x` is the nominal time of an index; `y` is its delay, the arrival time minus `x`. Both in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct ClockPoint {
-    x: ClockSecond,
-    y: ClockSecond,
+    x: f64,
+    y: f64,
 }
 
 /// The line of delays; the delay at `x` is `at.y + slope · (x − at.x)`.
@@ -52,7 +50,7 @@ struct Line {
 }
 
 impl Line {
-    fn y(&self, x: ClockSecond) -> ClockSecond {
+    fn y(&self, x: f64) -> f64 {
         self.at.y + self.slope * (x - self.at.x)
     }
 }
@@ -66,7 +64,7 @@ impl Clock {
 
     /// Notes that all frames before `index` had arrived at `arrival_s`. Ignores a time that is not
     /// finite, and an index below the last one.
-    pub(crate) fn observe(&mut self, index: u64, arrival_s: ClockSecond) {
+    pub(crate) fn observe(&mut self, index: u64, arrival_s: f64) {
         let x = index as f64 * self.period_s;
         let point = ClockPoint { x, y: arrival_s - x };
         let newest = self.current.map(|(_, point)| point).or(self.bins.back().copied());
@@ -97,14 +95,14 @@ impl Clock {
 
     /// The time at which frame `index` was sampled, plus the stream's constant delay; `None` before
     /// the first arrival.
-    pub(crate) fn time_s(&self, index: u64) -> Option<ClockSecond> {
+    pub(crate) fn time_s(&self, index: u64) -> Option<f64> {
         let x = index as f64 * self.period_s;
         self.line.map(|line| x + line.y(x))
     }
 
     /// Index of the first frame sampled at `time_s` or later (0 for times before the stream);
     /// `None` before the first arrival.
-    pub(crate) fn index_at(&self, time_s: ClockSecond) -> Option<u64> {
+    pub(crate) fn index_at(&self, time_s: f64) -> Option<u64> {
         let Line { at, slope } = self.line?;
         // time = x + at.y + slope · (x − at.x)
         let x = (time_s - at.y + slope * at.x) / (1.0 + slope);
@@ -144,8 +142,7 @@ impl Clock {
             return;
         }
         let off = |point: &ClockPoint| point.y - line.y(point.x);
-        let all =
-            |far: fn(ClockSecond) -> bool| self.bins.range(old..).all(|point| far(off(point)));
+        let all = |far: fn(f64) -> bool| self.bins.range(old..).all(|point| far(off(point)));
         // If the new points are early, the line follows them, and the old points lie above the line.
         let late = all(|off| off > STEP_S);
         let early = self.bins.range(..old).all(|point| off(point) > STEP_S);
@@ -156,7 +153,7 @@ impl Clock {
 }
 
 /// The edge of the lower convex hull of `points` (in order of x) that holds x = `middle`.
-fn edge_under(points: &[ClockPoint], middle: ClockSecond) -> Option<Line> {
+fn edge_under(points: &[ClockPoint], middle: f64) -> Option<Line> {
     let mut hull: Vec<ClockPoint> = Vec::with_capacity(points.len());
     for &p in points {
         if let Some(last) = hull.last_mut().filter(|last| last.x >= p.x) {
@@ -187,46 +184,34 @@ mod tests {
         (*seed >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Simulated arrivals in bursts. Each burst has an exponential delay; 5 % of the bursts have an
-    /// additional Pareto delay (index 1.5, so that its variance is infinite).
-    struct SampleArrivals {
-        rate_hz: f64,
-        drift: f64,
-        burst_s: f64,
-        jitter_s: f64,
-    }
-
-    fn arrivals(rate_hz: f64, drift: f64, burst_s: f64, jitter_s: f64) -> SampleArrivals {
-        SampleArrivals { rate_hz, drift, burst_s, jitter_s }
-    }
-
-    impl SampleArrivals {
-        fn true_time(&self, index: u64) -> f64 {
-            3.0 + index as f64 / self.rate_hz * (1.0 + self.drift)
-        }
-
-        /// The clock after `seconds`, and its largest error over any span of 5 s after `from_s`.
-        fn run(&self, seconds: f64, from_s: f64, seed: u64) -> (Clock, f64) {
-            let (mut clock, seed) = (Clock::new(self.rate_hz), &mut (seed + 1));
-            let (mut index, mut last, mut worst) = (0, 0.0_f64, 0.0_f64);
-            while (index as f64) < seconds * self.rate_hz {
-                index += (self.burst_s * self.rate_hz * (0.5 + uniform(seed))) as u64 + 1;
-                let mut late = -self.jitter_s * (1.0 - uniform(seed)).ln();
-                if uniform(seed) < 0.05 {
-                    late += 0.005 * (1.0 - uniform(seed)).powf(-1.0 / 1.5);
-                }
-                last = last.max(self.true_time(index) + late);
-                clock.observe(index, last);
-                if last - 3.0 > from_s {
-                    let start = last - 6.0;
-                    let span = |t: f64| clock.index_at(t).unwrap() as f64;
-                    let frames = span(start + 5.0) - span(start);
-                    let true_frames = 5.0 * self.rate_hz / (1.0 + self.drift);
-                    worst = worst.max((frames - true_frames).abs() / self.rate_hz);
-                }
+    /// The clock after `seconds` of simulated arrivals in bursts, and its largest error over any span
+    /// of 5 s after `from_s`. Each burst has an exponential delay of mean `jitter_s`; 5 % of the bursts
+    /// have an additional Pareto delay (index 1.5, so that its variance is infinite).
+    fn run(
+        [rate_hz, drift, burst_s, jitter_s]: [f64; 4],
+        (seconds, from_s): (f64, f64),
+        seed: u64,
+    ) -> (Clock, f64) {
+        let true_time = |index: u64| 3.0 + index as f64 / rate_hz * (1.0 + drift);
+        let (mut clock, seed) = (Clock::new(rate_hz), &mut (seed + 1));
+        let (mut index, mut last, mut worst) = (0, 0.0_f64, 0.0_f64);
+        while (index as f64) < seconds * rate_hz {
+            index += (burst_s * rate_hz * (0.5 + uniform(seed))) as u64 + 1;
+            let mut late = -jitter_s * (1.0 - uniform(seed)).ln();
+            if uniform(seed) < 0.05 {
+                late += 0.005 * (1.0 - uniform(seed)).powf(-1.0 / 1.5);
             }
-            (clock, worst)
+            last = last.max(true_time(index) + late);
+            clock.observe(index, last);
+            if last - 3.0 > from_s {
+                let start = last - 6.0;
+                let span = |t: f64| clock.index_at(t).unwrap() as f64;
+                let frames = span(start + 5.0) - span(start);
+                let true_frames = 5.0 * rate_hz / (1.0 + drift);
+                worst = worst.max((frames - true_frames).abs() / rate_hz);
+            }
         }
+        (clock, worst)
     }
 
     #[test]
@@ -237,8 +222,8 @@ mod tests {
                 for (rate_hz, burst_s, jitter_s) in
                     [(10_000.0, 0.003, 0.000_5), (10_000.0, 0.016, 0.004), (44_100.0, 0.01, 0.002)]
                 {
-                    let line = arrivals(rate_hz, drift_ppm * 1e-6, burst_s, jitter_s);
-                    let (_, error_s) = line.run(40.0, 6.0, seed);
+                    let line = [rate_hz, drift_ppm * 1e-6, burst_s, jitter_s];
+                    let (_, error_s) = run(line, (40.0, 6.0), seed);
                     worst = worst.max(error_s);
                 }
             }
@@ -249,20 +234,20 @@ mod tests {
 
     #[test]
     fn the_drift_is_found() {
-        let (clock, _) = arrivals(10_000.0, 100e-6, 0.01, 0.002).run(60.0, 100.0, 7);
+        let (clock, _) = run([10_000.0, 100e-6, 0.01, 0.002], (60.0, 100.0), 7);
         let drift = clock.line.unwrap().slope;
         assert!((drift - 100e-6).abs() < 10e-6, "{drift}");
     }
 
     #[test]
     fn a_stylus_without_its_crystal_is_followed() {
-        let (_, error_s) = arrivals(10_000.0, 0.01, 0.01, 0.001).run(60.0, 16.0, 3);
+        let (_, error_s) = run([10_000.0, 0.01, 0.01, 0.001], (60.0, 16.0), 3);
         assert!(error_s <= 1e-3, "{error_s}");
     }
 
     #[test]
     fn an_index_and_its_time_belong_to_each_other() {
-        let (clock, _) = arrivals(44_100.0, -80e-6, 0.01, 0.001).run(30.0, 100.0, 1);
+        let (clock, _) = run([44_100.0, -80e-6, 0.01, 0.001], (30.0, 100.0), 1);
         for index in [0, 1, 44_099, 1_000_000] {
             assert_eq!(clock.index_at(clock.time_s(index).unwrap()), Some(index));
         }

@@ -260,7 +260,8 @@ impl Collector {
     fn finish(mut self) -> Totals {
         self.drain();
         self.detect("the detector", ScanDetector::update);
-        self.detect("the detector", |detector, streams| detector.finish(streams));
+        let stopped = self.stop.requested();
+        self.detect("the detector", |detector, streams| detector.finish(streams, stopped));
         self.abandon(|_| true, "the session ended");
         // Sends incomplete scans as they are, since a device that hangs never delivers the rest.
         self.drain();

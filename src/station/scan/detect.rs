@@ -70,7 +70,6 @@ pub(crate) struct Detector {
 }
 
 impl Detector {
-    /// A detector for hops of `hop_s` seconds.
     pub(crate) fn new(config: DetectorConfig, hop_s: f64) -> Self {
         let state = DetectorState::Quiet { tap: None };
         Self { config, state, hop_s, hop: 0, gap_at: None, gap_end: None }
@@ -106,9 +105,7 @@ impl Detector {
             return is_drag.then_some(DetectorEvent::End { end, cut: true });
         };
         let gap_at = self.gap_at.take();
-        if gap_at.is_some() {
-            self.gap_end = Some(at);
-        }
+        self.gap_end = gap_at.map(|_| at).or(self.gap_end);
         match &mut self.state {
             DetectorState::Quiet { tap } => {
                 if tap.is_some_and(|(_, end)| lasted(at + 1 - end, config.longest_pause_s)) {
@@ -212,12 +209,10 @@ const FORCE: f64 = 5e-3;
 /// movements of the hand lie below it.
 const HIGH_PASS_HZ: f64 = 20.0;
 
-/// Number of frames in a hop of a stream at this rate in Hz.
 pub(super) fn hop_frames(rate_hz: f64) -> f64 {
     (rate_hz * HOP_S).max(1.0)
 }
 
-/// Length of a hop of a stream at this rate in Hz, in seconds.
 pub(super) fn hop_s(rate_hz: f64) -> f64 {
     hop_frames(rate_hz) / rate_hz
 }
@@ -258,7 +253,6 @@ pub(super) struct StreamLevel {
 }
 
 impl StreamLevel {
-    /// Measures the level of a stream of this many channels, at this rate in Hz.
     pub(super) fn new(kind: SensorKind, channels: usize, rate_hz: f64) -> Self {
         let turn = std::f64::consts::TAU * HIGH_PASS_HZ.min(rate_hz / 4.0) / rate_hz;
         Self {

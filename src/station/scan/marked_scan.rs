@@ -215,7 +215,7 @@ pub struct Fresh {
     pub samples: Vec<f32>,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Progress {
     pub number: u32,
     pub truth: Option<TrialKey>,
@@ -288,8 +288,7 @@ pub(super) fn next_snapshot(
     }
     let scan_s = step as f64 * every_s;
     let (number, truth) = (marked.number, marked.truth_at(scan_s).cloned());
-    let (fresh, images, gap) = (Vec::new(), Vec::new(), false);
-    let mut progress = Progress { number, truth, scan_s, fresh, images, gap };
+    let mut progress = Progress { number, truth, scan_s, ..Progress::default() };
     let mut sent: Vec<u64> = marked.cuts.values().map(|cut| cut.sent).collect();
     for ((source, cut), sent) in marked.cuts.iter().zip(&mut sent) {
         match &streams[cut.stream].buffer {
@@ -363,8 +362,7 @@ mod tests {
             start: *start,
             samples: samples.to_vec(),
         });
-        let (fresh, images) = (fresh.collect(), Vec::new());
-        Progress { number: 1, truth: None, scan_s, fresh, images, gap: false }
+        Progress { number: 1, scan_s, fresh: fresh.collect(), ..Progress::default() }
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::Options;
-use super::clock::{Clock, ClockSecond};
+use super::clock::Clock;
 use crate::device::{StreamKind, StreamSpec};
 use crate::ring::{ImageTap, Meter, Piece, Reckoning, SeriesTap, Sink, Waker, images, series};
 use crate::scene::SourceId;
@@ -16,10 +16,10 @@ const RECENT_IMAGES: u64 = 8;
 /// Most pictures that are kept, even if a scan needs older ones.
 const MOST_IMAGES: usize = 64;
 /// A stream that has delivered nothing for this long takes no part in detection.
-const SILENT_S: ClockSecond = 0.5;
+const SILENT_S: f64 = 0.5;
 /// A drag is over if its streams have delivered nothing for this long. The time is longer than any
 /// machine suspends a driver.
-const GONE_S: ClockSecond = 3.0;
+const GONE_S: f64 = 3.0;
 
 pub(super) struct Stream {
     pub id: SourceId,
@@ -35,7 +35,7 @@ pub(super) struct Stream {
     /// Tells when each frame was sampled, on the time base of the scan detector.
     pub clock: Clock,
     /// Index after the last frame that the clock has observed, and the time when that frame arrived.
-    pub observed: (u64, ClockSecond),
+    pub observed: (u64, f64),
 }
 
 pub(super) enum StreamBuffer {
@@ -79,7 +79,7 @@ impl Stream {
     }
 
     /// Notes that the frames which have come out of the ring since the last call arrived at `now_s`.
-    pub(super) fn observe(&mut self, now_s: ClockSecond) {
+    pub(super) fn observe(&mut self, now_s: f64) {
         let end = self.end();
         if end > self.observed.0 {
             self.observed = (end, now_s);
@@ -87,17 +87,17 @@ impl Stream {
         }
     }
 
-    pub(super) fn alive(&self, now_s: ClockSecond) -> bool {
+    pub(super) fn alive(&self, now_s: f64) -> bool {
         now_s - self.observed.1 <= SILENT_S
     }
 
     /// Whether the stream's data have been missing long enough to end its drag.
-    pub(super) fn gone(&self, now_s: ClockSecond) -> bool {
+    pub(super) fn gone(&self, now_s: f64) -> bool {
         now_s - self.observed.1 > GONE_S
     }
 
     /// Index of the frame that is sampled now; if the stream is silent, the index of its next frame.
-    pub(super) fn index_now(&self, now_s: ClockSecond) -> u64 {
+    pub(super) fn index_now(&self, now_s: f64) -> u64 {
         let by_clock = self.clock.index_at(now_s).filter(|_| self.alive(now_s));
         by_clock.unwrap_or(self.observed.0)
     }

@@ -126,14 +126,18 @@ impl ScanDetector {
         }
     }
 
-    /// Ends the scan in progress. Called when no more data will come.
-    pub(super) fn finish(&mut self, streams: &[Stream]) {
+    /// Ends the scan in progress. Called when no more data will come: since the station was `stopped`,
+    /// or all devices have ended.
+    pub(super) fn finish(&mut self, streams: &[Stream], stopped: bool) {
         let now_s = self.now_s();
         match self.scan.as_ref().map(|scan| scan.lead) {
             None => return,
             Some(None) => self.end_now(streams, now_s),
             Some(Some(at)) => {
                 if let Some(event) = self.groups[at].detector.finish() {
+                    if !stopped && self.groups[at].cut_off(event) {
+                        self.marks.push(Mark::Spoil(Doubt::EndedEarly));
+                    }
                     self.on_detection(at, event, streams, now_s);
                 }
             }

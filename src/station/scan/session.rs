@@ -14,7 +14,7 @@ use super::event_queue::EventQueue;
 use super::recent_frames::Stream;
 use super::scan_detector::ScanDetector;
 use super::{Event, Options, ScanCommand, Totals};
-use crate::device::{Device, DeviceError, DeviceLink, DeviceReport, DeviceReportKind};
+use crate::device::{Device, DeviceError, DeviceLink};
 use crate::ring::{Counts, Meter, Sink, Stop, Waker};
 use crate::scene::SourceId;
 
@@ -124,9 +124,8 @@ impl Session {
         for (index, (device, sinks)) in ready.into_iter().enumerate() {
             let name = device.name().to_string();
             let link = DeviceLink::new(index, session.stop.clone(), report.clone());
-            let report = report.clone();
             // If a thread cannot be started, dropping the session stops those that run.
-            let thread = spawn(&name, move || run(device, sinks, &link, index, &report))?;
+            let thread = spawn(&name, move || run(device, sinks, &link))?;
             session.devices.push((name, thread));
         }
         Ok(session)
@@ -208,13 +207,7 @@ fn spawn<T: Send + 'static>(
     builder.spawn(work).map_err(|error| SessionError::Thread { name: name.into(), error })
 }
 
-fn run(
-    mut device: Box<dyn Device>,
-    mut sinks: Vec<Sink>,
-    link: &DeviceLink,
-    index: usize,
-    reports: &Sender<DeviceReport>,
-) {
+fn run(mut device: Box<dyn Device>, mut sinks: Vec<Sink>, link: &DeviceLink) {
     let ran = std::panic::catch_unwind(AssertUnwindSafe(|| device.run(&mut sinks, link)));
     let result = ran.unwrap_or_else(|panic| {
         let problem = format!("it panicked: {}; please report this", what(panic.as_ref()));
@@ -222,7 +215,7 @@ fn run(
     });
     // The streams are closed before the end is reported, so that the report comes after all data.
     drop(sinks);
-    let _ = reports.send(DeviceReport { device: index, kind: DeviceReportKind::Ended(result) });
+    link.ended(result);
 }
 
 fn what(panic: &(dyn Any + Send)) -> String {

@@ -25,7 +25,6 @@ pub fn damage(doubts: &[Doubt]) -> Vec<&Doubt> {
     damage
 }
 
-/// The doubts that are the reasons for the state of an answer.
 pub(super) fn reasons(doubts: &[Doubt]) -> Vec<&Doubt> {
     let answers = |doubt: &&Doubt| {
         matches!(doubt, Doubt::FitsNone { .. } | Doubt::NotNamed { .. } | Doubt::TooLittle)
@@ -72,7 +71,6 @@ fn damage_entries(doubts: &[Doubt]) -> Value {
     damage(doubts).into_iter().map(entry).collect()
 }
 
-/// Writes the doubts of an answer.
 pub(super) fn of_answer<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
     let listed = |is: fn(&Doubt) -> bool| json!(lines(doubts.iter().filter(|doubt| is(doubt))));
     let lists = [
@@ -84,7 +82,6 @@ pub(super) fn of_answer<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok,
     with_lists(lists, doubts, to)
 }
 
-/// Writes the doubts about a scan in progress.
 pub(super) fn of_guess<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
     with_lists([("damage", damage_entries(doubts))], doubts, to)
 }
@@ -95,12 +92,10 @@ pub(super) fn of_enrolled<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::O
     with_lists([("remarks", json!(lines(others)))], doubts, to)
 }
 
-/// Writes why a scan was refused.
 pub(super) fn of_refused<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
     with_lists([("reasons", json!(lines(told(doubts))))], doubts, to)
 }
 
-/// Writes why sources were not compared.
 pub(super) fn of_left_out<S: Serializer>(doubts: &[Doubt], to: S) -> Result<S::Ok, S::Error> {
     with_lists([("left_out", json!(lines(doubts)))], doubts, to)
 }

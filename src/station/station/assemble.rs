@@ -17,18 +17,15 @@ pub struct Assembled {
     pub left_out: Vec<String>,
     pub device_of: BTreeMap<String, String>,
     /// Requests a picture with flash during each drag; `None` without a flash.
-    pub flasher: Option<Flasher>,
+    pub flasher: Option<Shutter>,
     pub viewfinder: Option<Viewfinder>,
 }
 
 /// Requests a picture with flash once a drag has begun; the picture becomes part of that scan.
-#[derive(Clone, Debug)]
-pub struct Flasher(Shutter);
-
-impl Listener for Flasher {
+impl Listener for Shutter {
     fn on_event(&mut self, event: &StationEvent) {
         if let StationEvent::Phase { phase: Some(Phase::Drag), .. } = event {
-            self.0.flash();
+            self.flash();
         }
     }
 }
@@ -54,8 +51,7 @@ pub fn assemble(config: &StationConfig) -> Assembled {
     }
     for cut in &config.detection.cuts {
         // Up to here, `device_of` lists streams only. The sources cut from these streams are added now.
-        if let Some(device) = all.device_of.get(cut.stream.as_str()) {
-            let device = device.clone();
+        if let Some(device) = all.device_of.get(cut.stream.as_str()).cloned() {
             all.device_of.insert(cut.source.to_string(), device);
         }
     }
@@ -95,12 +91,12 @@ impl Assembled {
         if let Some(flash) = &config.flash {
             let by = match (flash.by_camera, light) {
                 (true, _) => Some(Flash::Camera),
-                (false, Some(light)) => Some(Flash::Line(Box::new(move |on| light.switch(on)))),
+                (false, Some(light)) => Some(Flash::Stylus(light)),
                 (false, None) => None,
             };
             if let Some(by) = by {
                 camera = camera.flash(flash.source.clone(), by, flash.settle);
-                self.flasher = Some(Flasher(camera.shutter()));
+                self.flasher = Some(camera.shutter());
             }
         }
         self.add(Box::new(camera));

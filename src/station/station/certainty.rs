@@ -56,7 +56,13 @@ pub(super) fn judge(answer: &mut Answer, rejection: Option<&Rejection>) {
         found.push(Doubt::Improbable { surface, probability });
     }
     answer.doubts.extend(found);
-    answer.state = state(&answer.doubts);
+    answer.state = match reasons(&answer.doubts)[..] {
+        [] => AnswerState::Named,
+        [Doubt::FitsNone { .. }] => AnswerState::Unknown,
+        [Doubt::NotNamed { .. } | Doubt::TooLittle] => AnswerState::Unnamed,
+        [Doubt::UnknownNotDetected] => AnswerState::Nearest,
+        _ => AnswerState::Unsure,
+    };
     match answer.state {
         AnswerState::Unknown => answer.confidence = None,
         _ => answer.surface = Some(answer.ranked[0].surface.clone()),
@@ -76,17 +82,6 @@ pub(super) fn lost_in(scan: &Scan) -> Vec<Doubt> {
         doubts.push(Doubt::LostSamples { samples: scan.lost_samples });
     }
     doubts
-}
-
-/// The state of an answer with all its doubts.
-fn state(doubts: &[Doubt]) -> AnswerState {
-    match reasons(doubts)[..] {
-        [] => AnswerState::Named,
-        [Doubt::FitsNone { .. }] => AnswerState::Unknown,
-        [Doubt::NotNamed { .. } | Doubt::TooLittle] => AnswerState::Unnamed,
-        [Doubt::UnknownNotDetected] => AnswerState::Nearest,
-        _ => AnswerState::Unsure,
-    }
 }
 
 /// The probability that a scan is of an unknown surface; `None` without a p-value or a threshold.

@@ -179,7 +179,9 @@ impl MovingScan {
         let dragged = fresh.iter().filter(|fresh| self.by.scene.is_dragged(&fresh.source));
         for fresh in dragged {
             let recent = self.recent.entry(fresh.source.clone());
-            recent.or_insert_with(|| RecentFrames::new(fresh)).add(fresh, self.window_s);
+            let Fresh { rate_hz, channels, .. } = *fresh;
+            let new = || RecentFrames { rate_hz, channels, samples: Vec::new(), end: 0 };
+            recent.or_insert_with(new).add(fresh, self.window_s);
         }
         if let Some(Smoothed { filter, step_s, .. }) = &mut self.smoothed {
             let step = |seconds: f64| (seconds / *step_s).round();
@@ -257,7 +259,8 @@ impl MovingScan {
                 ended = before
                     .filter(|stretch| stretch.begin_s < begin_s)
                     .map(|stretch| stretch.ended(begin_s, smoothed, &self.by, from));
-                self.stretch = Some(Stretch::new(state, begin_s, window, smoothed));
+                let (sums, truths) = (vec![0.0; smoothed.surfaces.len()], BTreeMap::new());
+                self.stretch = Some(Stretch { state, begin_s, looks: 0, sums, truths, window });
             }
         }
         if let Some(stretch) = &mut self.stretch {
@@ -288,11 +291,6 @@ impl MovingScan {
 }
 
 impl RecentFrames {
-    fn new(fresh: &Fresh) -> Self {
-        let Fresh { rate_hz, channels, .. } = *fresh;
-        Self { rate_hz, channels, samples: Vec::new(), end: 0 }
-    }
-
     fn add(&mut self, fresh: &Fresh, window_s: f64) {
         self.samples.extend_from_slice(&fresh.samples);
         self.end = fresh.start + (fresh.samples.len() / self.channels) as u64;
@@ -402,12 +400,6 @@ impl Smoothed {
 }
 
 impl Stretch {
-    fn new(state: usize, begin_s: f64, window: Window, smoothed: &Smoothed) -> Self {
-        let (sums, truths) = (vec![0.0; smoothed.surfaces.len()], BTreeMap::new());
-        Self { state, begin_s, looks: 0, sums, truths, window }
-    }
-
-    /// Counts a look within the stretch.
     fn count(&mut self, smoothed: &Smoothed, truth: Option<&TrialKey>) {
         self.looks += 1;
         self.sums.iter_mut().zip(smoothed.shares()).for_each(|(sum, share)| *sum += share);

@@ -82,7 +82,7 @@ impl Guess {
 }
 
 /// The outcome of a scan that was to be kept as a trial of a library.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Enrolled {
     pub scan: u32,
     pub surface: String,
@@ -102,8 +102,8 @@ pub struct Enrolled {
     pub probability: Option<f64>,
     /// Number of trials of `surface` that the library had then; `None` if it gave no answer.
     pub known: Option<usize>,
-    /// Number of trials that the order still lacks; 0 if it has ended, `u32::MAX` if it has no limit.
-    pub wanted: u32,
+    /// Number of trials that the order still lacks; 0 if it has ended, `None` if it has no limit.
+    pub wanted: Option<u32>,
 }
 
 /// The order for the next scan: surface and user of its trial, and the progress of the order.
@@ -135,12 +135,13 @@ pub struct RefusedScan {
     pub doubts: Vec<Doubt>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EnrolledOutcome {
     Kept,
     Refused,
     /// The scan could not be written yet; it stays in memory, and writing is tried again.
+    #[default]
     Waiting,
     Lost,
 }

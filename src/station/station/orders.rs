@@ -143,8 +143,8 @@ impl Orders {
                 order.refused = Some(RefusedScan { scan, doubts });
             }
             enrolled.wanted = match order.until {
-                None => order.wanted().unwrap_or(u32::MAX),
-                Some(_) => 0,
+                None => order.wanted(),
+                Some(_) => Some(0),
             };
         }
         self.forget();
@@ -232,7 +232,7 @@ mod tests {
         assert_eq!(in_force(&orders), None, "nothing more is to come");
         orders.give(keep("ash", Some(2)), 2);
         let counted = orders.count(&oak, became(&oak, EnrolledOutcome::Kept));
-        assert_eq!(counted.wanted, 0);
+        assert_eq!(counted.wanted, Some(0));
         assert_eq!(in_force(&orders), Some(("ash".into(), Some(2))));
         // The user gives another order with the same label.
         let ash = orders.claim(2).unwrap();
@@ -261,12 +261,12 @@ mod tests {
     #[test]
     fn a_refused_scan_is_to_come_again_and_a_waiting_one_is_not() {
         let (mut orders, oak) = oak(1);
-        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Refused)).wanted, 1);
+        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Refused)).wanted, Some(1));
         assert_eq!(in_force(&orders), Some(("oak".into(), Some(1))));
         let oak = orders.claim(2).unwrap();
-        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Waiting)).wanted, 1);
+        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Waiting)).wanted, Some(1));
         assert_eq!((in_force(&orders), label(orders.claim(3))), (None, None));
-        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Kept)).wanted, 0);
+        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Kept)).wanted, Some(0));
     }
 
     #[test]
@@ -278,7 +278,7 @@ mod tests {
         assert_eq!(orders.keep_refused(1).as_ref(), Some(&oak));
         assert_eq!(orders.keep_refused(1), None, "once");
         assert_eq!(in_force(&orders), Some(("oak".into(), Some(1))));
-        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Kept)).wanted, 1);
+        assert_eq!(orders.count(&oak, became(&oak, EnrolledOutcome::Kept)).wanted, Some(1));
         let now = orders.in_force().unwrap();
         assert_eq!((now.trials, now.kept, now.refused), (Some(2), 1, None));
     }

@@ -268,7 +268,6 @@ impl LibraryState {
         }
     }
 
-    /// Number of trials of a surface.
     pub(super) fn trials_of(&self, surface: &str) -> usize {
         self.surfaces.iter().find(|(name, _)| name == surface).map_or(0, |(_, trials)| *trials)
     }

@@ -14,7 +14,7 @@ use crossbeam_channel::{
 };
 
 use super::event::{Enrolled, EnrolledOutcome};
-use super::orders::Enrolment;
+use super::orders::{Enrolment, Keep};
 use super::recogniser::Recogniser;
 use super::trial_need::faults;
 use crate::library::{About, LibraryError};
@@ -101,7 +101,6 @@ impl RecordingThread {
         let _ = self.scans.send(Task::Store(WaitingScan { scan, enrolment, by, doubts }));
     }
 
-    /// Stores the scan that was refused last, if its number is `scan`.
     pub(super) fn keep_refused(&mut self, scan: u32, enrolment: Enrolment) {
         self.under_way.insert(scan, enrolment.clone());
         // Sending fails only if the thread has panicked, as in `store`.
@@ -134,8 +133,6 @@ fn settle(under_way: &mut BTreeMap<u32, Enrolment>, enrolled: &Enrolled) {
     }
 }
 
-type Numbers = BTreeMap<(String, String), u32>;
-
 struct WaitingScan {
     scan: Box<Scan>,
     enrolment: Enrolment,
@@ -148,7 +145,7 @@ struct StoreWriter {
     waiting: VecDeque<WaitingScan>,
     refused: Option<WaitingScan>,
     /// The next free trial numbers, read from the library and raised by the trials written since.
-    next: Numbers,
+    next: BTreeMap<(String, String), u32>,
     /// Whether `next` was read from the library for the current scan.
     current: bool,
     send: Sender<StoredScan>,
@@ -158,7 +155,7 @@ struct StoreWriter {
 
 impl StoreWriter {
     fn new(store: ScanStore, send: Sender<StoredScan>, ending: Receiver<Infallible>) -> Self {
-        let (waiting, refused, next) = (VecDeque::new(), None, Numbers::new());
+        let (waiting, refused, next) = (VecDeque::new(), None, BTreeMap::new());
         Self { store, waiting, refused, next, current: false, send, ending }
     }
 
@@ -307,20 +304,8 @@ pub(super) fn enrolled(
     outcome: EnrolledOutcome,
     doubts: Vec<Doubt>,
 ) -> Enrolled {
-    Enrolled {
-        scan,
-        surface: of.keep.surface.clone(),
-        user: of.keep.user.clone(),
-        session: None,
-        outcome,
-        trial: None,
-        folder: None,
-        doubts,
-        nearest: None,
-        probability: None,
-        known: None,
-        wanted: 0,
-    }
+    let Keep { surface, user, .. } = of.keep.clone();
+    Enrolled { scan, surface, user, outcome, doubts, wanted: Some(0), ..Enrolled::default() }
 }
 
 #[cfg(test)]

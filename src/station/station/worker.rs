@@ -237,52 +237,16 @@ fn look(
 }
 
 #[cfg(test)]
+#[path = "../../../tests/common/oak.rs"]
+mod oak;
+
+#[cfg(test)]
 mod tests {
-    use std::any::Any;
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::library::Entry;
-    use crate::recognise::features::FeatureVector;
-    use crate::recognise::{Model, Prepared, RankedSurface, Ranking, RecogniseError};
     use crate::scene::Scene;
     use crate::station::{AnswerState, LibraryState};
-    use crate::trial::{Trial, TrialKey};
-
-    /// A method that names every scan oak, and panics in one of its functions.
-    #[derive(Clone, Copy)]
-    struct PanicsIn(&'static str);
-
-    impl PanicsIn {
-        fn reach(self, part: &str) {
-            assert_ne!(self.0, part, "as the test demands");
-        }
-    }
-
-    impl Model for PanicsIn {
-        fn prepare(&self, entry: &Entry, _: &Trial) -> Result<Prepared, RecogniseError> {
-            self.reach("prepare");
-            let (key, sources) = (entry.key.clone(), BTreeMap::new());
-            Ok(Prepared::Features(Arc::new(FeatureVector { key, sources })))
-        }
-
-        fn rank(&self, _: &Prepared) -> Result<Ranking, RecogniseError> {
-            self.reach("rank");
-            Ok(Ranking {
-                ranked: vec![RankedSurface { surface: "oak".into(), score: 1.0 }],
-                margin: 0.0,
-                sources: Vec::new(),
-                nearest: TrialKey::new("oak", "", 1),
-                confidence: None,
-                p_value: None,
-            })
-        }
-
-        fn as_any(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
-            self.reach("follow");
-            None
-        }
-    }
 
     fn scan(number: u32) -> Scan {
         Scan { scan_s: 1.0, ..Scan::of_signals(number, BTreeMap::new()) }
@@ -294,12 +258,11 @@ mod tests {
             [("nothing", true), ("follow", true), ("prepare", false), ("rank", false)]
         {
             let worker = Worker::start(false, None).unwrap();
-            let model = Arc::new(PanicsIn(part));
+            let panics = move |reached: &str| assert_ne!(reached, part, "as the test demands");
+            let model = Arc::new(oak::Oak(panics));
             let by = Arc::new(Recogniser::new(model, Scene::lmt108(), LibraryState::default()));
             for number in 1..=2 {
-                let (fresh, images) = (Vec::new(), Vec::new());
-                let (truth, scan_s, gap) = (None, 0.5, false);
-                let progress = Progress { number, truth, scan_s, fresh, images, gap };
+                let progress = Progress { number, scan_s: 0.5, ..Progress::default() };
                 for job in [Job::Progress(progress), Job::Scan(Box::new(scan(number)))] {
                     let work = Work { job, trial: None, by: Ok(by.clone()) };
                     worker.work.send(work).unwrap();

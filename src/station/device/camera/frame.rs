@@ -55,7 +55,6 @@ impl Frame {
     }
 }
 
-/// Converts pairs of pixels Y0 U Y1 V (BT.601, Y from 16 to 235) to RGB, in 16-bit fixed point.
 fn yuyv_to_rgb(pairs: &[u8]) -> Vec<u8> {
     let mut rgb = Vec::with_capacity(pairs.len() / 2 * 3);
     for pair in pairs.chunks_exact(4) {
@@ -131,10 +130,7 @@ mod tests {
                 assert!(got.abs_diff(expected) <= 2, "{:?} is not {rgb:?}", picture.as_raw());
             }
         }
-    }
-
-    #[test]
-    fn two_pixels_of_yuyv_share_their_colour_but_not_their_light() {
+        // Two pixels share their colour, but not their light.
         let picture = frame(FrameFormat::Yuyv, 2, 1, vec![16, 128, 235, 128]).to_rgb().unwrap();
         assert_eq!(*picture, [0, 0, 0, 255, 255, 255]);
     }

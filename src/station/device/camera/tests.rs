@@ -3,7 +3,6 @@
 use std::sync::Mutex;
 use std::sync::atomic::AtomicUsize;
 
-use super::Frames;
 use super::frame::FrameFormat;
 use super::*;
 use crate::device::running::Running;
@@ -129,7 +128,7 @@ fn a_wedged_camera_is_stalled_and_does_not_hold_up_the_end() {
 }
 
 #[test]
-fn a_camera_that_is_unplugged_or_whose_reader_panics_is_lost_and_opened_again() {
+fn a_camera_that_is_not_there_yet_or_is_lost_is_opened_again() {
     let unplugged = scripted(|opening, frame| match (opening, frame) {
         (0, 3) => CameraAct::End,
         _ => CameraAct::Frame(grey()),
@@ -138,24 +137,18 @@ fn a_camera_that_is_unplugged_or_whose_reader_panics_is_lost_and_opened_again() 
         0 => panic!("a driver's bug"),
         _ => CameraAct::Frame(grey()),
     });
+    let mut comes_later = scripted(|_, _| CameraAct::Frame(grey()));
+    comes_later.first = Some(OpenError::Absent("camera eye".into()));
+    let absent = "absent: camera eye is not there; plug it in, or look for its name with \
+                  `surfaced devices`";
     let of_unplugged: &[&str] = &["opening", "streaming", "lost: No such device", "streaming"];
     let of_panics: &[&str] = &["opening", "lost", "streaming"];
-    for (video, said) in [(unplugged, of_unplugged), (panics, of_panics)] {
+    let of_later: &[&str] = &["opening", absent, "streaming"];
+    for (video, said) in [(unplugged, of_unplugged), (panics, of_panics), (comes_later, of_later)] {
         let (running, _) = start(camera(video));
         running.says(said);
         running.end();
     }
-}
-
-#[test]
-fn a_camera_that_is_not_there_yet_is_absent_and_tried_again() {
-    let mut video = scripted(|_, _| CameraAct::Frame(grey()));
-    video.first = Some(OpenError::Absent("camera eye".into()));
-    let (running, _) = start(camera(video));
-    let absent = "absent: camera eye is not there; plug it in, or look for its name with \
-                  `surfaced devices`";
-    running.says(&["opening", absent, "streaming"]);
-    running.end();
 }
 
 #[test]
@@ -219,8 +212,8 @@ fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
 #[test]
 fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
     let ca2 = || SourceId::new("ca2").unwrap();
-    let broken = Flash::Line(Box::new(|_| Err("the stylus does not answer".into())));
-    for (flash, part) in [(broken, "does not answer"), (Flash::Camera, "no such control")] {
+    let stylus = Flash::Stylus(Light::default());
+    for (flash, part) in [(stylus, "does not answer"), (Flash::Camera, "no such control")] {
         let mut video = scripted(|_, _| CameraAct::Frame(grey()));
         video.has_torch = false;
         let camera = camera(video).flash(ca2(), flash, Duration::from_millis(50));
@@ -236,9 +229,9 @@ fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
 
 #[test]
 fn a_picture_with_flash_is_one_taken_after_the_light_has_settled() {
-    let mut cycle = Cycle::new(Duration::from_millis(100));
+    let (mut phase, settle) = (FlashPhase::Off, Duration::from_millis(100));
     let begin = Instant::now();
-    let judge = |i: u64| cycle.judge(begin + Duration::from_millis(40 * i), || i == 2);
+    let judge = |i: u64| phase.judge(begin + Duration::from_millis(40 * i), settle, || i == 2);
     let seen: Vec<_> = (0..12).map(judge).collect();
     let plain = (FrameLight::Plain, None);
     let between = (FrameLight::Between, None);

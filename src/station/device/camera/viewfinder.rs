@@ -33,7 +33,6 @@ pub struct CameraView {
 pub struct Viewfinder(Arc<Mutex<(CameraView, Option<Arc<RgbImage>>)>>);
 
 impl Viewfinder {
-    /// A viewfinder for a camera; `source` is the stream of its pictures without flash.
     pub fn new(source: SourceId) -> Self {
         let view = CameraView { source, region: None, flash: FlashState::None };
         Self(Arc::new(Mutex::new((view, None))))

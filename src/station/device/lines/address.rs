@@ -8,6 +8,7 @@ use std::sync::Mutex;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
+use socket2::{SockRef, TcpKeepalive};
 
 use crate::device::OpenError;
 use crate::device::serial::{Selector, WAIT};
@@ -16,6 +17,9 @@ use crate::device::system;
 /// Default rate of a microcontroller's serial port, in baud.
 const BAUD: u32 = 115_200;
 const CONNECT: Duration = Duration::from_secs(1);
+/// Silence of a TCP connection after which the other end is asked whether it is there, and the time
+/// between two such questions. After some ten without an answer, the connection is lost.
+const KEEPALIVE: [Duration; 2] = [Duration::from_secs(3), Duration::from_secs(1)];
 /// Length in bytes of the buffer for a datagram; no datagram is longer.
 const DATAGRAM: usize = 64 * 1024;
 
@@ -37,27 +41,28 @@ impl FromStr for LinesAddress {
         let expected = "expected a serial port (`/dev/ttyACM0`, `COM3`, `usb:2341:0043`, with \
                         `@9600` for another rate than 115200 baud), `tcp://HOST:PORT`, \
                         `udp://HOST:PORT`, or `-` for standard input";
-        let refused = || Err(format!("`{text}` is not a place that lines come from; {expected}"));
         let host = |rest: &str| {
             let (host, port) = rest.rsplit_once(':')?;
             (!host.is_empty() && port.parse::<u16>().is_ok()).then(|| rest.to_string())
         };
-        match text.split_once("://") {
-            Some(("tcp", rest)) => host(rest).map_or_else(refused, |host| Ok(Self::Tcp(host))),
-            Some(("udp", rest)) => host(rest).map_or_else(refused, |host| Ok(Self::Udp(host))),
-            Some(_) => refused(),
-            None if text == "-" => Ok(Self::Stdin),
+        let found = match text.split_once("://") {
+            Some(("tcp", rest)) => host(rest).map(Self::Tcp),
+            Some(("udp", rest)) => host(rest).map(Self::Udp),
+            Some(_) => None,
+            None if text == "-" => Some(Self::Stdin),
             None => {
                 let rated = text.rsplit_once('@').map(|(port, baud)| (port, baud.parse()));
                 let (port, baud) = rated.unwrap_or((text, Ok(BAUD)));
                 match (port.parse(), baud) {
                     // `auto` is refused: it selects the stylus's chip, which prints no lines.
-                    (Ok(Selector::Auto), _) => refused(),
-                    (Ok(port), Ok(baud @ 1..)) => Ok(Self::Serial(port, baud)),
-                    _ => refused(),
+                    (Ok(port), Ok(baud @ 1..)) if port != Selector::Auto => {
+                        Some(Self::Serial(port, baud))
+                    }
+                    _ => None,
                 }
             }
-        }
+        };
+        found.ok_or_else(|| format!("`{text}` is not a place that lines come from; {expected}"))
     }
 }
 
@@ -115,7 +120,6 @@ impl LinesAddress {
     }
 }
 
-/// An address that was opened.
 pub struct OpenLine {
     pub line: Box<dyn Read>,
     /// The name of the opened line, such as the path of a serial port.
@@ -149,6 +153,10 @@ fn connect(host: &str) -> io::Result<TcpStream> {
         match TcpStream::connect_timeout(&address, CONNECT) {
             Ok(stream) => {
                 stream.set_read_timeout(Some(WAIT))?;
+                // A device that loses its power ends no connection.
+                let [time, interval] = KEEPALIVE;
+                let keepalive = TcpKeepalive::new().with_time(time).with_interval(interval);
+                SockRef::from(&stream).set_tcp_keepalive(&keepalive)?;
                 return Ok(stream);
             }
             Err(error) => last = error,
@@ -178,20 +186,6 @@ impl Datagrams {
         self.kept = n + 1;
         Ok(())
     }
-
-    /// Moves datagrams that have arrived to `buffer`; returns the number of bytes.
-    fn take_all(&mut self, buffer: &mut [u8]) -> usize {
-        let mut n = 0;
-        while n + self.kept <= buffer.len() {
-            buffer[n..n + self.kept].copy_from_slice(&self.datagram[..self.kept]);
-            n += std::mem::take(&mut self.kept);
-            // If none has arrived, or receiving fails, the next read says so.
-            if self.receive().is_err() {
-                break;
-            }
-        }
-        n
-    }
 }
 
 impl Read for Datagrams {
@@ -202,7 +196,15 @@ impl Read for Datagrams {
             self.receive()?;
         }
         self.socket.set_nonblocking(true)?;
-        let n = self.take_all(buffer);
+        let mut n = 0;
+        while n + self.kept <= buffer.len() {
+            buffer[n..n + self.kept].copy_from_slice(&self.datagram[..self.kept]);
+            n += std::mem::take(&mut self.kept);
+            // If none has arrived, or receiving fails, the next read says so.
+            if self.receive().is_err() {
+                break;
+            }
+        }
         self.socket.set_nonblocking(false)?;
         Ok(n)
     }
@@ -304,6 +306,13 @@ mod tests {
         assert!(dropped > 0);
         assert_eq!(text.len() as u64 / 4 + dropped, sent);
         assert_eq!(drops.fresh(), 0);
+    }
+
+    #[test]
+    fn a_connection_is_kept_alive() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let stream = connect(&listener.local_addr().unwrap().to_string()).unwrap();
+        assert!(SockRef::from(&stream).keepalive().unwrap());
     }
 
     #[test]

@@ -1,6 +1,8 @@
 //! Finds the numbers in a line of text, and what stands around them: separators, names, units,
 //! words. Does no I/O. Once its buffers have grown, it allocates for decimal commas only.
 
+use super::commas::is_grouped;
+
 /// Most cells of a line; a line with more is refused.
 pub(super) const MOST_CELLS: usize = 512;
 
@@ -29,12 +31,19 @@ pub(super) struct Cell {
     pub label: [Piece; 2],
     /// Place after the name, counted from 0.
     pub place: u32,
+    /// What the digits show of thousands, of [`WHOLE`], [`GROUPED`] and [`FRACTION`].
+    pub digits: u8,
 }
+
+/// Digits that show whether points separate thousands: a whole number of three digits, a number
+/// such as `1.234`, and one whose point can only be a decimal point.
+pub(super) const WHOLE: u8 = 1;
+pub(super) const GROUPED: u8 = 2;
+pub(super) const FRACTION: u8 = 4;
 
 /// Base of the names of cells before the first name.
 pub(super) const LEAD: u64 = 1 << 63;
 
-/// The cells of one line.
 #[derive(Debug, Default)]
 pub(super) struct Cells {
     pub cells: Vec<Cell>,
@@ -71,6 +80,10 @@ struct Between {
     /// Words before the last name of several words.
     prefix: Piece,
     last_bracket: u8,
+    /// Whether a minus sign stands before the number, apart from it.
+    negative: bool,
+    /// Whether the last value is a time.
+    timed: bool,
     /// Whether a value has had a timestamp.
     stamped: bool,
 }
@@ -82,7 +95,8 @@ pub(super) fn mix(hash: u64, bytes: &[u8]) -> u64 {
 const SEED: u64 = 0xcbf2_9ce4_8422_2325;
 
 fn is_blank(byte: u8) -> bool {
-    matches!(byte, b' ' | b'\t' | 0x0b | 0x0c)
+    // As in `x=1&y=2`, as forms on web pages are sent.
+    matches!(byte, b' ' | b'\t' | 0x0b | 0x0c | b'&')
 }
 
 fn is_bracket(byte: u8) -> bool {
@@ -104,15 +118,17 @@ fn is_missing(word: &[u8]) -> bool {
     WORDS.split(' ').any(|missing| word.eq_ignore_ascii_case(missing.as_bytes()))
 }
 
-/// Units that may stand after a number and a blank, where they would read as the next name.
-fn is_unit(word: &[u8]) -> bool {
-    const UNITS: [&str; 44] = [
+/// Units that may stand after a number and a blank, where they would read as the next name; also
+/// with a letter for thousands, millions and the like.
+pub(super) fn is_unit(word: &[u8]) -> bool {
+    const UNITS: [&str; 47] = [
         "g", "mg", "m/s", "m/s2", "m/s^2", "m/s²", "m/s/s", "dps", "deg", "deg/s", "°", "°/s",
         "rad", "rad/s", "uT", "µT", "μT", "nT", "T", "gauss", "V", "mV", "A", "mA", "C", "°C",
         "degC", "K", "F", "°F", "Pa", "hPa", "kPa", "bar", "mbar", "%", "N", "mN", "kg", "cm",
-        "mm", "m", "Hz", "LSB",
+        "mm", "m", "Hz", "LSB", "Ohm", "Ω", "W",
     ];
-    UNITS.iter().any(|unit| word == unit.as_bytes())
+    let is = |word: &[u8]| UNITS.iter().any(|unit| word == unit.as_bytes());
+    is(word) || matches!(word, [b'k' | b'M' | b'G' | b'm' | b'u' | b'n', rest @ ..] if is(rest))
 }
 
 impl Cells {
@@ -154,6 +170,10 @@ impl Cells {
                 }
                 _ if begins_number(&line[at..]) => {
                     self.number(line, at, decimal_comma, &mut between)
+                }
+                b'+' | b'-' if is_sign(line, at, &between) => {
+                    between.negative = byte == b'-';
+                    at + 1
                 }
                 b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' | b'_' | 0x80.. => {
                     self.word(line, at, &mut between)
@@ -225,7 +245,7 @@ impl Cells {
         between.filled = true;
         let kind = if kind == Kind::Number && !value.is_finite() { Kind::Missing } else { kind };
         let value = if kind == Kind::Number { value } else { f64::NAN };
-        self.cells.push(Cell { value, kind, name, unit, label, place });
+        self.cells.push(Cell { value, kind, name, unit, label, place, digits: 0 });
     }
 
     /// Makes the words before a value its name.
@@ -283,6 +303,15 @@ impl Cells {
             return self.push(f64::NAN, Kind::Missing, 0, between);
         }
         self.worded = true;
+        if between.name != 0
+            && between.filled
+            && between.words.is_none()
+            && !names
+            && is_unit(&line[begin..end])
+            && let Some(last) = self.cells.last_mut().filter(|last| last.kind == Kind::Number)
+        {
+            last.unit = mix(SEED, &line[begin..end]);
+        }
         if !names && between.hard {
             // A value that is a word, as in `state: idle`.
             (between.words, between.hard) = (None, false);
@@ -316,12 +345,17 @@ impl Cells {
     fn number(&mut self, line: &[u8], at: usize, comma: bool, between: &mut Between) -> usize {
         self.token(between);
         let rest = &line[at..];
+        let negative = std::mem::take(&mut between.negative);
+        between.timed = false;
         if let Some((value, length)) = time_of(rest) {
             self.name(line, between);
             self.push(value, Kind::Number, 0, between);
+            between.timed = true;
             return at + length;
         }
         let (value, mut length) = number_of(rest, comma);
+        let value = if negative { -value } else { value };
+        let digits = digits_of(&rest[..length]);
         self.worded |=
             !value.is_nan() && rest[..length].iter().any(|byte| matches!(byte, b'x' | b'X'));
         let tail = &rest[length..];
@@ -335,7 +369,9 @@ impl Cells {
         let next = rest.get(length + blanks).copied();
         if matches!(next, Some(b':' | b'=')) && begins_value(&rest[length + blanks + 1..]) {
             if between.words.is_some() && between.hard && stuck.is_empty() && blanks == 0 {
-                // `name:timestamp:value`: the timestamp has a column of its own.
+                // `name:timestamp:value`: the timestamp has a column of its own. Three numbers are
+                // neither that nor, out of range, a time of day.
+                self.odd |= line[between.last_word].is_ascii_digit();
                 return self.stamp(line, at + length + 1, value, between);
             }
             // A name that begins with a digit, as in `0:512`; or another value of `name:t:x;t:x`.
@@ -354,13 +390,16 @@ impl Cells {
         } else {
             self.push(f64::NAN, Kind::Missing, 0, between);
         }
+        if let Some(cell) = self.cells.last_mut() {
+            cell.digits = digits;
+        }
         at + length
     }
 
     fn stamp(&mut self, line: &[u8], next: usize, value: f64, between: &mut Between) -> usize {
         between.stamped = true;
         let (name, kind, label) = (LEAD, Kind::Number, [(0, 0); 2]);
-        self.cells.push(Cell { value, kind, name, unit: 0, label, place: 0 });
+        self.cells.push(Cell { value, kind, name, unit: 0, label, place: 0, digits: 0 });
         // Flags after a bar say how to draw the value; of these, `xy` gives it another meaning.
         if let Some(bar) = line.iter().position(|byte| *byte == b'|') {
             self.odd |= line[bar..].windows(2).any(|two| two == b"xy");
@@ -381,16 +420,23 @@ impl Cells {
     }
 }
 
+/// Whether the sign at `at` belongs to a number that follows after blanks, as balances print it.
+/// The dashes between the parts of a log's line are none.
+fn is_sign(line: &[u8], at: usize, between: &Between) -> bool {
+    let blanks = line[at + 1..].iter().take_while(|byte| **byte == b' ').count();
+    let rest = &line[at + 1 + blanks..];
+    let number = begins_number(rest) && !matches!(rest[0], b'+' | b'-');
+    let parts = |four: &[u8]| four.starts_with(b" - ") && four[3].is_ascii_alphabetic();
+    let word = between.words.map_or(0, |(_, end)| end - between.last_word);
+    let alone = blanks == 1 && word > 2 && !between.hard && line[..at].ends_with(b" ");
+    let log = line[at] == b'-'
+        && (between.timed || alone && !line[..at].ends_with(b"  ") || line.windows(4).any(parts));
+    number && blanks > 0 && !log
+}
+
 fn begins_number(text: &[u8]) -> bool {
-    let text = match text.first() {
-        Some(b'+' | b'-') => &text[1..],
-        _ => text,
-    };
-    match text {
-        [b'.', digit, ..] => digit.is_ascii_digit(),
-        [digit, ..] => digit.is_ascii_digit(),
-        [] => false,
-    }
+    let text = text.strip_prefix(b"+").or(text.strip_prefix(b"-")).unwrap_or(text);
+    matches!(text, [b'0'..=b'9', ..] | [b'.', b'0'..=b'9', ..])
 }
 
 fn begins_value(text: &[u8]) -> bool {
@@ -410,7 +456,18 @@ fn is_stuck_unit(text: &[u8]) -> bool {
     begins && text.len() <= LONGEST && name.iter().all(letter) && rest.iter().all(fits)
 }
 
-/// The number that `text` begins with, and its length. NaN stands for `0x` without digits.
+fn digits_of(number: &[u8]) -> u8 {
+    let unsigned = number.strip_prefix(b"-").or(number.strip_prefix(b"+")).unwrap_or(number);
+    match unsigned.contains(&b'.') {
+        true if is_grouped(unsigned, b'.', b',') => GROUPED,
+        true => FRACTION,
+        false if unsigned.len() == 3 => WHOLE,
+        false => 0,
+    }
+}
+
+/// The number that `text` begins with, and its length. Thousands may have apostrophes, and with
+/// decimal commas points. NaN stands for `0x` without digits.
 fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize) {
     let signed = usize::from(matches!(text[0], b'+' | b'-'));
     let negative = text[0] == b'-';
@@ -425,10 +482,20 @@ fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize) {
     }
     let digits = |from: usize| text[from..].iter().take_while(|byte| byte.is_ascii_digit()).count();
     let mut at = signed + digits(signed);
-    let comma = match text.get(at) {
-        Some(b',') if decimal_comma && digits(at + 1) > 0 => Some(at),
-        _ => None,
+    // The end of the integer part, if `mark` separates thousands.
+    let grouped = |mark: u8| {
+        let groups = text[at..].chunks(4).take_while(|group| {
+            group.len() == 4 && group[0] == mark && group[1..].iter().all(u8::is_ascii_digit)
+        });
+        let end = at + 4 * groups.count();
+        let fits = at - signed <= 3 && text[signed] != b'0' && digits(end) == 0;
+        (fits && end > at).then_some(end)
     };
+    let is_comma = |at: usize| decimal_comma && text.get(at) == Some(&b',') && digits(at + 1) > 0;
+    let points = if decimal_comma { grouped(b'.').filter(|end| is_comma(*end)) } else { None };
+    let marks = points.or(grouped(b'\''));
+    at = marks.unwrap_or(at);
+    let comma = is_comma(at).then_some(at);
     if comma.is_some() || text.get(at) == Some(&b'.') {
         at += 1 + digits(at + 1);
     }
@@ -439,12 +506,15 @@ fn number_of(text: &[u8], decimal_comma: bool) -> (f64, usize) {
     }
     let parsed =
         |number: &[u8]| std::str::from_utf8(number).ok().and_then(|text| text.parse().ok());
-    let value = match comma {
+    let value = match comma.or(marks) {
         None => parsed(&text[..at]),
         // The longest line bounds the copy.
-        Some(comma) => {
-            let mut copy = text[..at].to_vec();
-            copy[comma] = b'.';
+        Some(end) => {
+            let is_mark = |byte: &u8| matches!(byte, b'.' | b'\'');
+            let mut copy = text[..end].to_vec();
+            copy.retain(|byte| !is_mark(byte));
+            copy.extend_from_slice(&text[end..at]);
+            copy.iter_mut().filter(|byte| **byte == b',').for_each(|byte| *byte = b'.');
             parsed(&copy)
         }
     };
@@ -476,20 +546,38 @@ fn time_of(text: &[u8]) -> Option<(f64, usize)> {
         return None;
     }
     let clock = (digits(at, at + 2), is(at + 2, b':'), digits(at + 3, at + 5));
-    let (Some(hours), true, Some(minutes)) = clock else { return days.map(|s| (s, at - 1)) };
+    let (Some(hours @ 0.0..24.0), true, Some(minutes @ 0.0..60.0)) = clock else {
+        return days.map(|s| (s, at - 1));
+    };
     let mut seconds = days.unwrap_or(0.0) + hours * 3600.0 + minutes * 60.0;
     at += 5;
     if let Some(whole) = digits(at + 1, at + 3).filter(|_| is(at, b':')) {
+        // A leap second is the 61st.
+        if whole > 60.0 {
+            return None;
+        }
         seconds += whole;
         at += 3;
         let length = text.get(at + 1..).unwrap_or_default();
         let length = length.iter().take_while(|byte| byte.is_ascii_digit()).count();
         // `12:34:56,789 ` has milliseconds, and `12:34:56,789,5` another column.
-        let comma = is(at, b',') && length == 3 && (is(at + 4, b' ') || is(at + 4, b'Z'));
+        let ends =
+            matches!(text.get(at + 4), Some(b' ' | b'\t' | b'Z' | b';' | b'|' | b']' | b'"'));
+        let comma = is(at, b',') && length == 3 && ends;
         if is(at, b'.') || comma {
             let fraction = digits(at + 1, at + 1 + length.min(12))?;
             seconds += fraction / 10_u64.pow(length.min(12) as u32) as f64;
             at += usize::from(length > 0) + length;
+            // Zephyr's `[00:00:00.020,037]` has microseconds after its milliseconds.
+            if let Some(micros) = digits(at + 1, at + 4)
+                && !comma
+                && length == 3
+                && is(at, b',')
+                && is(at + 4, b']')
+            {
+                seconds += micros * 1e-6;
+                at += 4;
+            }
         }
     }
     if is(at, b'Z') {

@@ -22,11 +22,11 @@ pub(super) struct Steps {
     pub numbers: u64,
     /// Number of steps of exactly 1, of 0, and below 0.
     ones: u64,
-    zeros: u64,
+    pub zeros: u64,
     pub down: u64,
     /// Sum of the steps that go up.
     sum: f64,
-    /// Whether all numbers are integers.
+    /// Whether some number is no integer.
     fractions: bool,
     /// The first steps that go up. Steps near their median are usual, even if rows are lost.
     up: Vec<f64>,

@@ -3,7 +3,8 @@
 //! Points in the numbers, brackets of a list, or two commas without another separator between them
 //! show that commas separate. Semicolons or tabs beside commas show decimal commas. Otherwise, a
 //! fraction that begins with 0 (as in `9,05`) shows decimal commas, since no program pads integers
-//! so by default. What stays ambiguous is refused, never guessed.
+//! so by default. Commas with three digits after each may separate thousands. What stays ambiguous is
+//! refused, never guessed.
 
 /// How the commas of one line read, by this line alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,6 +21,10 @@ enum Look {
     Padded,
     /// Commas are decimal commas and separators at once.
     Both,
+    /// Commas seem to separate thousands.
+    Thousands,
+    /// Points are decimal points, and commas can only separate.
+    Apart,
 }
 
 /// Reads the commas of successive lines.
@@ -39,6 +44,8 @@ pub(super) struct Commas {
     padded: bool,
     /// Whether a line has commas in both roles.
     both: bool,
+    /// Whether a line has shown beyond doubt that commas separate.
+    apart: bool,
 }
 
 impl Commas {
@@ -62,7 +69,16 @@ impl Commas {
                 (self.padded, self.both) = (true, false);
                 Some(false)
             }
-            Look::Both if self.padded => Some(false),
+            Look::Apart => {
+                (self.apart, self.both) = (true, false);
+                Some(false)
+            }
+            Look::Both | Look::Thousands if self.padded => Some(false),
+            Look::Likely | Look::Unsure | Look::Both | Look::Thousands
+                if self.apart && !self.proved =>
+            {
+                Some(false)
+            }
             Look::Decimal => {
                 self.proved = true;
                 Some(true)
@@ -79,12 +95,27 @@ impl Commas {
                 self.doubted |= self.guessed;
                 None
             }
-            Look::Both => {
+            Look::Both | Look::Thousands => {
                 self.both = true;
                 None
             }
         }
     }
+}
+
+/// Whether `text` is a number whose thousands `mark` separates, with a fraction after the sign
+/// `decimal` or without one.
+pub(super) fn is_grouped(text: &[u8], mark: u8, decimal: u8) -> bool {
+    let digits = |part: &[u8]| part.iter().all(u8::is_ascii_digit);
+    let text = text.strip_prefix(b"-").or(text.strip_prefix(b"+")).unwrap_or(text);
+    let mut parts = text.splitn(2, |byte| *byte == decimal);
+    let mut groups = parts.next().unwrap_or(text).split(|byte| *byte == mark);
+    let first = groups.next().unwrap_or(text);
+    let begins = (1..=3).contains(&first.len()) && digits(first) && first[0] != b'0';
+    begins
+        && groups.clone().next().is_some()
+        && groups.all(|group| group.len() == 3 && digits(group))
+        && parts.next().is_none_or(digits)
 }
 
 /// Counts over the runs of digits, points, signs and commas of a line.
@@ -104,9 +135,13 @@ struct Runs {
     alike: bool,
     /// Whether an integer part has fewer than three digits.
     short: bool,
-    /// Runs like `1.234,5` or `1,050.5`, with a sign that separates thousands.
+    /// Runs like `1.234,5`, and runs with commas that are all like `1,234` or `1,234.5`.
     thousands: usize,
+    groups: usize,
+    /// A run is like `1,050.5`: with a zero that shows that the comma separates thousands.
     grouped: bool,
+    /// A point stands where no thousands end.
+    pointed: bool,
 }
 
 fn look(line: &[u8]) -> Look {
@@ -115,8 +150,11 @@ fn look(line: &[u8]) -> Look {
     }
     // Quotes hold one value.
     let mut quoted = line.split(|byte| *byte == b'"').skip(1).step_by(2);
-    if quoted.any(is_decimal) {
+    if quoted.clone().any(|text| is_decimal(text) && !is_grouped(text, b',', b'.')) {
         return Look::Decimal;
+    }
+    if let Some(text) = quoted.find(|text| is_grouped(text, b',', b'.')) {
+        return if text.contains(&b'.') { Look::Thousands } else { Look::Unsure };
     }
     let mut runs = Runs { alike: true, ..Runs::default() };
     let in_run = |byte: &u8| matches!(byte, b'0'..=b'9' | b'.' | b',' | b'-' | b'+' | b':');
@@ -148,7 +186,9 @@ fn look(line: &[u8]) -> Look {
         }
     }
     let tail = line.trim_ascii_end().strip_suffix(b";").unwrap_or(line);
-    let other = tail.contains(&b';') || line.windows(3).any(is_tab_between);
+    // A tab beside a comma is padding.
+    let is_tab = |three: &[u8]| three[1] == b'\t' && three[0] != b',' && three[2] != b',';
+    let other = tail.contains(&b';') || line.windows(3).any(is_tab);
     // In the brackets of a list, commas separate, unless blanks do.
     let list = line.iter().any(|byte| matches!(byte, b'[' | b'{'));
     let named = line.iter().any(|byte| matches!(byte, b':' | b'='));
@@ -159,10 +199,11 @@ fn look(line: &[u8]) -> Look {
 fn is_decimal(text: &[u8]) -> bool {
     let text = text.strip_prefix(b"-").unwrap_or(text);
     let mut parts = text.split(|byte| *byte == b',');
-    let digits = |part: Option<&[u8]>| {
-        part.is_some_and(|part| !part.is_empty() && part.iter().all(u8::is_ascii_digit))
-    };
-    digits(parts.next()) && digits(parts.next()) && parts.next().is_none()
+    parts.clone().count() == 2 && parts.all(digits)
+}
+
+fn digits(text: &[u8]) -> bool {
+    !text.is_empty() && text.iter().all(u8::is_ascii_digit)
 }
 
 /// Whether only blanks stand between two cells.
@@ -178,19 +219,19 @@ fn has_blank_between(line: &[u8]) -> bool {
     .any(|(piece, comma)| piece.last().is_some_and(alone) && !comma)
 }
 
-/// Whether a tab separates two numbers by itself, rather than as padding beside a comma.
-fn is_tab_between(three: &[u8]) -> bool {
-    three[1] == b'\t' && three[0] != b',' && three[2] != b','
-}
-
 impl Runs {
     fn add(&mut self, run: &[u8]) {
         self.numbers += 1;
         self.points |= run.contains(&b'.');
         let mut parts = run.split(|byte| *byte == b',');
         let (whole, fraction) = (parts.next().unwrap_or(run), parts.next());
+        let is_point = |part: &[u8]| part.contains(&b'.') && !is_grouped(part, b'.', b',');
+        self.pointed |= run.split(|byte| *byte == b',').any(is_point);
         let Some(fraction) = fraction else { return };
-        let digits = |part: &[u8]| !part.is_empty() && part.iter().all(u8::is_ascii_digit);
+        let is_us = is_grouped(run, b',', b'.');
+        self.groups += usize::from(is_us);
+        self.grouped |= is_us && run.contains(&b'.') && run.windows(2).any(|two| two == b",0");
+        self.thousands += usize::from(run.contains(&b'.') && is_grouped(run, b'.', b','));
         let is_padded = |part: &[u8]| digits(part) && part.len() > 1 && part[0] == b'0';
         self.integers |= is_padded(whole) && (whole.len() > 2 || parts.clone().next().is_some());
         let unsigned = whole.strip_prefix(b"-").or(whole.strip_prefix(b"+")).unwrap_or(whole);
@@ -202,21 +243,9 @@ impl Runs {
             self.padded |= is_padded(fraction);
             self.alike &= *self.decimals.get_or_insert(fraction.len()) == fraction.len();
             self.short |= unsigned.len() < 3;
-            let mut groups = unsigned.split(|byte| *byte == b'.');
-            let first = groups.next().is_some_and(|group| digits(group) && group.len() <= 3);
-            let mut rest = groups.map(|group| group.len() == 3 && digits(group)).peekable();
-            self.thousands += usize::from(first && rest.peek().is_some() && rest.all(|fits| fits));
         } else {
-            // A sign after the comma, as in `1,-2`, begins another number; so does a point, unless
-            // zeros in between show that a comma separates thousands.
+            // A sign after the comma, as in `1,-2`, begins another number; so does a point.
             self.many += 1;
-            let group = fraction.split(|byte| *byte == b'.').next().unwrap_or(fraction);
-            self.grouped |= digits(unsigned)
-                && unsigned.len() <= 3
-                && unsigned[0] != b'0'
-                && digits(group)
-                && group.len() == 3
-                && group[0] == b'0';
         }
     }
 
@@ -225,12 +254,18 @@ impl Runs {
     fn look(&self, other: bool, list: bool, named: bool) -> Look {
         let likely = self.alike && self.decimals > Some(1) && self.short;
         let if_padded = |padded, otherwise| if self.padded { padded } else { otherwise };
+        // Three digits stand after each comma, and something else shows where numbers end.
+        let groups = self.groups == self.one + self.many;
+        let thousands = groups && (other || named || self.groups > 1);
+        let maybe = groups && (other || self.many == 0 && (named || self.numbers > 1));
         match () {
             () if self.one + self.many == 0 || list && !other => Look::Separate,
             () if self.integers && (self.many > 0 || self.numbers == 1) => Look::Padded,
-            () if self.grouped => Look::Both,
+            () if self.grouped || self.points && thousands => Look::Thousands,
             () if self.points && self.thousands > 0 && self.many == 0 => Look::Both,
+            () if self.pointed && !groups => Look::Apart,
             () if self.points => Look::Separate,
+            () if maybe => Look::Unsure,
             () if self.many > 0 => if_padded(Look::Both, Look::Integers),
             () if other => Look::Decimal,
             () if self.numbers == 1 && named => if_padded(Look::Decimal, Look::Unsure),
@@ -247,8 +282,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_separator_makes_commas_decimal() {
-        let lines = [
+    fn each_line_looks_as_its_commas_are_used() {
+        let decimal = [
             "9,81;0,50",
             "1;0,12;9,81;",
             "0,12\t9,81",
@@ -258,32 +293,28 @@ mod tests {
             "08,50;09,81",
             "\"0,1\",\"9,8\"",
         ];
-        for line in lines {
-            assert_eq!(look(line.as_bytes()), Look::Decimal, "{line}");
-        }
-        assert_eq!(look(b"0,12 9,81 3,10"), Look::Likely);
-        assert_eq!(look(b"9,81, 0,50"), Look::Likely);
-    }
-
-    #[test]
-    fn commas_that_can_only_separate_are_separators() {
-        let lines = ["0.5,1;2,3", "1, 2, 3", "[1,2] [3,4]", "a:1,b:2", "12:30:01,250 1", "1;2"];
-        for line in lines {
-            assert_eq!(look(line.as_bytes()), Look::Separate, "{line}");
-        }
-        for line in ["1,2,3", "1,2", "1,-2", "1,2,3;4,5,6", "$512,300,200;"] {
-            assert_eq!(look(line.as_bytes()), Look::Integers, "{line}");
+        let separate = ["1,982.19", "1, 2, 3", "[1,2] [3,4]", "a:1,b:2", "12:30:01,250 1", "1;2"];
+        let thousands = ["1,050.5 2,000.5", "1,982.19;5", "F: 1,982.19 N", "\"1,982.1\",\"5\""];
+        let mut unsure = vec!["1,2 3,4", "512,498 601,330", "1, 2,3"];
+        unsure.extend(["-50;1,000", "4 1,000", "6,411\t99,446", "F: 1,050", "\"1,982\""]);
+        for (expected, lines) in [
+            (Look::Decimal, &decimal[..]),
+            (Look::Likely, &["0,12 9,81 3,10", "9,81, 0,50"]),
+            (Look::Separate, &separate),
+            (Look::Apart, &["0.5,1;2,3"]),
+            (Look::Integers, &["1,2,3", "1,2", "1,-2", "1,2,3;4,5,6", "$512,300,200;"]),
+            (Look::Both, &["0,12,9,05", "1.234,56;2.000,10", "9,05"]),
+            (Look::Thousands, &thousands),
+            (Look::Unsure, &unsure),
+        ] {
+            for line in lines {
+                assert_eq!(look(line.as_bytes()), expected, "{line}");
+            }
         }
     }
 
     #[test]
     fn what_is_ambiguous_is_no_guess() {
-        for line in ["0,12,9,05", "1.234,56;2.000,10", "9,05", "1,050.5 2,000.5"] {
-            assert_eq!(look(line.as_bytes()), Look::Both, "{line}");
-        }
-        for line in ["1,2 3,4", "512,498 601,330", "1, 2,3"] {
-            assert_eq!(look(line.as_bytes()), Look::Unsure, "{line}");
-        }
         let mut commas = Commas::default();
         assert_eq!(commas.are_decimal(b"512,0498"), None);
         assert_eq!(commas.are_decimal(b"0512,0498"), Some(false));
@@ -294,5 +325,14 @@ mod tests {
         assert_eq!(commas.are_decimal(b"12,34 56,78"), None);
         assert_eq!(commas.are_decimal(b"12,04 56,78"), Some(true));
         assert_eq!(commas.are_decimal(b"12,3 56,78"), Some(true));
+        // Other rows prove what one leaves open.
+        let mut commas = Commas::default();
+        assert_eq!(commas.are_decimal(b"1.280,486"), None);
+        assert_eq!(commas.are_decimal(b"0.280,486"), Some(false));
+        assert_eq!(commas.are_decimal(b"1.280,486"), Some(false));
+        let mut commas = Commas::default();
+        assert_eq!(commas.are_decimal(b"6,411;5,123"), None);
+        assert_eq!(commas.are_decimal(b"6,411;0,123"), Some(true));
+        assert_eq!(commas.are_decimal(b"6,411;5,123"), Some(true));
     }
 }

@@ -3,7 +3,7 @@
 //! Lines without names fit if all that stands between their numbers is alike. Lines with names
 //! (`ax:0.5`) fit by the names alone, in any order; several lines may make one row.
 
-use super::cells::{Cell, Cells, Kind, LEAD, MOST_CELLS};
+use super::cells::{Cell, Cells, FRACTION, GROUPED, Kind, LEAD, MOST_CELLS, WHOLE};
 
 /// Number of lines after which other lines replace a form that has lasted.
 pub(super) const CHANGED: u32 = 20;
@@ -22,6 +22,8 @@ struct Key {
     place: u32,
     /// Number of lines that had the column, until the form was found.
     seen: u32,
+    /// All that the digits of its numbers have shown of thousands.
+    digits: u8,
 }
 
 #[derive(Debug, Default)]
@@ -87,6 +89,23 @@ impl Form {
             on(&self.row);
         }
         fits
+    }
+
+    /// Whether points may separate thousands in a line: its column has whole numbers of three
+    /// digits and numbers such as `1.234`, and none whose point can only be a decimal point.
+    pub(super) fn may_have_thousands(&mut self, cells: &Cells) -> bool {
+        if !self.named && !self.is_alike(cells) {
+            return false;
+        }
+        let (mut found, mut hint) = (false, 0);
+        for cell in &cells.cells {
+            let at = if self.named { self.find(cell, hint) } else { Some(hint) };
+            hint = at.map_or(hint, |at| at + 1);
+            let Some(key) = at.and_then(|at| self.keys.get_mut(at)) else { continue };
+            key.digits |= cell.digits;
+            found |= key.digits & (WHOLE | GROUPED | FRACTION) == WHOLE | GROUPED;
+        }
+        found
     }
 
     /// Whether a line without names has this form.
@@ -217,7 +236,8 @@ impl Form {
                     words.join(" ").chars().take(64).collect()
                 };
                 let Cell { name, label, place, .. } = *cell;
-                let key = Key { name, unit: None, label: label.map(text), place, seen: 0 };
+                let key =
+                    Key { name, unit: None, label: label.map(text), place, seen: 0, digits: 0 };
                 self.keys.push(key);
                 self.filled.push(false);
                 self.row.push(f64::NAN);

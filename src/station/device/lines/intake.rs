@@ -7,7 +7,7 @@
 //! indexes keep time.
 
 use super::lateness::{Lateness, RowClock};
-use super::parser::{Line, LineParser};
+use super::parser::{Line, LineParser, header_of};
 use super::swaps::Swaps;
 use crate::device::serial::{ErrorCounts, LEAST_RESTART_S, gap};
 use crate::scene::SourceId;
@@ -85,7 +85,8 @@ pub enum LinesEvent<'a> {
 pub(super) struct Examples {
     /// Kinds that have had their example.
     had: Vec<&'static str>,
-    next: Vec<String>,
+    /// Examples that were not taken yet.
+    pub next: Vec<String>,
 }
 
 impl Examples {
@@ -94,11 +95,6 @@ impl Examples {
             self.had.push(why);
             self.next.push(format!("{why}, for example `{}`", shown(text)));
         }
-    }
-
-    /// Takes the examples that came since the last call.
-    pub(super) fn take(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.next)
     }
 }
 
@@ -160,9 +156,10 @@ pub struct LinesIntake {
     layout: Option<Layout>,
     /// The reason why rows cannot be used; `None` if they can be used.
     pub refused: Option<String>,
-    /// The first lines of each kind that could not be used, with what they lack, to be shown.
     pub(super) examples: Examples,
     swaps: Swaps,
+    /// A warning, not taken yet, that the header has moved a column that is configured by its place.
+    moved: Option<String>,
     pub(in crate::device) errors: ErrorCounts,
     rows: u64,
     /// The column (counted from 0) that made the last row unusable, if it was.
@@ -211,7 +208,7 @@ impl LinesIntake {
         parser.feed(bytes, |text, line| {
             let why = match line {
                 Line::Row(row) => return self.row(row, (text, now_s), &mut on),
-                Line::Header(names) => return self.header(names, now_s),
+                Line::Header(names) => return self.header(names, (text, now_s)),
                 Line::Words => return self.errors.add(WORDS, 1),
                 Line::Unclear(why) => {
                     self.refused = Some(why.into());
@@ -232,10 +229,37 @@ impl LinesIntake {
         self.rows - rows
     }
 
-    fn header(&mut self, names: &[String], now_s: f64) {
+    fn header(&mut self, names: &[String], (text, now_s): (&[u8], f64)) {
         // Only a header after a silence is a restart, since some programs repeat their header.
         let restarted = self.rows > 0 && now_s - self.last_s >= RESTART_S;
         self.errors.add(RESTARTS, u64::from(restarted));
+        let count = match &self.count {
+            Some(Count::Rows(column) | Count::Micros(column)) => Some(column),
+            None => None,
+        };
+        let columns = || self.streams.iter().flat_map(|s| &s.columns).chain(count);
+        let known = |name: &String| {
+            self.names.contains(name)
+                || columns().any(|column| matches!(column, Column::Name(wanted) if wanted == name))
+        };
+        // A log's words, with as many cells as the rows have, hold no name that is known.
+        let words = header_of(text).1 == names && self.names.len() == names.len();
+        if words && !restarted && !self.reopened && !names.iter().any(known) {
+            return;
+        }
+        let moved = columns().find_map(|column| {
+            let Column::Place(place) = column else { return None };
+            let name = self.names.get(place.checked_sub(1)?)?;
+            let now = names.iter().position(|other| other == name)? + 1;
+            (now != *place).then(|| (place, name.clone(), now))
+        });
+        if let Some((place, name, now)) = moved.filter(|_| self.names != names) {
+            self.moved = Some(format!(
+                "the header has changed: {name} was column {place} and is now column {now}, but \
+                 the configuration wants column {place}; name the columns in [lines.sources], \
+                 which follows them"
+            ));
+        }
         if self.names != names {
             self.names = names.to_vec();
             // The next row lays the columns out anew.
@@ -259,7 +283,6 @@ impl LinesIntake {
         on(LinesEvent::Missing(frames));
     }
 
-    /// Counts missing frames as a gap.
     fn gap(&mut self, missing: u64, on: &mut impl FnMut(LinesEvent<'_>)) {
         if missing > 0 {
             self.errors.add(GAPS, 1);
@@ -487,7 +510,15 @@ impl LinesIntake {
                 "a line has {width} columns, and the configuration wants number {place}"
             )),
             Column::Name(name) => {
-                let at = self.names.iter().position(|other| other == name);
+                let mut all = (0..self.names.len()).filter(|at| self.names[*at] == *name);
+                let (at, twice) = (all.next(), all.next());
+                if let (true, Some(at), Some(twice)) = (named, at, twice) {
+                    let (one, two) = (at + 1, twice + 1);
+                    return Err(format!(
+                        "columns {one} and {two} are both called {name}; give the place of the one \
+                         that is meant in the configuration"
+                    ));
+                }
                 at.filter(|_| named).ok_or_else(|| {
                     let known = match named {
                         true => format!("they are called {}", self.names.join(", ")),
@@ -522,11 +553,14 @@ impl LinesIntake {
     /// The reason why lines come, but no rows; `None` if the lines are not to blame.
     pub(super) fn why_silent(&self) -> Option<String> {
         let dead = |column| format!("{} holds no numbers; check its sensor", self.called(column));
-        self.refused.clone().or_else(|| self.dead.map(dead))
+        self.refused.clone().or_else(|| self.dead.map(dead)).or_else(|| self.parser.no_form())
     }
 
     /// A warning if two columns seem to have changed places since the last call.
     pub(super) fn swapped(&mut self) -> Option<String> {
+        if let Some(moved) = self.moved.take() {
+            return Some(moved);
+        }
         let (one, other) = self.swaps.found.take()?;
         let layout = self.layout.as_ref()?;
         let wanted: Vec<_> = layout.picks.iter().flat_map(|(columns, _)| columns).collect();
@@ -538,7 +572,6 @@ impl LinesIntake {
     }
 }
 
-/// A rate to this many digits.
 pub(super) fn rounded(rate_hz: f64, digits: i32) -> f64 {
     let unit = 10_f64.powi(digits - 1 - rate_hz.max(1e-3).log10().floor() as i32);
     (rate_hz * unit).round() / unit

@@ -45,7 +45,6 @@ const LOOKBACK: f64 = 16.0;
 /// Counts the rows that are missing in a column of times, whose rate may be another than expected.
 #[derive(Debug)]
 pub(super) struct RowClock {
-    /// Microseconds from row to row.
     pub period_us: f64,
     /// The measured rate in Hz; `None` until enough rows have come.
     pub measured_hz: Option<f64>,

@@ -5,9 +5,10 @@
 //! of another form is no row, and its numbers count for nothing; only when many such lines follow
 //! each other, they become the form.
 
-use super::cells::{Cells, Kind};
+use super::cells::{Cells, Kind, is_unit};
 use super::commas::Commas;
 use super::form::{Form, FormFinder};
+use super::intake::shown;
 
 /// Longest line in bytes; longer lines are dropped.
 pub(super) const LONGEST_LINE: usize = 4096;
@@ -66,6 +67,15 @@ struct Reader {
     unclear: String,
 }
 
+/// Says that `lines` have no form in common.
+pub(super) fn no_form(lines: &str) -> String {
+    let but = if lines.is_empty() { String::new() } else { format!(", but for example {lines}") };
+    format!(
+        "no lines of numbers in one form come{but}; print the same names or the same number of \
+         values in each line"
+    )
+}
+
 impl LineParser {
     /// A parser to which `decimal_comma` says whether commas are decimal; `None` to find out.
     pub(super) fn new(decimal_comma: Option<bool>) -> Self {
@@ -84,6 +94,13 @@ impl LineParser {
     /// Whether the lines themselves name the columns.
     pub(super) fn names_itself(&self) -> bool {
         self.reader.form.as_ref().is_some_and(|form| form.named)
+    }
+
+    /// The reason why lines of numbers wait for their form, if they do: they have none in common.
+    pub(super) fn no_form(&self) -> Option<String> {
+        let lines = self.reader.held.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+        let lines: Vec<String> = lines.take(2).map(|line| format!("`{}`", shown(line))).collect();
+        (!lines.is_empty()).then(|| no_form(&lines.join(" and ")))
     }
 
     /// Whether decimal commas were found.
@@ -192,16 +209,26 @@ impl Reader {
         }
         let decimal = self.commas.are_decimal(text);
         self.cells.read(text, decimal.unwrap_or(false));
-        let is_row = self.cells.cells.iter().any(|cell| cell.kind == Kind::Number)
-            || self.cells.cells.iter().any(|cell| cell.kind == Kind::Missing) && !self.has_name();
+        if !text.iter().any(|byte| byte.is_ascii_alphanumeric() || *byte >= 0x80) {
+            // A rule, a bracket or the like, unless it is a row without any value.
+            if let Some(form) = self.form.as_mut().filter(|_| !half) {
+                form.take(&self.cells, |row| on(line, Line::Row(row)));
+            }
+            return;
+        }
+        let any = |kind| self.cells.cells.iter().any(|cell| cell.kind == kind);
+        // Beside a word that can be a name, words such as `none` make no row.
+        let is_row = any(Kind::Number) || any(Kind::Missing) && !any(Kind::Word);
         if !is_row || self.cells.odd {
             return self.words(text, half, on);
         }
         if half {
             return;
         }
-        if decimal.is_none() {
-            self.tell_readings(text);
+        let points = self.commas.given.is_none()
+            && self.form.as_mut().is_some_and(|form| form.may_have_thousands(&self.cells));
+        if decimal.is_none() || points {
+            self.tell_readings(text, if points { b'.' } else { b',' });
             return on(line, Line::Unclear(&self.unclear));
         }
         if let Some(form) = &mut self.form
@@ -220,11 +247,7 @@ impl Reader {
         }
         self.held.extend_from_slice(line);
         self.held.push(b'\n');
-        self.read_held(on);
-    }
-
-    /// Reads the lines that were held, after their form was found.
-    fn read_held(&mut self, on: &mut impl FnMut(&[u8], Line<'_>)) {
+        // Now that the form is found, the lines that waited for it are read.
         let held = std::mem::take(&mut self.held);
         for line in held.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
             self.line(line, false, on);
@@ -234,9 +257,13 @@ impl Reader {
     /// Takes a line of numbers that does not fit.
     fn no_row(&mut self, line: &[u8], on: &mut impl FnMut(&[u8], Line<'_>)) {
         if let Some(form) = &self.form {
-            // Words in a line show a log, unless the rows hold words, too.
-            let log =
-                self.cells.worded && (form.named || !form.worded) && !form.resembles(&self.cells);
+            // Words in a line show a log, unless the rows hold words, too, or the line is mostly
+            // numbers, as a damaged row is.
+            let count = |is: fn(&u8) -> bool| line.iter().filter(|byte| is(byte)).count();
+            let log = self.cells.worded
+                && (form.named || !form.worded)
+                && 3 * count(u8::is_ascii_alphabetic) >= count(u8::is_ascii_digit)
+                && !form.resembles(&self.cells);
             return on(line, if log { Line::Words } else { Line::Other });
         }
         self.held.extend_from_slice(line);
@@ -251,22 +278,29 @@ impl Reader {
     /// Takes a line without numbers.
     fn words(&mut self, line: &[u8], half: bool, on: &mut impl FnMut(&[u8], Line<'_>)) {
         let (hard, names) = header_of(line);
-        let renames = match &self.form {
-            Some(form) if form.named => false,
+        // A row of units below a header names no columns.
+        let units = names.iter().all(|name| is_unit(name.as_bytes()))
+            && self.headers.iter().any(|(_, other)| other.len() == names.len());
+        let (renames, may_name) = match &self.form {
+            _ if units || names.is_empty() => (false, false),
+            Some(form) if form.named => (false, false),
             Some(form) => {
                 // A log's words that happen to be as many as the columns are no names.
                 let known =
                     self.told.is_empty() || names.iter().any(|name| self.told.contains(name));
-                form.width() == names.len() && form.hard == hard && (hard || known)
+                (form.width() == names.len() && form.hard == hard && (hard || known), hard || known)
             }
-            None => !names.is_empty(),
+            None => (true, true),
         };
-        if renames {
+        // A header with other columns may stand before rows of another form.
+        if may_name {
             self.headers.retain(|(_, other)| *other != names);
             self.headers.push((hard, names.clone()));
             if self.headers.len() > MOST_HEADERS {
                 self.headers.remove(0);
             }
+        }
+        if renames {
             self.told = names;
             return on(line, Line::Header(&self.told));
         }
@@ -277,11 +311,6 @@ impl Reader {
             false if 2 * letters >= line.len() => on(line, Line::Words),
             false => on(line, Line::Garbage),
         }
-    }
-
-    /// Whether a word of the line can be a name, so that words such as `none` make no row.
-    fn has_name(&self) -> bool {
-        self.cells.cells.iter().any(|cell| cell.kind == Kind::Word)
     }
 
     fn names_of(&self, form: &Form) -> Vec<String> {
@@ -297,16 +326,29 @@ impl Reader {
         }
     }
 
-    fn tell_readings(&mut self, line: &[u8]) {
-        let mut reading = |decimal| {
+    /// `mark` may separate thousands in the line.
+    fn tell_readings(&mut self, line: &[u8], mark: u8) {
+        let mut reading = |line: &[u8], decimal| {
             self.cells.read(line, decimal);
             let numbers = self.cells.cells.iter().map(|cell| cell.value.to_string());
             numbers.collect::<Vec<_>>().join(" | ")
         };
-        let (decimal, separate) = (reading(true), reading(false));
+        let group = |at: usize| {
+            let digits = line[at + 1..].iter().take_while(|byte| byte.is_ascii_digit()).count();
+            line[at] == mark && digits == 3 && at > 0 && line[at - 1].is_ascii_digit()
+        };
+        let kept = (0..line.len()).filter(|at| !group(*at)).map(|at| line[at]);
+        let whole = reading(&kept.collect::<Vec<_>>(), false);
+        let mut readings = reading(line, false);
+        let others = [("decimal commas", reading(line, true)), ("marks of thousands", whole)];
+        for (with, other) in others {
+            if !readings.contains(&other) && !other.contains("NaN") {
+                readings += &format!(", or with {with} {other}");
+            }
+        }
         self.unclear = format!(
-            "`{}` can be the numbers {separate}, or with decimal commas {decimal}; print decimals \
-             with a point, or give decimal = \",\" or decimal = \".\" in its [[lines]] of the \
+            "`{}` can be the numbers {readings}; print decimals with a point and no marks of \
+             thousands, or give decimal = \",\" or decimal = \".\" in its [[lines]] of the \
              configuration",
             String::from_utf8_lossy(line)
         );
@@ -315,7 +357,7 @@ impl Reader {
 
 /// The names in a line of words, and whether commas, semicolons or bars separate them; no names if
 /// a word cannot be one.
-fn header_of(line: &[u8]) -> (bool, Vec<String>) {
+pub(super) fn header_of(line: &[u8]) -> (bool, Vec<String>) {
     let text = line.strip_prefix(b"//").unwrap_or(line);
     let text = text.strip_prefix(b"#").or(text.strip_prefix(b"%")).unwrap_or(text).trim_ascii();
     let is_hard = |byte: &u8| matches!(byte, b',' | b';' | b'|');

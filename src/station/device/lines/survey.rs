@@ -3,7 +3,7 @@
 
 use super::clocks::{FEWEST, MICROS, ROWS, Steps};
 use super::intake::{Column, Count, LinesStream, rounded, shown};
-use super::parser::{Line, LineParser};
+use super::parser::{Line, LineParser, no_form};
 use crate::scene::SourceId;
 
 pub const SURVEY_S: f64 = 3.0;
@@ -11,14 +11,19 @@ pub const SURVEY_S: f64 = 3.0;
 const SETTLE_S: f64 = 0.3;
 /// Most bytes of a survey, so that memory is bounded.
 const MOST_BYTES: u64 = 64 << 20;
-/// Lowest and highest rate of a sensor, in Hz; faster lines come from a file.
-const RATES_HZ: (f64, f64) = (1.0, 200_000.0);
+/// Lowest and highest rate of a sensor, in Hz; faster lines come from a file. The lowest is 1 Hz, as
+/// it is measured.
+const RATES_HZ: (f64, f64) = (0.98, 200_000.0);
+/// Usual rates in Hz that are no whole numbers.
+const FRACTIONS_HZ: [f64; 6] = [1.5625, 3.125, 6.25, 12.5, 31.25, 62.5];
 /// Largest share of full scale that the last printed digit may stand for (a few 16-bit steps).
 const STEP: f64 = 1e-4;
 /// Least ratio of full scale to the highest number seen, since sensors are mostly at rest.
 const ROOM: f64 = 3.0;
 /// Number of first lines that are kept as they came.
 const FIRST_LINES: usize = 5;
+/// Number of rows whose words are looked at.
+const KINDS: u64 = 1000;
 /// Least share of lines that fit, below which that is said.
 const FITTING: f64 = 0.9;
 
@@ -56,6 +61,12 @@ pub struct Survey {
     fit: Option<String>,
     misfit: Option<String>,
     unclear: Option<String>,
+    /// The last line of words alone.
+    heading: Vec<u8>,
+    /// The heading and the words of the last row whose lines name its columns, those of the one
+    /// before that had others, and the number of rows that had others than the row before.
+    kinds: [String; 2],
+    turns: u64,
     /// Sums of 1, t, rows, t² and t·rows over arrivals after [`SETTLE_S`], to fit a line to them.
     line: [f64; 5],
     last_s: f64,
@@ -82,6 +93,7 @@ impl Survey {
             match line {
                 Line::Row(row) => return self.row(row, text),
                 Line::Header(names) => return self.names = names.to_vec(),
+                Line::Words => self.heading = text.to_vec(),
                 Line::Unclear(why) => drop(self.unclear.get_or_insert_with(|| why.into())),
                 _ => {}
             }
@@ -113,6 +125,14 @@ impl Survey {
             self.columns = row.iter().map(|_| ColumnSurvey::default()).collect();
         }
         self.rows += 1;
+        if self.rows <= KINDS {
+            let kind = format!("{} {}", String::from_utf8_lossy(&self.heading), words_of(text));
+            if kind.trim() != self.kinds[0] {
+                self.turns += 1;
+                self.kinds.swap(0, 1);
+                self.kinds[0] = kind.trim().into();
+            }
+        }
         self.fit.get_or_insert_with(|| shown(text));
         for (column, &x) in self.columns.iter_mut().zip(row).filter(|(_, x)| x.is_finite()) {
             column.add(x);
@@ -134,7 +154,6 @@ impl Survey {
         self.bytes >= LEAST && !self.is_noise()
     }
 
-    /// Whether no bytes came.
     pub fn is_empty(&self) -> bool {
         self.bytes == 0
     }
@@ -149,7 +168,6 @@ impl Survey {
         self.rows as f64 / (self.rows + self.others).max(1) as f64
     }
 
-    /// The first lines as they came.
     pub fn first_lines(&self) -> &[String] {
         &self.first_lines
     }
@@ -164,13 +182,9 @@ impl Survey {
             return Some(why.clone());
         }
         let line = self.misfit.as_ref().or(self.first_lines.first());
-        let line = line.map(|line| format!(", but for example `{line}`")).unwrap_or_default();
-        (!self.has_rows()).then(|| {
-            format!(
-                "no lines of numbers in one form come{line}; print the same names or the same \
-                 number of values in each line"
-            )
-        })
+        let line = line.map(|line| format!("`{line}`")).unwrap_or_default();
+        let why = || self.parser.no_form().unwrap_or_else(|| no_form(&line));
+        (!self.has_rows()).then(why)
     }
 
     /// Findings that a user should know: one line for each subject.
@@ -201,6 +215,28 @@ impl Survey {
             remarks.push(format!(
                 "only count or tell the time, so they are no channels: columns {clocks}; name them \
                  in [lines.sources] to change that"
+            ));
+        }
+        let [one, other] = &self.kinds;
+        let names_itself = self.parser.names_itself() && self.rows >= FEWEST;
+        if names_itself && 10 * self.turns > 8 * self.rows.min(KINDS) {
+            remarks.push(format!(
+                "rows with `{other}` and with `{one}` come in turn and share their columns; if these \
+                 are different quantities, print them under different names"
+            ));
+        }
+        let empty = list(&|column| column.lowest.is_none());
+        if !empty.is_empty() {
+            remarks.push(format!("hold no numbers, so they are left out: columns {empty}"));
+        }
+        let share = |column: &ColumnSurvey| column.steps.numbers as f64 / self.rows.max(1) as f64;
+        let patchy = list(&|column| column.lowest.is_some() && share(column) < FITTING);
+        if !patchy.is_empty() {
+            let least = columns.iter().map(share).filter(|share| *share > 0.0).fold(1.0, f64::min);
+            remarks.push(format!(
+                "numbers are missing in up to {:.0} % of the rows, which cannot be used where these \
+                 columns are wanted: columns {patchy}",
+                100.0 * (1.0 - least)
             ));
         }
         let constant = list(&|column| column.constant);
@@ -235,7 +271,10 @@ impl Survey {
 
     /// The first column that counts in the unit `kind`; columns are counted from 0.
     fn counter(&self, kind: &str) -> Option<usize> {
-        self.columns().iter().position(|column| column.counts == Some(kind))
+        // A time that repeats, as of samples that are read in batches, tells no single rows.
+        let tells = |steps: &Steps| kind != MICROS || steps.zeros * 10 < steps.numbers;
+        let counts = |column: &ColumnSurvey| column.counts == Some(kind) && tells(&column.steps);
+        self.columns().iter().position(counts)
     }
 
     /// A column by its name, if each line names it, or else by its place.
@@ -313,7 +352,9 @@ impl Survey {
         let highest = ends.map(f64::abs).fold(0.0, f64::max);
         let by_step = STEP.log10() as i32 + decimals;
         let by_range = -(ROOM * highest).max(1.0).log10().ceil() as i32;
-        power_of_ten(by_step.min(by_range).clamp(-30, 0))
+        let exponent = by_step.min(by_range).clamp(-30, 0);
+        // The closest f64, such as 0.001 and not 0.0010000000000000002.
+        format!("1e{exponent}").parse().unwrap_or(1.0)
     }
 
     pub fn scaled(&self, streams: &[LinesStream]) -> Vec<LinesStream> {
@@ -330,16 +371,26 @@ impl Survey {
     }
 }
 
-/// The f64 closest to a power of ten, such as 0.001 and not 0.0010000000000000002.
-fn power_of_ten(exponent: i32) -> f64 {
-    format!("1e{exponent}").parse().unwrap_or(1.0)
+/// The words of a line that are no names of values.
+fn words_of(line: &[u8]) -> String {
+    let line = String::from_utf8_lossy(line);
+    let words = line.split_inclusive(|c: char| !c.is_alphanumeric() && c != '_' && c != '"');
+    let is_word = |word: &&str| {
+        word.starts_with(|c: char| c.is_alphabetic() || c == '"') && !word.ends_with([':', '='])
+    };
+    let bare = |word: &str| word.trim_matches(|c: char| !c.is_alphanumeric()).to_string();
+    words.filter(is_word).map(bare).collect::<Vec<_>>().join(" ")
 }
 
-/// Rounds a rate to two digits if the error is at most 0.5 %, otherwise to three; no decimals.
+/// Rounds a rate to a usual fraction or to two digits if the error is at most 0.5 %, otherwise to
+/// three; from 50 Hz on, without decimals.
 fn round_rate(rate_hz: f64) -> f64 {
-    let coarse = rounded(rate_hz, 2);
-    let near = (coarse - rate_hz).abs() <= 5e-3 * rate_hz;
-    (if near { coarse } else { rounded(rate_hz, 3) }).round().max(1.0)
+    let near = |hz: &f64| (hz - rate_hz).abs() <= 5e-3 * rate_hz;
+    if let Some(fraction) = FRACTIONS_HZ.into_iter().find(near) {
+        return fraction;
+    }
+    let found = Some(rounded(rate_hz, 2)).filter(near).unwrap_or(rounded(rate_hz, 3));
+    (if rate_hz < 50.0 { found } else { found.round() }).max(1.0)
 }
 
 impl ColumnSurvey {
@@ -362,10 +413,10 @@ impl ColumnSurvey {
 mod tests {
     use super::*;
 
-    /// A survey of four seconds of lines that arrive in bursts, 16 ms apart.
+    /// A survey of four seconds of lines, or of 25, that arrive in bursts, 16 ms apart.
     fn survey(rate_hz: f64, line: impl Fn(u64) -> String) -> Survey {
         let (mut survey, mut sent) = (Survey::new(true, None), 0);
-        for burst in 1..250 {
+        for burst in 1..250.max((25.0 / rate_hz / 0.016) as i32) {
             let due = (f64::from(burst) * 0.016 * rate_hz) as u64;
             let text: String = (sent..due).map(&line).collect();
             survey.feed(text.as_bytes(), f64::from(burst) * 0.016);
@@ -381,7 +432,9 @@ mod tests {
 
     #[test]
     fn a_rate_is_found_to_the_digit_in_bursts_of_16_ms() {
-        for rate_hz in [400.0, 119.0, 860.0, 3_200.0, 10_000.0, 80.0, 104.0] {
+        let fractions = [6.25, 12.5, 5.3, 3.3, 1.5625, 1.0, 3.125, 26.7];
+        let whole = [400.0, 119.0, 860.0, 3_200.0, 10_000.0, 80.0, 104.0];
+        for rate_hz in whole.into_iter().chain(fractions) {
             let survey = survey(rate_hz, |i| format!("{:.2},0.5\n", wave(i)));
             assert_eq!(survey.rate_hz(), Ok(rate_hz));
         }
@@ -398,6 +451,14 @@ mod tests {
         assert_eq!(survey.measuring(), [Column::Place(4)]);
         assert_eq!(survey.count(), Some(Count::Rows(Column::Place(1))));
         assert_eq!(survey.rate_hz(), Ok(400.0));
+    }
+
+    #[test]
+    fn a_time_that_repeats_in_batches_tells_no_single_rows() {
+        let line = |i: u64| format!("{},{:.2}\n", i / 10 * 25_000 + 123, wave(i));
+        let survey = survey(400.0, line);
+        assert_eq!((survey.rate_hz(), survey.count()), (Ok(400.0), None));
+        assert_eq!(survey.measuring(), [Column::Place(2)]);
     }
 
     #[test]

@@ -235,11 +235,6 @@ mod tests {
     }
 
     impl Hall {
-        fn new() -> Self {
-            let (enter, tap) = series(1, RING, Waker::new().0);
-            Self { steps: 0, now_s: 0.0, enter, tap }
-        }
-
         fn look(&mut self, listening: &mut Listening) {
             listening.look(&mut self.tap, false, || self.now_s);
         }
@@ -257,16 +252,6 @@ mod tests {
             self.look(listening);
         }
 
-        fn burst(&mut self, listening: &mut Listening, mut frames: u64, piecewise: bool) {
-            while frames > 0 {
-                let part = if piecewise { frames.min(PERIOD) } else { frames };
-                self.push(part);
-                frames -= part;
-                self.now_s += 0.000_05;
-                self.look(listening);
-            }
-        }
-
         fn act(&mut self, listening: &mut Listening, act: SinkAct) {
             match act {
                 SinkAct::Play(steps) => (0..steps).for_each(|_| self.step(listening, true)),
@@ -274,7 +259,14 @@ mod tests {
                     (0..steps).for_each(|_| self.step(listening, false));
                     let never = (passed_over * (steps * STEP) as f64) as u64;
                     (0..after).for_each(|_| self.step(listening, true));
-                    self.burst(listening, steps * STEP - never, piecewise);
+                    let mut frames = steps * STEP - never;
+                    while frames > 0 {
+                        let part = if piecewise { frames.min(PERIOD) } else { frames };
+                        self.push(part);
+                        frames -= part;
+                        self.now_s += 0.000_05;
+                        self.look(listening);
+                    }
                 }
                 SinkAct::Reopen(steps) => {
                     (0..steps).for_each(|_| self.step(listening, false));
@@ -283,58 +275,47 @@ mod tests {
                 }
             }
         }
-
-        /// Plays these acts, with sound before and after each. Returns, in seconds, how far the
-        /// counted frames were ahead of the clock at most, and how far behind.
-        fn play(&mut self, acts: &[SinkAct]) -> (f64, f64) {
-            let (mut sink, mut tap) = series(1, 1 << 24, Waker::new().0);
-            let meter = tap.meter().clone();
-            let listening = &mut Listening::new(&mut sink);
-            listening.opened(0.0);
-            self.act(listening, SinkAct::Play(50));
-            let mut worst_s = (0.0f64, 0.0f64);
-            for &act in acts {
-                self.act(listening, act);
-                self.act(listening, SinkAct::Play(25));
-                let counts = meter.counts();
-                let off_s = self.now_s - counts.pushed as f64 / RATE_HZ;
-                worst_s = (worst_s.0.max(-off_s), worst_s.1.max(off_s));
-            }
-            tap.drain(|_| {});
-            let counts = meter.counts();
-            assert_eq!(counts.pushed, counts.received + counts.lost);
-            worst_s
-        }
     }
 
+    /// Plays these acts, with sound before and after each, and checks how far the counted frames are
+    /// ahead of the clock and behind it.
     #[track_caller]
     fn account_holds(acts: &[SinkAct]) {
-        let (ahead_s, behind_s) = Hall::new().play(acts);
-        assert!(ahead_s <= BOUND_S, "{ahead_s:.3} s too much of {acts:?}");
-        assert!(behind_s <= BOUND_S, "{behind_s:.3} s uncounted of {acts:?}");
-    }
-
-    #[test]
-    fn time_that_was_counted_as_lost_is_not_counted_again_when_its_sound_comes_late() {
-        for piecewise in [true, false] {
-            // The delayed sound comes too late to be waited for, so it first counts as lost.
-            let stall = SinkAct::Stall { steps: 30, passed_over: 0.0, after: 20, piecewise };
-            account_holds(&[stall, stall]);
-            account_holds(&[stall; 20]);
+        let (enter, tap) = series(1, RING, Waker::new().0);
+        let mut hall = Hall { steps: 0, now_s: 0.0, enter, tap };
+        let (mut sink, mut tap) = series(1, 1 << 24, Waker::new().0);
+        let meter = tap.meter().clone();
+        let listening = &mut Listening::new(&mut sink);
+        listening.opened(0.0);
+        hall.act(listening, SinkAct::Play(50));
+        for &act in acts {
+            hall.act(listening, act);
+            hall.act(listening, SinkAct::Play(25));
+            let behind_s = hall.now_s - meter.counts().pushed as f64 / RATE_HZ;
+            assert!(-behind_s <= BOUND_S, "{:.3} s too much of {acts:?}", -behind_s);
+            assert!(behind_s <= BOUND_S, "{behind_s:.3} s uncounted of {acts:?}");
         }
+        tap.drain(|_| {});
+        let counts = meter.counts();
+        assert_eq!(counts.pushed, counts.received + counts.lost);
     }
 
     #[test]
-    fn what_the_callbacks_ring_lost_of_late_sound_is_counted_once() {
-        let stall = SinkAct::Stall { steps: 75, passed_over: 0.0, after: 0, piecewise: false };
-        account_holds(&[stall, stall, stall]);
-    }
-
-    #[test]
-    fn small_remains_do_not_add_up() {
-        // Each stall delivers 40 ms late, too little to tell a loss from a delay.
-        let stall = SinkAct::Stall { steps: 25, passed_over: 0.92, after: 20, piecewise: true };
-        account_holds(&[stall; 50]);
+    fn sound_that_comes_late_is_counted_once_however_often() {
+        // Steps of the pause, the share that never comes, steps before the rest comes.
+        for (steps, passed_over, after, times) in [
+            // Comes too late to be waited for, so it first counts as lost.
+            (30, 0.0, 20, 20),
+            // Too much for the callback's ring.
+            (75, 0.0, 0, 3),
+            // 40 ms late, too little to tell a loss from a delay.
+            (25, 0.92, 20, 50),
+        ] {
+            for piecewise in [true, false] {
+                let stall = SinkAct::Stall { steps, passed_over, after, piecewise };
+                account_holds(&vec![stall; times]);
+            }
+        }
     }
 
     const BLOCK: u64 = 441;
@@ -358,17 +339,12 @@ mod tests {
             assert_eq!(pace.missing(now_s + 0.01, position + BLOCK) / 441, 0);
             let missing = pace.missing(now_s + 2.01, position + BLOCK) as f64 / RATE_HZ;
             assert!((missing - 2.0).abs() < 0.01, "{missing}");
+            // Once the loss is counted, nothing is missing any more.
+            let position = position + BLOCK + pace.missing(now_s + 2.01, position + BLOCK);
+            pace.arrived(now_s + 2.01, position);
+            let (now_s, position) = run(&mut pace, (now_s + 2.01, position), 10.0, drift);
+            assert!(pace.missing(now_s + 0.01, position + BLOCK) < 441);
         }
-    }
-
-    #[test]
-    fn after_the_loss_is_counted_nothing_is_missing_any_more() {
-        let mut pace = Pace::default();
-        let (now_s, position) = run(&mut pace, (0.0, 0), 10.0, 0.0);
-        let position = position + BLOCK + pace.missing(now_s + 3.0, position + BLOCK);
-        pace.arrived(now_s + 3.0, position);
-        let (now_s, position) = run(&mut pace, (now_s + 3.0, position), 10.0, 0.0);
-        assert!(pace.missing(now_s + 0.01, position + BLOCK) < 441);
     }
 
     #[test]

@@ -78,7 +78,6 @@ pub struct Intake {
     wanted: Vec<Wanted>,
     rate_hz: u32,
     decoder: Decoder,
-    /// The table of the last accepted introduction (hello).
     table: Option<Table>,
     /// Whether samples can be decoded: the last hello was accepted, and samples fit its table.
     pub(super) introduced: bool,

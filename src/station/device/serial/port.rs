@@ -170,12 +170,6 @@ mod tests {
     }
 
     #[test]
-    fn a_selector_that_is_none_is_refused() {
-        assert!("usb:zz:1".parse::<Selector>().unwrap_err().contains("usb:0403:6014"));
-        assert!("".parse::<Selector>().is_err());
-    }
-
-    #[test]
     fn denied_busy_and_absent_are_distinguished() {
         let of = |kind, path: &str| failed(path, &serialport::Error::new(kind, ""));
         let denied = of(ErrorKind::Io(std::io::ErrorKind::PermissionDenied), "/dev/null");

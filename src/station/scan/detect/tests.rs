@@ -50,6 +50,11 @@ fn find(
     (levels, found)
 }
 
+/// The events of a drag.
+fn drag(tap: Option<(u64, u64)>, start: u64, end: u64, cut: bool) -> [DetectorEvent; 2] {
+    [DetectorEvent::Drag { tap, start }, DetectorEvent::End { end, cut }]
+}
+
 fn synthetic(source: &str, entry: usize) -> (f64, Vec<f32>) {
     let trial = synth::embedded().entries[entry].load().unwrap();
     let signals: BTreeMap<_, _> = trial.signals;
@@ -105,13 +110,7 @@ fn a_drag_is_found_in_force_above_what_rests_on_the_sensor() {
     let push = noise(20_000, 0.02, seed).into_iter().map(|x| 0.3 + x);
     samples.splice(8_000..28_000, push);
     let (_, found) = find(SensorKind::Force, 1, RATE_HZ, &samples);
-    assert_eq!(
-        found,
-        [
-            DetectorEvent::Drag { tap: None, start: 160 },
-            DetectorEvent::End { end: 560, cut: false }
-        ]
-    );
+    assert_eq!(found, drag(None, 160, 560, false));
 }
 
 #[test]
@@ -135,13 +134,7 @@ fn a_pause_within_the_drag_does_not_end_it_and_a_long_one_does() {
     };
     let mut detector = detector();
     let found: Vec<_> = (0..1000).filter_map(|hop| detector.hop(Some(level(hop)))).collect();
-    assert_eq!(
-        found,
-        [
-            DetectorEvent::Drag { tap: Some((100, 110)), start: 200 },
-            DetectorEvent::End { end: 650, cut: false }
-        ]
-    );
+    assert_eq!(found, drag(Some((100, 110)), 200, 650, false));
 }
 
 #[test]
@@ -257,16 +250,13 @@ fn with_gap(gap: std::ops::Range<u64>) -> Vec<DetectorEvent> {
 
 #[test]
 fn a_gap_neither_begins_nor_holds_nor_ends_a_drag_and_a_drag_that_it_cut_says_so() {
-    let drag = |start, end, cut| {
-        vec![DetectorEvent::Drag { tap: None, start }, DetectorEvent::End { end, cut }]
-    };
-    assert_eq!(with_gap(0..50), drag(100, 300, false));
-    assert_eq!(with_gap(400..900), drag(100, 300, false));
-    assert_eq!(with_gap(180..220), drag(100, 300, true), "within the drag");
-    assert_eq!(with_gap(80..150), drag(150, 300, true), "where it begins");
-    assert_eq!(with_gap(250..400), drag(100, 250, true), "where it ends");
-    assert_eq!(with_gap(310..400), drag(100, 300, true), "where its quiet is");
-    assert_eq!(with_gap(200..1300), drag(100, 200, true), "a long gap ends it");
+    assert_eq!(with_gap(0..50), drag(None, 100, 300, false));
+    assert_eq!(with_gap(400..900), drag(None, 100, 300, false));
+    assert_eq!(with_gap(180..220), drag(None, 100, 300, true), "within the drag");
+    assert_eq!(with_gap(80..150), drag(None, 150, 300, true), "where it begins");
+    assert_eq!(with_gap(250..400), drag(None, 100, 250, true), "where it ends");
+    assert_eq!(with_gap(310..400), drag(None, 100, 300, true), "where its quiet is");
+    assert_eq!(with_gap(200..1300), drag(None, 100, 200, true), "a long gap ends it");
     assert_eq!(with_gap(50..350), []);
 }
 

@@ -305,23 +305,3 @@ pub(super) fn no_stray<T, S>(
         None => Ok(()),
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use std::collections::BTreeMap;
-
-    use super::*;
-
-    type Tables = BTreeMap<String, BTreeMap<String, Spanned<i64>>>;
-
-    #[test]
-    fn a_file_overlays_key_by_key_and_keeps_its_own_places() {
-        let text = "[a]\ny = 3\n[c]\nz = 4\n";
-        let all: Tables = merged(text, "[a]\nx = 1\ny = 2\n[b]\nx = 5\n").unwrap();
-        let value = |table: &str, key: &str| all[table][key].clone();
-        assert_eq!([value("a", "x"), value("b", "x")].map(|x| is_default(&x)), [true; 2]);
-        assert_eq!((*value("a", "x").get_ref(), *value("a", "y").get_ref()), (1, 3));
-        assert_eq!(&text[value("a", "y").span()], "3");
-        assert_eq!(*value("c", "z").get_ref(), 4);
-    }
-}

@@ -121,11 +121,6 @@ mod tests {
     use super::*;
     use crate::station::config::StationConfig;
 
-    fn parse(text: &str) -> Result<StationConfig, String> {
-        let path = Path::new("station.toml");
-        StationConfig::parse(text, path).map_err(|error| error.to_string())
-    }
-
     #[test]
     fn what_a_survey_finds_is_a_configuration() {
         let mut survey = Survey::new(false, None);
@@ -136,7 +131,7 @@ mod tests {
         }
         let text = fitting(&"/dev/ttyUSB\"0@9600".parse().unwrap(), &survey).unwrap();
         assert!(text.contains("sensor = [2, 3] # ax, ay"), "{text}");
-        let config = parse(&text).unwrap();
+        let config = StationConfig::parse(&text, Path::new("station.toml")).unwrap();
         let LinesConfig { address, rate_hz, count, streams, .. } = &config.lines[0];
         assert_eq!(address.to_string(), "/dev/ttyUSB\"0@9600");
         assert_eq!((*rate_hz, count), (Some(400.0), &Some(Count::Rows(Column::Place(1)))));

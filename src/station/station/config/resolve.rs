@@ -250,13 +250,10 @@ fn alert(
         return Err(Mistake { at, problem });
     }
     let seconds = |key: &str, value: &Option<Spanned<f64>>, usual: f64| match value {
-        Some(value) if (0.0..=MOST_S).contains(value.get_ref()) => {
-            Ok(Duration::from_secs_f64(*value.get_ref()))
+        Some(at) if !(0.0..=MOST_S).contains(at.get_ref()) => {
+            mistake(at, format!("{key} = {}; expected 0 to {MOST_S}", at.get_ref()))
         }
-        Some(value) => {
-            mistake(value, format!("{key} = {}; expected 0 to {MOST_S}", value.get_ref()))
-        }
-        None => Ok(Duration::from_secs_f64(usual)),
+        _ => Ok(Duration::from_secs_f64(value.as_ref().map_or(usual, |at| *at.get_ref()))),
     };
     let http = posted(http.as_ref(), header_file.as_ref(), file)?;
     let coil = modbus.as_ref().map(|coil| parsed::<CoilAddress>("modbus", coil)).transpose()?;

@@ -26,12 +26,16 @@ fn take(intake: &mut LinesIntake, bytes: &[u8], now_s: f64, out: &mut [Vec<f32>]
 
 /// Samples and errors of a stream of one column that gets one of `texts` each millisecond.
 fn alone(count: Option<Count>, texts: &[&str]) -> (Vec<f32>, ErrorCounts) {
-    let mut intake = LinesIntake::new(vec![stream("x", &[1])], count, 1000.0);
-    let mut out = vec![Vec::new()];
+    let (mut intake, mut out) = of_column(1, count, 1000.0);
     for (at, text) in texts.iter().enumerate() {
         take(&mut intake, text.as_bytes(), at as f64 * 1e-3, &mut out);
     }
     (out.remove(0), intake.errors)
+}
+
+/// An intake of a stream of one column, whose rows come at `rate_hz`; and no samples yet.
+fn of_column(place: usize, count: Option<Count>, rate_hz: f64) -> (LinesIntake, Vec<Vec<f32>>) {
+    (LinesIntake::new(vec![stream("x", &[place])], count, rate_hz), vec![Vec::new()])
 }
 
 fn missing(samples: &[f32]) -> usize {
@@ -51,6 +55,32 @@ fn columns_become_channels_by_place_and_by_name() {
     // The names give each stream its columns, even in another order.
     take(&mut intake, b"ay,ax,az\n7,8,9\n", 0.02, &mut out);
     assert_eq!((&out[1][..], intake.rows), (&[1.0, 2.5, 3.5][..], 3));
+}
+
+#[test]
+fn a_header_moves_names_and_never_places_in_silence() {
+    let wanted = |stream| LinesIntake::new(vec![stream], None, 1000.0);
+    let (mut by_place, mut by_name) = (wanted(stream("x", &[1])), wanted(named("x", &["v"])));
+    let (mut places, mut names) = (vec![Vec::new()], vec![Vec::new()]);
+    // Neither units below the header nor words between the rows are names.
+    for text in ["v,n\n", "g,mV\n", "1,2\n", "Error,retry\n", "3,4\n"] {
+        take(&mut by_place, text.as_bytes(), 0.0, &mut places);
+        take(&mut by_name, text.as_bytes(), 0.0, &mut names);
+    }
+    assert_eq!((&names[0][..], by_name.refused.as_ref()), (&[0.5, 1.5][..], None));
+    let text = b"v,n\n1,2\nn,v\n5,6\n";
+    take(&mut by_place, text, 0.0, &mut places);
+    take(&mut by_name, text, 0.0, &mut names);
+    assert!(by_place.swapped().unwrap().contains("v was column 1 and is now column 2"));
+    assert_eq!((names[0].last(), by_name.swapped()), (Some(&3.0), None));
+    // A header with one more column names the rows that follow.
+    by_name.reopened(false);
+    let text = "t,n,v\n".to_string() + &"7,8,9\n".repeat(30);
+    take(&mut by_name, text.as_bytes(), 1.0, &mut names);
+    take(&mut by_name, b"", 20.0, &mut names);
+    assert_eq!((names[0].last(), by_name.refused.as_ref()), (Some(&4.5), None));
+    take(&mut by_name, b"v,n,v\n1,2,3\n", 20.0, &mut names);
+    assert!(by_name.refused.unwrap().contains("columns 1 and 3 are both called v"));
 }
 
 #[test]
@@ -96,8 +126,7 @@ fn microseconds_show_losses_whatever_their_jitter() {
 
 #[test]
 fn without_a_counter_a_silence_is_counted_by_the_clock_and_a_delay_is_not() {
-    let mut intake = LinesIntake::new(vec![stream("x", &[1])], None, 1000.0);
-    let mut out = vec![Vec::new()];
+    let (mut intake, mut out) = of_column(1, None, 1000.0);
     take(&mut intake, b"1\n", 0.0, &mut out);
     // All of them were only late.
     take(&mut intake, "2\n".repeat(300).as_bytes(), 0.3, &mut out);
@@ -120,8 +149,7 @@ fn without_a_counter_a_silence_is_counted_by_the_clock_and_a_delay_is_not() {
 fn rows_that_come_in_bursts_do_not_count_twice() {
     // 12.5 Hz in blocks of some seconds, as by a pipe; 400 Hz by a network that stalls.
     for (rate_hz, every_s, parts) in [(12.5, 4.0, 1), (400.0, 1.7, 20), (400.0, 0.3, 3)] {
-        let mut intake = LinesIntake::new(vec![stream("x", &[1])], None, rate_hz);
-        let (mut out, mut sent) = (vec![Vec::new()], 0);
+        let ((mut intake, mut out), mut sent) = (of_column(1, None, rate_hz), 0);
         for burst in 1..50 {
             let now_s = f64::from(burst) * every_s;
             let due = (now_s * rate_hz) as usize;
@@ -145,8 +173,7 @@ fn counters_of_any_length_lose_nothing_and_show_what_is_lost() {
         .flat_map(|values| [(values, 0), (values, 1)])
     {
         let rows = Some(Count::Rows(Column::Place(1)));
-        let mut intake = LinesIntake::new(vec![stream("x", &[2])], rows, 1000.0);
-        let mut out = vec![Vec::new()];
+        let (mut intake, mut out) = of_column(2, rows, 1000.0);
         let start = values - 50.min(values);
         // A row is lost after the counter has begun again once, if it is short.
         let lost = |row: u64| row == 61 && values > 50;
@@ -166,8 +193,7 @@ fn columns_that_change_for_good_are_followed() {
     assert_eq!((counts.0[CHANGES], counts.0[OTHER_FORM]), (1, 19));
     assert_eq!((samples.len(), samples.last()), (60, Some(&1.5)));
     // Rows with too few columns are refused until the columns are back.
-    let mut intake = LinesIntake::new(vec![stream("x", &[2])], None, 1000.0);
-    let mut out = vec![Vec::new()];
+    let (mut intake, mut out) = of_column(2, None, 1000.0);
     take(&mut intake, "1\n".repeat(30).as_bytes(), 0.0, &mut out);
     assert!(intake.refused.as_ref().unwrap().contains("wants number 2"));
     take(&mut intake, "1,2\n".repeat(20).as_bytes(), 0.1, &mut out);
@@ -208,9 +234,7 @@ proptest! {
     fn with_a_counter_every_row_has_its_index_whatever_is_lost(
         lost in prop::collection::vec(any::<bool>(), 2..400), bits in prop::sample::select(vec![8, 16, 32]),
     ) {
-        let mut intake =
-            LinesIntake::new(vec![stream("x", &[2])], Some(Count::Rows(Column::Place(1))), 1000.0);
-        let mut out = vec![Vec::new()];
+        let (mut intake, mut out) = of_column(2, Some(Count::Rows(Column::Place(1))), 1000.0);
         let start = (1_u64 << bits) - 100;
         for (index, _) in lost.iter().enumerate().filter(|(_, lost)| !**lost) {
             let text = format!("{},{index}\n", (start + index as u64) % (1 << bits));

@@ -72,25 +72,6 @@ fn started() -> (Intake, Got) {
 }
 
 #[test]
-fn channels_are_found_by_name_and_scaled() {
-    let (mut intake, mut got) = started();
-    feed(&mut intake, &samples(7, 2, 3), 0.0, &mut got);
-    let full = |v: f32| v / 32_768.0;
-    assert_eq!(got.0[0], [full(71.0), full(70.0), full(81.0), full(80.0)]);
-    assert_eq!(got.0[1], [36.0, 41.0]);
-    assert_eq!(got.1, ["hello 0 false"]);
-}
-
-#[test]
-fn a_jump_of_the_index_is_a_gap_of_that_length() {
-    let (mut intake, mut got) = started();
-    feed(&mut intake, &samples(0, 2, 3), 0.0, &mut got);
-    feed(&mut intake, &samples(5, 1, 3), 0.0, &mut got);
-    assert_eq!(got.0[1].len(), 6);
-    assert!(got.0[1][2..5].iter().all(|x| x.is_nan()) && got.0[1][5] == 26.0);
-}
-
-#[test]
 fn an_index_that_restarts_is_a_gap_by_the_clock() {
     let (mut intake, mut got) = started();
     feed(&mut intake, &samples(500, 10, 3), 1.0, &mut got);
