@@ -92,10 +92,8 @@ impl Stations {
         station.newest = (sequence, unix_ms);
     }
 
-    /// Updates the state of a station. A last will has fewer fields, so the others keep their values.
-    ///
-    /// # Errors
-    /// If a field that the page shows is of another type than a station publishes.
+    /// Updates the state of a station. A last will has fewer fields, so the others keep their values. Fails
+    /// if a field that the page shows is of another type than a station publishes.
     pub(super) fn stated(&mut self, name: &str, state: &Map<String, Value>) -> Result<(), String> {
         let unsound = |field: &&str| state.get(*field).is_some_and(|value| !is_sound(field, value));
         if let Some(field) = FIELDS.split(' ').find(unsound) {
@@ -113,11 +111,8 @@ impl Stations {
             station.not_before = None;
         }
         let tells = station.card.get("sequence").and_then(Value::as_u64).unwrap_or(0);
-        if tells <= station.newest.0 {
-            station.behind = None;
-        } else if station.behind.is_none() {
-            station.behind = Some(Instant::now());
-        }
+        let is_behind = tells > station.newest.0;
+        station.behind = is_behind.then(|| station.behind.unwrap_or_else(Instant::now));
         Ok(())
     }
 
@@ -299,9 +294,7 @@ mod tests {
         stations.stated("a", &online(0)).unwrap();
         let will = json!({ "state": "offline", "other": 1 });
         stations.stated("a", will.as_object().unwrap()).unwrap();
-        for unix_ms in [10, 30, 20, 60, 50, 40] {
-            answered(&mut stations, None, unix_ms);
-        }
+        [10, 30, 20, 60, 50, 40].map(|unix_ms| answered(&mut stations, None, unix_ms));
         let view = stations.view(&cache);
         assert_eq!(
             (&view[0]["state"], &view[0]["page"]),
