@@ -294,7 +294,9 @@ mod tests {
         stations.stated("a", &online(0)).unwrap();
         let will = json!({ "state": "offline", "other": 1 });
         stations.stated("a", will.as_object().unwrap()).unwrap();
-        [10, 30, 20, 60, 50, 40].map(|unix_ms| answered(&mut stations, None, unix_ms));
+        for unix_ms in [10, 30, 20, 60, 50, 40] {
+            answered(&mut stations, None, unix_ms);
+        }
         let view = stations.view(&cache);
         assert_eq!(
             (&view[0]["state"], &view[0]["page"]),
