@@ -3,12 +3,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::{Done, Failure, show};
 use crate::dataset;
 use crate::library::{Entry, Library, LibraryError, Unreadable, unreadable};
+use crate::outputs::lock;
 use crate::scene::Scene;
 
 /// Whether a command stops if a recording cannot be used.
@@ -24,59 +25,44 @@ struct Skipped {
     said: BTreeSet<String>,
 }
 
-/// Sets whether a command stops if a recording cannot be used.
 pub(super) fn be_strict(strict: bool) {
     STRICT.store(strict, Ordering::Release);
 }
 
-/// Opens the usable recordings at a path, in any supported form.
-///
-/// # Errors
-/// If no recording is usable; with `--strict`, if any recording is unusable.
-pub(super) fn open(path: &Path, defaults: &Scene) -> Result<Library, Failure> {
+/// Opens the usable recordings at a path, in any supported form. Fails if none is usable; with `--strict`,
+/// if any is unusable.
+pub(super) fn open(path: &Path, defaults: &Scene) -> Done<Library> {
     let opened = dataset::open_usable(path, defaults)?;
     // Files may have been repaired since the library was last opened.
-    locked().entry(path.into()).or_default().now.clear();
+    lock(&SKIPPED).entry(path.into()).or_default().now.clear();
     skip(path, opened.bad)?;
     Ok(opened.library)
 }
 
-/// Runs `work` on the library at `path`. If it fails because recordings cannot be read, runs it
-/// again without these recordings.
-///
-/// # Errors
-/// Those of the work; with `--strict`, the recordings that cannot be read.
+/// Runs `work` on the library at `path`. If it fails because recordings cannot be read, runs it again
+/// without them, or with `--strict` fails for that reason.
 pub(super) fn work<T>(
     path: &Path,
     library: Library,
-    work: impl Fn(&Library) -> Result<T, Failure>,
-) -> Result<T, Failure> {
-    match work(&library) {
-        Ok(done) => Ok(done),
-        Err(error) => {
-            let (readable, all) = readable(path, library)?;
-            if all { Err(error) } else { work(&readable) }
-        }
-    }
+    work: impl Fn(&Library) -> Done<T>,
+) -> Done<T> {
+    work(&library).or_else(|error| {
+        let (readable, all) = readable(path, library)?;
+        if all { Err(error) } else { work(&readable) }
+    })
 }
 
-/// Reads all recordings of a library, and leaves out those that cannot be read. Returns the rest, and
-/// whether all can be read.
-///
-/// # Errors
-/// With `--strict`, if any recording cannot be read.
-pub(super) fn readable(path: &Path, mut library: Library) -> Result<(Library, bool), Failure> {
+/// Reads all recordings of a library, and leaves out those that cannot be read, or with `--strict` fails.
+/// Returns the rest, and whether all can be read.
+pub(super) fn readable(path: &Path, mut library: Library) -> Done<(Library, bool)> {
     let all = leave_out(path, &mut library.entries)?;
     library.entries.retain(|entry| !entry.sources.is_empty());
     Ok((library, all))
 }
 
-/// Drops sources that cannot be read from the entries of the library at `path`. Returns whether all can
-/// be read, so that nothing changed.
-///
-/// # Errors
-/// With `--strict`, if any recording cannot be read.
-pub(super) fn leave_out(path: &Path, entries: &mut [Entry]) -> Result<bool, Failure> {
+/// Drops sources that cannot be read from the entries of the library at `path`, or with `--strict` fails.
+/// Returns whether all can be read, so that nothing changed.
+pub(super) fn leave_out(path: &Path, entries: &mut [Entry]) -> Done<bool> {
     let unreadable = unreadable(entries);
     for Unreadable { entry, source, .. } in &unreadable {
         entries[*entry].sources.retain(|id| id != source);
@@ -86,10 +72,8 @@ pub(super) fn leave_out(path: &Path, entries: &mut [Entry]) -> Result<bool, Fail
     Ok(all)
 }
 
-/// Warns, in one line, that recordings at `path` are not used; `surfaced check` names all of them.
-///
-/// # Errors
-/// With `--strict`, if `bad` is not empty; the error names every recording.
+/// Warns, in one line, that recordings at `path` are not used; `surfaced check` names all of them. With
+/// `--strict`, fails if there are any, and names all.
 pub(super) fn skip(path: &Path, bad: Vec<LibraryError>) -> Done {
     warn(path, bad, &format!("`surfaced check {}`", show::quoted(path)))
 }
@@ -104,7 +88,7 @@ pub(super) fn warn(path: &Path, bad: Vec<LibraryError>, named_by: &str) -> Done 
             "{all}\nrepair or remove them, or go on without them: leave --strict out"
         )));
     }
-    let mut all = locked();
+    let mut all = lock(&SKIPPED);
     let Skipped { now, said } = all.entry(path.into()).or_default();
     let unknown: Vec<String> = lines.iter().filter(|why| !now.contains(why)).cloned().collect();
     now.extend(unknown);
@@ -119,14 +103,9 @@ pub(super) fn warn(path: &Path, bad: Vec<LibraryError>, named_by: &str) -> Done 
     Ok(())
 }
 
-fn locked() -> MutexGuard<'static, BTreeMap<PathBuf, Skipped>> {
-    // Each change is complete in itself, so the lists are usable even after a panic.
-    SKIPPED.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Why recordings were skipped when their libraries were last opened, a line each.
 pub(super) fn skipped() -> Vec<String> {
-    let all = locked();
+    let all = lock(&SKIPPED);
     let lines = all.values().flat_map(|skipped| &skipped.now);
     lines.map(|why| format!("not used: {why}")).collect()
 }

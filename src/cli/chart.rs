@@ -4,7 +4,6 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::choose::choose;
 use super::condition::WhereArgs;
 use super::figure::{FigureArgs, is_earlier};
 use super::method::{OneOrAll, at_least_one, options_of};
@@ -61,9 +60,9 @@ pub(super) fn run(args: &Args) -> Done {
 
 /// Measures one setting after the other, and writes the results after each one. They remain if a
 /// later setting fails or the run is interrupted.
-fn measured(args: &Args, library: &Library) -> Result<Made<Chart>, Failure> {
+fn measured(args: &Args, library: &Library) -> Done<Made<Chart>> {
     let scene = args.figure.sources.narrow(library.scene.clone())?;
-    let mut choice = choose(&args.lib, library, scene, &args.figure.split)?;
+    let mut choice = args.figure.split.choose(&args.lib, library, scene)?;
     if let Some(most) = args.surfaces {
         choice.keep_surfaces(most)?;
     }
@@ -87,22 +86,18 @@ fn measured(args: &Args, library: &Library) -> Result<Made<Chart>, Failure> {
     let (start, mut warned) = (Instant::now(), BTreeSet::new());
     for (done, one) in all.iter().enumerate() {
         let so_far_s = start.elapsed().as_secs_f64();
+        let left_s = so_far_s * (all.len() - done) as f64 / done as f64;
         let left = match done {
             0 => String::new(),
-            _ => {
-                let left_s = so_far_s * (all.len() - done) as f64 / done as f64;
-                format!("   ({so_far_s:.0} s so far, roughly {left_s:.0} s to go)")
-            }
+            _ => format!("   ({so_far_s:.0} s so far, roughly {left_s:.0} s to go)"),
         };
         let options = one.method.as_ref().map(options_of).unwrap_or_default();
         let name = one.control.clone().unwrap_or(options);
         say!("{}/{}  {name}{left}", done + 1, all.len());
         let (measured, left_out) = measure(&choice.entries, &choice.split, one, &name)?;
-        for line in show::left_out(&left_out) {
-            if warned.insert(line.clone()) {
-                say!("warning: {line}");
-            }
-        }
+        let fresh =
+            show::left_out(&left_out).into_iter().filter(|line| warned.insert(line.clone()));
+        fresh.for_each(|line| say!("warning: {line}"));
         for point in measured {
             let part = point.query_seconds.map_or("whole drag".into(), |s| format!("first {s} s"));
             let [accuracy, low, high] =

@@ -50,7 +50,7 @@ pub(super) fn audit(
     how: &Comparing,
     only: &WhereArgs,
     progress: ProgressFn<'_>,
-) -> Result<(CheckReport, Library), Failure> {
+) -> Done<(CheckReport, Library)> {
     let _lock = LibraryLock::for_reading(library);
     let mut opened = dataset::open_usable(library, &Scene::lmt108())?;
     only.keep(library, &mut opened.library)?;
@@ -81,10 +81,8 @@ fn print(report: &CheckReport) {
     result!();
     let rows = report.surfaces.iter().map(|surface| {
         let right = format!("{}/{}", surface.share.right, surface.share.of);
-        let interval = match surface.share.of {
-            0 => "-".into(),
-            _ => show::interval(surface.share),
-        };
+        let is_tested = surface.share.of > 0;
+        let interval = if is_tested { show::interval(surface.share) } else { "-".into() };
         let taken = surface.taken_for.iter().map(|(other, count)| format!("{other} {count}"));
         let trials = surface.trials.to_string();
         vec![surface.surface.clone(), trials, right, interval, show::listed(taken)]

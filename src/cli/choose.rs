@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::condition::value_of;
 use super::show::{counted, listed};
-use super::{Failure, Named, one_of, say};
+use super::{Done, Failure, Named, one_of, say};
 use crate::evaluate::{self, Fold, Leaks, Protocol, Split, TEST, TRAIN, in_libraries};
 use crate::library::{Entry, Library};
 use crate::scene::{Scene, SourceId};
@@ -76,19 +76,12 @@ impl Splittable<'_> {
             Self::Features(keys) => keys.iter().map(ToString::to_string).collect(),
         }
     }
-
-    /// Whether a trial of this name is there, but not used, such as one that `--where` leaves out.
-    fn is_unused(self, name: &str) -> bool {
-        matches!(self, Self::Recordings(data, _) if data.join(name).exists())
-    }
 }
 
 impl SplitArgs {
-    /// The folds that the user asked for, or of the hardest protocol that fits (which is printed).
-    ///
-    /// # Errors
-    /// If the trials cannot be split so; the error names a line or a trial that does not fit.
-    pub(super) fn split(&self, trials: Splittable<'_>) -> Result<Split, Failure> {
+    /// The folds that the user asked for, or of the hardest protocol that fits (which is printed). An error
+    /// names a line or a trial that does not fit.
+    pub(super) fn split(&self, trials: Splittable<'_>) -> Done<Split> {
         let keys = trials.keys();
         let protocol = match (&self.split, self.group_by.as_deref(), self.protocol) {
             (Some(path), ..) => return Ok(Split::by_table(&from_table(path, trials)?, &keys)?),
@@ -103,15 +96,25 @@ impl SplitArgs {
         }
         Ok(split)
     }
+
+    /// Limits the recordings of the library at `data` to the sources of a scene, and splits them.
+    pub(super) fn choose(&self, data: &Path, library: &Library, scene: Scene) -> Done<Choice> {
+        let entries = within(library, &scene)?;
+        let trials = Splittable::Recordings(data, &entries);
+        let (mut split, keys) = (self.split(trials)?, trials.keys());
+        let leaks = leaks(library, &entries);
+        let warning;
+        (split.folds, warning) = kept_apart(split.folds, &keys, &leaks);
+        warning.iter().for_each(|warning| say!("warning: {warning}"));
+        Ok(Choice { scene, entries, split })
+    }
 }
 
-/// The hardest protocol that the trials allow.
 pub(super) fn hardest(keys: &[TrialKey]) -> Protocol {
     Protocol::fitting(keys).unwrap_or(Protocol::LeaveOneTrialOut)
 }
 
-/// The value of a key of each trial.
-fn groups(key: &str, trials: Splittable<'_>) -> Result<Vec<String>, Failure> {
+fn groups(key: &str, trials: Splittable<'_>) -> Done<Vec<String>> {
     let Splittable::Recordings(data, entries) = trials else {
         let problem = "--group-by takes user or session here; feature tables have no [meta]";
         return Err(Failure::usage(problem));
@@ -132,7 +135,7 @@ fn groups(key: &str, trials: Splittable<'_>) -> Result<Vec<String>, Failure> {
 }
 
 /// The fold of each trial, from a table of trials and folds.
-fn from_table(path: &Path, trials: Splittable<'_>) -> Result<Vec<String>, Failure> {
+fn from_table(path: &Path, trials: Splittable<'_>) -> Done<Vec<String>> {
     let names = trials.names();
     let mut rows = csv::ReaderBuilder::new()
         .has_headers(false)
@@ -157,7 +160,10 @@ fn from_table(path: &Path, trials: Splittable<'_>) -> Result<Vec<String>, Failur
         if trial.is_empty() || fold.is_empty() {
             return Err(wrong("a cell is empty; each trial needs a fold".into()));
         }
-        if !names.contains(&trial) && !trials.is_unused(&trial) {
+        // A trial may be there, but not used, since `--where` leaves it out.
+        let is_there =
+            matches!(trials, Splittable::Recordings(data, _) if data.join(&trial).exists());
+        if !names.contains(&trial) && !is_there {
             let such = names.first().map(|name| format!(", such as {name}")).unwrap_or_default();
             return Err(wrong(format!("the data have no trial `{trial}`; write its folder{such}")));
         }
@@ -183,12 +189,11 @@ fn from_table(path: &Path, trials: Splittable<'_>) -> Result<Vec<String>, Failur
 }
 
 /// The trials that hold any source of `scene`, limited to these sources.
-pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Failure> {
+pub(super) fn within(library: &Library, scene: &Scene) -> Done<Vec<Entry>> {
     let entries = evaluate::within(&library.entries, scene);
     if entries.is_empty() {
         let wanted: BTreeSet<&SourceId> = scene.sources().map(|spec| &spec.id).collect();
-        let held: BTreeSet<&SourceId> =
-            library.entries.iter().flat_map(|entry| &entry.sources).collect();
+        let held: BTreeSet<_> = library.entries.iter().flat_map(|entry| &entry.sources).collect();
         let held = if held.is_empty() { "none that is known".into() } else { listed(held) };
         let wanted = listed(wanted);
         return Err(Failure::Failed(format!(
@@ -197,23 +202,6 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Result<Vec<Entry>, Fai
         )));
     }
     Ok(entries)
-}
-
-/// Limits the recordings of the library at `data` to the sources of a scene, and splits them.
-pub(super) fn choose(
-    data: &Path,
-    library: &Library,
-    scene: Scene,
-    how: &SplitArgs,
-) -> Result<Choice, Failure> {
-    let entries = within(library, &scene)?;
-    let trials = Splittable::Recordings(data, &entries);
-    let (mut split, keys) = (how.split(trials)?, trials.keys());
-    let leaks = leaks(library, &entries);
-    let warning;
-    (split.folds, warning) = kept_apart(split.folds, &keys, &leaks);
-    warning.iter().for_each(|warning| say!("warning: {warning}"));
-    Ok(Choice { scene, entries, split })
 }
 
 /// Which trials share samples. Synthetic ones are made one by one, so they share none.
@@ -250,11 +238,9 @@ pub(super) fn kept_apart(
 }
 
 impl Choice {
-    /// Keeps at most `most` of the surfaces in the folds, evenly spread over their sorted names.
-    ///
-    /// # Errors
-    /// If fewer than two are kept.
-    pub(super) fn keep_surfaces(&mut self, most: usize) -> Result<(), Failure> {
+    /// Keeps at most `most` of the surfaces in the folds, evenly spread over their sorted names. Fails if
+    /// these are fewer than two.
+    pub(super) fn keep_surfaces(&mut self, most: usize) -> Done<()> {
         let all: BTreeSet<&str> = self.surfaces().collect();
         let kept: BTreeSet<String> = (all.iter().enumerate())
             .filter(|(i, _)| (i + 1) * most / all.len() > i * most / all.len())

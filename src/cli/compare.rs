@@ -133,7 +133,7 @@ fn print(report: &CompareReport, alpha: f64) {
 }
 
 /// The trial that an argument names, the scene of its library, and whether the trial is synthetic.
-fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
+fn find(argument: &Path) -> Done<(Trial, Scene, bool)> {
     if argument.is_dir() {
         super::hold(argument);
         return alone(&recording::open_trial(argument, &Scene::lmt108())?);
@@ -176,7 +176,7 @@ fn find(argument: &Path) -> Result<(Trial, Scene, bool), Failure> {
     }
 }
 
-fn alone(one: &Library) -> Result<(Trial, Scene, bool), Failure> {
+fn alone(one: &Library) -> Done<(Trial, Scene, bool)> {
     let entry = &one.entries[0];
     Ok((entry.load()?, one.scene.clone(), one.synthetic))
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use toml::Value;
 
 use super::show::{counted, listed};
-use super::{Failure, show};
+use super::{Done, Failure, show};
 use crate::library::{Entry, Library};
 use crate::trial::normal;
 
@@ -31,7 +31,6 @@ pub(super) struct WhereArgs {
     all: Vec<Condition>,
 }
 
-/// A comparison of a key of a trial with a value.
 #[derive(Clone, Debug)]
 struct Condition {
     key: String,
@@ -55,10 +54,7 @@ impl Condition {
         Ok(Self { key: key.into(), is_met, value: normal(value), text: text.into() })
     }
 
-    /// Whether a trial's value meets the condition.
-    ///
-    /// # Errors
-    /// If the two cannot be compared.
+    /// Whether a trial's value meets the condition. Fails if the two cannot be compared.
     fn holds(&self, there: &Value) -> Result<bool, String> {
         let number = |there: f64| Some(there.partial_cmp(&self.value.parse().ok()?));
         let order = match there {
@@ -73,10 +69,10 @@ impl Condition {
         match order {
             // A value that is not a number (NaN) is neither equal, less nor more.
             Some(order) => Ok(order.is_some_and(self.is_met)),
-            None => Err(format!(
-                "{} is {there}, which cannot be compared with {}",
-                self.key, self.value
-            )),
+            None => {
+                let Self { key, value, .. } = self;
+                Err(format!("{key} is {there}, which cannot be compared with {value}"))
+            }
         }
     }
 }
@@ -98,11 +94,9 @@ impl WhereArgs {
     }
 
     /// Drops the trials of the library at `path` that do not meet all conditions. A trial without the key
-    /// does not meet a condition.
-    ///
-    /// # Errors
-    /// If no trial is left, no trial has a key, or a value cannot be compared.
-    pub(super) fn keep(&self, path: &Path, library: &mut Library) -> Result<(), Failure> {
+    /// does not meet a condition. Fails if no trial is left, if none has a key, or if a value cannot be
+    /// compared.
+    pub(super) fn keep(&self, path: &Path, library: &mut Library) -> Done<()> {
         if self.is_empty() {
             return Ok(());
         }
@@ -136,13 +130,11 @@ impl WhereArgs {
         let mut kept = kept.into_iter();
         library.entries.retain(|_| kept.next().unwrap_or_default());
         let all = show::joined(self.all.iter().map(|condition| &condition.text), " and ");
-        match library.entries.len() {
-            0 => Err(Failure::usage_at(path, format!("no trial fits {all}"))),
-            left => {
-                say!("{all}: {} of {}", left, counted(before, "trial"));
-                Ok(())
-            }
+        if library.entries.is_empty() {
+            return Err(Failure::usage_at(path, format!("no trial fits {all}")));
         }
+        say!("{all}: {} of {}", library.entries.len(), counted(before, "trial"));
+        Ok(())
     }
 }
 

@@ -10,7 +10,7 @@ use crate::outputs;
 use crate::scan::CutFrom;
 use crate::scene::SourceId;
 use crate::station::Continuous;
-use crate::station::config::{CameraConfig, LinesConfig, OutputsConfig, StationConfig};
+use crate::station::config::{OutputsConfig, StationConfig};
 
 /// Check the configuration of a station
 #[derive(clap::Args)]
@@ -58,28 +58,25 @@ fn devices(config: &StationConfig) -> Vec<(&'static str, bool, String)> {
         let made = sources(config, stylus.streams.iter().map(|stream| &stream.id));
         all.push(("stylus", true, format!("{} at {} Hz: {made}", stylus.port, stylus.rate_hz)));
     }
-    all.extend(config.lines.iter().map(|lines| ("lines", true, of_lines(config, lines))));
+    all.extend(config.lines.iter().map(|lines| {
+        let rate =
+            lines.rate_hz.map_or("a rate to be measured".into(), |rate| format!("{rate} Hz"));
+        let made = sources(config, lines.streams.iter().map(|stream| &stream.id));
+        ("lines", true, format!("{} at {rate}: {made}", lines.address))
+    }));
     if let Some(microphone) = &config.microphone {
         let made = sources(config, [&microphone.stream]);
         let what = format!("{}: {made}", microphone.device);
         all.push(("microphone", cfg!(feature = "microphone"), what));
     }
     if let Some(camera) = &config.camera {
-        all.push(("camera", cfg!(feature = "camera"), of_camera(config, camera)));
+        let flash = camera.flash.as_ref().map(|of| &of.source);
+        let made = sources(config, [&camera.source].into_iter().chain(flash));
+        let every_ms = camera.every.as_millis();
+        let what = format!("{}, a picture every {every_ms} ms: {made}", camera.device);
+        all.push(("camera", cfg!(feature = "camera"), what));
     }
     all
-}
-
-fn of_lines(config: &StationConfig, lines: &LinesConfig) -> String {
-    let rate = lines.rate_hz.map_or("a rate to be measured".into(), |rate| format!("{rate} Hz"));
-    let made = sources(config, lines.streams.iter().map(|stream| &stream.id));
-    format!("{} at {rate}: {made}", lines.address)
-}
-
-fn of_camera(config: &StationConfig, camera: &CameraConfig) -> String {
-    let streams = [&camera.source].into_iter().chain(camera.flash.as_ref().map(|of| &of.source));
-    let every_ms = camera.every.as_millis();
-    format!("{}, a picture every {every_ms} ms: {}", camera.device, sources(config, streams))
 }
 
 /// The sources that are cut from streams, with their channels.

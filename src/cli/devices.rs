@@ -36,18 +36,15 @@ pub(super) struct Args {
 /// The longest wait for the first line. Some boards restart when their port is opened.
 pub(super) const SURVEY_PATIENCE: Duration = Duration::from_secs(10);
 
-/// The lines that a sensor has sent, summed up.
 #[derive(serde::Serialize)]
 struct Watched {
     port: String,
     /// Lines per second; `None` if that cannot be measured.
     rate_hz: Option<f64>,
     columns: Vec<ColumnSurvey>,
-    /// The first lines as they came.
     first_lines: Vec<String>,
     /// Share of the lines that are rows, from 0 to 1.
     fitting_share: f64,
-    /// Remarks for the user.
     remarks: Vec<String>,
     /// The reason why no configuration fits the sensor, and what to do.
     problem: Option<String>,
@@ -221,10 +218,8 @@ fn show_class(name: &str, class: &DeviceClass) {
     }
     for device in &class.devices {
         let ListedDevice { id, name, node, problem } = device;
-        let node = match node {
-            Some(node) if node != id => format!(" (now {node})"),
-            _ => String::new(),
-        };
+        let now = node.as_ref().filter(|node| *node != id);
+        let node = now.map(|node| format!(" (now {node})")).unwrap_or_default();
         result!("  {id}{node}: {}", name.replace('\n', ", "));
         if let Some(problem) = problem {
             result!("    ! {problem}");

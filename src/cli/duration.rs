@@ -88,7 +88,7 @@ enum RuleName {
 }
 
 impl Args {
-    fn question(&self) -> Result<Question, Failure> {
+    fn question(&self) -> Done<Question> {
         let published = self.algorithm1.clone().unwrap_or_default();
         let estimator = match self.rule {
             RuleName::Pooled => {
@@ -209,10 +209,7 @@ pub(super) fn run(args: &Args) -> Done {
         draw(path, &figure(&found.durations, Some(&curve), data, args.look.into())?)?;
         show::wrote(&[path]);
     }
-    let refused = match args.accuracy {
-        Some(_) => honoured(&answer),
-        None => Ok(()),
-    };
+    let refused = args.accuracy.map_or(Ok(()), |_| honoured(&answer));
     if args.json {
         let seed = args.algorithm1.as_ref().and_then(|published| published.seed).unwrap_or(1);
         let of = DurationDocument { report: &found, answer: &answer };
@@ -245,11 +242,11 @@ impl Args {
     /// The accuracy of left-out trials at each scan time, using the sources and the user given by
     /// the arguments.
     fn by_time(&self, library: &Library) -> Result<LeftOutAccuracy, RecogniseError> {
-        let scene = match self.source.is_empty() {
-            true => library.scene.clone(),
+        let mut scene = library.scene.clone();
+        if !self.source.is_empty() {
             // `report` has checked that the library has these sources, so the default is not used.
-            false => library.scene.clone().only(&self.source).unwrap_or(library.scene.clone()),
-        };
+            scene = scene.clone().only(&self.source).unwrap_or(scene);
+        }
         let is_wanted = |entry: &Entry| {
             !entry.sources.is_empty()
                 && self.user.as_ref().is_none_or(|user| *user == entry.key.user)

@@ -1,8 +1,6 @@
 //! `surfaced enroll` and `surfaced record`: add live scans to a library as trials.
 
-use super::live::{
-    Kept, NamedBy, StationArgs, StationWork, library_of, make_library, verdict, work,
-};
+use super::live::{Kept, StationArgs, Work, library_of, make_library, verdict, work};
 use super::method::at_least_one;
 use super::show::quoted;
 use super::{Done, Failure, show};
@@ -86,20 +84,14 @@ pub(super) fn record(args: &RecordArgs) -> Done {
 }
 
 /// Runs a station that keeps scans until its order is complete. The operator sees `hint`.
-fn store(
-    config: &StationConfig,
-    args: &StationArgs,
-    order: Keep,
-    hint: String,
-) -> Result<Kept, Failure> {
+fn store(config: &StationConfig, args: &StationArgs, order: Keep, hint: String) -> Done<Kept> {
     let library = library_of(config)?;
     if !library.exists() {
         make_library(&library, &config.scene)?;
     }
     check_writable(&library)?;
     let mut kept = Kept::default();
-    let (store, keep) = (library.clone(), Some((order, &mut kept)));
-    let of = StationWork { by: NamedBy::Nothing, store, keep, hint, check: None };
+    let of = (Work::Keep(order, &mut kept), library.clone(), hint);
     let totals = work(config, args, assemble(config), of)?;
     let trials = show::counted(kept.kept as usize, "trial");
     say!("{trials} recorded in {}", library.display());

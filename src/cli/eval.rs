@@ -162,7 +162,7 @@ pub(super) fn run(args: &Args) -> Done {
     Ok(())
 }
 
-fn on_tables(args: &Args, tables: &FeatureTables) -> Result<Vec<EvalReport>, Failure> {
+fn on_tables(args: &Args, tables: &FeatureTables) -> Done<Vec<EvalReport>> {
     if args.paper || args.query_seconds.is_some() {
         let problem = "--paper and --query-seconds need recordings; these are feature tables";
         return Err(Failure::usage(problem));
@@ -175,7 +175,7 @@ fn on_tables(args: &Args, tables: &FeatureTables) -> Result<Vec<EvalReport>, Fai
 }
 
 /// The trials, with the features of the chosen tables. If no table is chosen, all are used.
-fn vectors(tables: &FeatureTables, chosen: &[SourceId]) -> Result<Vec<FeatureVector>, Failure> {
+fn vectors(tables: &FeatureTables, chosen: &[SourceId]) -> Done<Vec<FeatureVector>> {
     if let Some(unknown) = chosen.iter().find(|id| !tables.sources.contains(id)) {
         let known = listed(&tables.sources);
         return Err(Failure::Usage(format!("no table {unknown}; there are {known}")));
@@ -201,7 +201,7 @@ fn evaluated(
     on: Evaluation<'_>,
     trials: Splittable<'_>,
     leaks: &Leaks,
-) -> Result<Vec<EvalReport>, Failure> {
+) -> Done<Vec<EvalReport>> {
     let named = OneOrAll::list(&args.method);
     let specs = args.options.specs(&named)?;
     if args.seeds.is_some() && specs.iter().all(|spec| spec.seeded(1).is_none()) {
@@ -249,9 +249,8 @@ fn measured(
     let method = spec.build(on.scene);
     let run = on.prepare(&*method)?;
     run.library.remarks.iter().for_each(|remark| say!("{remark}"));
-    let settled = args.settle.then(|| SettledOutcome::of(&run, args.answers.settle_loss));
-    let settled = settled.transpose()?;
-    let rate = args.answers.false_rejections;
+    let AnswerArgs { settle_loss, false_rejections: rate } = args.answers;
+    let settled = args.settle.then(|| SettledOutcome::of(&run, settle_loss)).transpose()?;
     let unknown = args.leave_surfaces_out.map(|groups| UnknownOutcome::of(&run, groups, rate));
     let unknown = unknown.transpose()?;
     let measured = run.measure()?;
@@ -260,10 +259,8 @@ fn measured(
         warnings.extend(better_plain(on, &measured.predictions));
     }
     warnings.iter().for_each(|line| say!("warning: {line}"));
-    let enrolled = match args.enrolled {
-        0 => None,
-        count => Some(EnrolmentOutcome::of(&run, &measured, before, count)?),
-    };
+    let enrolled = || EnrolmentOutcome::of(&run, &measured, before, args.enrolled);
+    let enrolled = (args.enrolled > 0).then(enrolled).transpose()?;
     let outcome = measured.outcome.over(split.over);
     // Other seeds are not cached, since the cache holds the trials of one seed.
     let of_seed = |seed: u64| -> Result<f64, EvaluateError> {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::show::{self, listed};
-use super::{Failure, say};
+use super::{Done, Failure, say};
 use crate::evaluate::{
     EnrolmentOutcome, Interval, Named, Outcome, Over, Paired, Prediction, SettledOutcome,
     UnknownOutcome, paired,
@@ -64,7 +64,6 @@ impl Seeds {
     }
 }
 
-/// The JSON document of several methods.
 #[derive(serde::Serialize)]
 pub(super) struct EvalTable {
     data: String,
@@ -72,15 +71,13 @@ pub(super) struct EvalTable {
     protocol: String,
     left_out: String,
     methods: Vec<EvalReport>,
-    /// Paired tests of all pairs of methods.
     paired: Vec<Paired>,
 }
 
 impl EvalTable {
     /// The reports, of which there are several, of methods that named the same queries.
     pub(super) fn new(methods: Vec<EvalReport>) -> Self {
-        let all = methods.iter().map(|one| (&*one.outcome.method, one.named()));
-        let all: Vec<_> = all.collect();
+        let all: Vec<_> = methods.iter().map(|one| (&*one.outcome.method, one.named())).collect();
         let first = &methods[0];
         Self {
             data: first.data.clone(),
@@ -152,7 +149,7 @@ fn over_words(over: Over, folds: usize) -> String {
 }
 
 /// Writes a row for each query, as CSV. Columns `p: SURFACE` hold the probabilities.
-pub(super) fn write_predictions(reports: &[EvalReport], path: &Path) -> Result<(), Failure> {
+pub(super) fn write_predictions(reports: &[EvalReport], path: &Path) -> Done<()> {
     let labels = reports.iter().flat_map(|report| &report.outcome.confusion.labels);
     let surfaces: BTreeSet<&str> = labels.map(String::as_str).collect();
     let mut table = csv::Writer::from_writer(Vec::new());
@@ -218,17 +215,11 @@ impl EvalAnswer {
         let named = [self.fold.clone(), self.truth.clone(), self.answer.clone(), margin];
         let stated = [number(self.confidence), number(self.p_value)];
         let of = surfaces.iter().map(|name| number(self.probabilities.get(*name).copied()));
-        std::iter::once(method.to_string())
-            .chain(known)
-            .chain(named)
-            .chain(stated)
-            .chain(of)
-            .collect()
+        [method.into()].into_iter().chain(known).chain(named).chain(stated).chain(of).collect()
     }
 }
 
 impl EvalReport {
-    /// Adds the folders of the trials.
     pub(super) fn name_trials(&mut self, names: &BTreeMap<&TrialKey, String>) {
         for one in &mut self.predictions {
             let key = TrialKey::new(&one.truth, &one.user, one.trial);
@@ -288,9 +279,8 @@ impl EvalReport {
     }
 
     fn print_not_asked(&self) {
-        if !self.not_asked.is_empty() {
-            let of = self.not_asked.iter().map(|(surface, count)| format!("{surface} ({count})"));
-            let of = listed(of);
+        let of = listed(self.not_asked.iter().map(|(surface, n)| format!("{surface} ({n})")));
+        if !of.is_empty() {
             result!("           not asked, since no library without them has their surface: {of}");
         }
     }
@@ -316,11 +306,8 @@ impl EvalReport {
 
     fn print_surfaces(&self) {
         let rows = self.outcome.surfaces.iter().map(|one| {
-            let share = [one.recall, one.precision, one.f1].map(|share| match share {
-                Some(share) => show::percent(share),
-                None => "-".into(),
-            });
-            let [recall, precision, f1] = share;
+            let share = |share: Option<f64>| share.map_or("-".into(), show::percent);
+            let [recall, precision, f1] = [one.recall, one.precision, one.f1].map(share);
             vec![one.surface.clone(), one.queries.to_string(), recall, precision, f1]
         });
         show::table(&["surface", ">queries", ">recall", ">precision", ">F1"], rows);

@@ -74,7 +74,6 @@ fn import_mcap(mcap: &Path, library: &Path) -> Done {
     Ok(())
 }
 
-/// Refuses `surfaced export`, since this build has no MCAP.
 #[cfg(not(feature = "mcap"))]
 pub(super) fn export(_: &ExportArgs) -> Done {
     Err(left_out())

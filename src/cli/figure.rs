@@ -27,7 +27,6 @@ pub(super) struct FigureArgs {
     pub json: bool,
 }
 
-/// How a figure looks.
 #[derive(Clone, Copy, clap::Args)]
 pub(super) struct LookArgs {
     /// Printed width of the figure: that of a journal's column or page (default: for screens)
@@ -61,11 +60,7 @@ impl FigureArgs {
     }
 
     /// Writes the picture and, beside it, its numbers as JSON. Returns the paths of both.
-    pub(super) fn keep(
-        &self,
-        svg: &str,
-        numbers: &impl Serialize,
-    ) -> Result<Vec<PathBuf>, Failure> {
+    pub(super) fn keep(&self, svg: &str, numbers: &impl Serialize) -> Done<Vec<PathBuf>> {
         let beside = self.out.with_extension("json");
         draw(&self.out, svg)?;
         write(&beside, serde_json::to_string_pretty(numbers)? + "\n")?;
@@ -78,12 +73,10 @@ pub(super) fn is_earlier(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == "json") && path.is_file()
 }
 
-/// Writes a picture: as PDF if it is named so, else as SVG.
 pub(super) fn draw(path: &Path, svg: &str) -> Done {
     if is_pdf(path) { write(path, pdf(path, svg)?) } else { write(path, svg) }
 }
 
-/// Refuses a PDF where this program cannot write one.
 pub(super) fn can_draw(path: &Path) -> Done {
     if is_pdf(path) && cfg!(not(feature = "pdf")) {
         let problem = "this program was built without PDF (`--features pdf`); name it .svg";
@@ -98,7 +91,7 @@ fn is_pdf(path: &Path) -> bool {
 
 /// The PDF of an SVG, with the glyphs that it uses of a sans-serif font of this machine.
 #[cfg(feature = "pdf")]
-fn pdf(path: &Path, svg: &str) -> Result<Vec<u8>, Failure> {
+fn pdf(path: &Path, svg: &str) -> Done<Vec<u8>> {
     use svg2pdf::usvg;
 
     /// Fonts that hold the signs of the figures, the likeliest first.
@@ -125,7 +118,7 @@ fn pdf(path: &Path, svg: &str) -> Result<Vec<u8>, Failure> {
 }
 
 #[cfg(not(feature = "pdf"))]
-fn pdf(path: &Path, _: &str) -> Result<Vec<u8>, Failure> {
+fn pdf(path: &Path, _: &str) -> Done<Vec<u8>> {
     can_draw(path).map(|()| Vec::new())
 }
 

@@ -76,10 +76,7 @@ pub(super) fn run(args: &Args) -> Done {
         }
         None => {}
     }
-    let cache = match &args.cache {
-        Some(folder) => folder.clone(),
-        None => default_cache()?,
-    };
+    let cache = args.cache.clone().map_or_else(default_cache, Ok)?;
     let address = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), PORT);
     let serve = args.serve.settings(Settings { address, ..Settings::default() })?;
     let most_bytes = u64::from(args.keep_mb) * 1_000_000;
@@ -93,7 +90,7 @@ pub(super) fn run(args: &Args) -> Done {
     Ok(())
 }
 
-fn default_cache() -> Result<PathBuf, Failure> {
+fn default_cache() -> Done<PathBuf> {
     let given = std::env::var_os("XDG_CACHE_HOME").filter(|folder| !folder.is_empty());
     let cache = given.map(PathBuf::from).or_else(|| Some(std::env::home_dir()?.join(".cache")));
     let found = cache.map(|cache| cache.join("surfaced/fleet"));

@@ -43,18 +43,12 @@ pub(super) fn run(args: &Args) -> Done {
     }
     let passed = history.extent().scans.saturating_sub(args.last.unwrap_or(usize::MAX));
     if args.csv {
-        return Ok(write_csv(
-            std::io::stdout(),
-            COLUMNS,
-            history.values(Wanted::default()).skip(passed),
-        )?);
+        let values = history.values(Wanted::default()).skip(passed);
+        return Ok(write_csv(std::io::stdout(), COLUMNS, values)?);
     }
     let mut rows = Vec::new();
     for row in history.rows(Wanted::default()).skip(passed) {
-        match args.json {
-            true => show::json(&row?),
-            false => rows.push(cells(row?)),
-        }
+        if args.json { show::json(&row?) } else { rows.push(cells(row?)) }
     }
     if !args.json {
         show::table(&["scan", "state", "surface", ">drag", "it was", "reasons"], rows);

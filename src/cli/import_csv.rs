@@ -14,7 +14,6 @@ use crate::record::{TrialOptions, check_writable, write_library_toml, write_tria
 use crate::scene::{LibraryToml, Scene, SourceId};
 use crate::trial::{Series, Signal, Trial, TrialKey};
 
-/// Extensions of the tables that are looked for in folders.
 const TABLES: [&str; 12] =
     ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz", "npy", "npz", "mat", "parquet"];
 /// Extensions of tables that are refused, with the reason.
@@ -163,10 +162,7 @@ pub(super) fn run(args: &CsvArgs) -> Done {
         super::say::progress("tables", at, tables.len());
         if let Err(error) = import.table(path, staging.as_ref(), &mut bad) {
             // A full disk is no fault of the table.
-            match error.path() == Some(path) {
-                true => bad.push(error),
-                false => return Err(error.into()),
-            }
+            if error.path() == Some(path) { bad.push(error) } else { return Err(error.into()) }
         }
     }
     super::say::end_progress();
@@ -175,8 +171,14 @@ pub(super) fn run(args: &CsvArgs) -> Done {
             .map_or_else(|| Failure::Failed("no trial was found".into()), Failure::from));
     }
     import.summary.print(&form);
-    if args.session.is_none() && import.keys.iter().all(|key| key.session.is_none()) {
-        import.summary.propose_sessions(tables.len());
+    let (several, all) = (import.summary.of_several, tables.len());
+    let has_sessions =
+        args.session.is_some() || import.keys.iter().any(|key| key.session.is_some());
+    if several > 0 && all > 1 && !has_sessions {
+        say!(
+            "{several} of {all} tables hold several trials; trials of one sitting resemble each other: \
+             --session file makes each table a session, which `eval` leaves out as a whole"
+        );
     }
     // The tables are not in the library, so that a check of it does not name them.
     bad_files::warn(&args.out, bad, "--strict")?;
@@ -213,23 +215,14 @@ fn find(path: &Path, tables: &mut Vec<PathBuf>, bad: &mut Vec<LibraryError>) -> 
 }
 
 /// Determines the meaning of the columns from the arguments and the first table that can be read.
-fn understood(
-    args: &CsvArgs,
-    tables: &[PathBuf],
-    bad: &mut Vec<LibraryError>,
-) -> Result<Form, Failure> {
+fn understood(args: &CsvArgs, tables: &[PathBuf], bad: &mut Vec<LibraryError>) -> Done<Form> {
     let most_unpacked = args.max_gb << 30;
     if let Some(path) = tables.first().filter(|path| array::is_array(path)) {
         return array_form(args, path, most_unpacked);
     }
     let mut unread = Vec::new();
-    let first = tables.iter().find_map(|path| match Head::read(path, most_unpacked) {
-        Ok(head) => Some((path, head)),
-        Err(error) => {
-            unread.push(error);
-            None
-        }
-    });
+    let mut read = |path| Head::read(path, most_unpacked).map_err(|error| unread.push(error)).ok();
+    let first = tables.iter().find_map(|path| Some((path, read(path)?)));
     let Some((path, head)) = first else {
         unread.append(bad);
         let none = || Failure::Failed("no table can be read".into());
@@ -267,7 +260,7 @@ fn understood(
 }
 
 /// How to read an array, whose channels are called 1, 2, …
-fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Result<Form, Failure> {
+fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Done<Form> {
     let unknown = "the rate is not known: give --rate HZ";
     let rate_hz = args.rate.ok_or_else(|| Failure::usage(unknown))?;
     if args.session_of().is_none() {
@@ -328,17 +321,14 @@ impl Import<'_> {
         *most
     }
 
-    /// Reads a table, and writes its trials.
     fn table(
         &mut self,
         path: &Path,
         staging: Option<&Staging>,
         bad: &mut Vec<LibraryError>,
     ) -> Result<(), LibraryError> {
-        let scratch = match staging {
-            Some(staging) => staging.importing.folder.clone(),
-            None => std::env::temp_dir(),
-        };
+        let folder = |staging: &Staging| staging.importing.folder.clone();
+        let scratch = staging.map_or_else(std::env::temp_dir, folder);
         let (mut twice, mut trials) = (Vec::new(), 0);
         let said = tables::read(path, self.form, &scratch, &mut |keys, read| match read {
             None => {
@@ -376,14 +366,13 @@ impl Import<'_> {
     }
 }
 
-/// The library that an import writes, and its sources.
 struct Staging {
     importing: Importing,
     scene: Scene,
 }
 
 impl Staging {
-    fn new(out: &Path, form: &Form) -> Result<Self, Failure> {
+    fn new(out: &Path, form: &Form) -> Done<Self> {
         let mut text = String::from("format = 1\n");
         for (id, columns) in &form.sources {
             let channels = columns.len();
@@ -398,7 +387,6 @@ impl Staging {
     }
 }
 
-/// The summary of an import that is printed.
 #[derive(Default)]
 struct Summary {
     /// The lowest and the highest rate of each source.
@@ -413,17 +401,6 @@ struct Summary {
 }
 
 impl Summary {
-    /// Where several of the tables were cut into trials, says that each may be a session.
-    fn propose_sessions(&self, tables: usize) {
-        if self.of_several > 0 && tables > 1 {
-            say!(
-                "{} of {tables} tables hold several trials; trials of one sitting resemble each other: \
-                 --session file makes each table a session, which `eval` leaves out as a whole",
-                self.of_several
-            );
-        }
-    }
-
     fn add(&mut self, trial: &Trial) {
         for (id, signal) in &trial.signals {
             if let Signal::Series(series) = signal {
@@ -476,8 +453,7 @@ impl Summary {
         result!();
         let rows = self.surfaces.iter().map(|(surface, (count, users, seconds))| {
             let mean = format!("{:.1} s", seconds / *count as f64);
-            let users: BTreeSet<&str> = users.iter().map(String::as_str).collect();
-            vec![surface.clone(), count.to_string(), mean, show::listed(&users)]
+            vec![surface.clone(), count.to_string(), mean, show::listed(users)]
         });
         show::table(&["surface", ">trials", ">mean length", "by"], rows);
         let said = &self.said;

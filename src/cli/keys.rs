@@ -8,7 +8,7 @@ use std::time::Duration;
 use crossbeam_channel::Sender;
 
 use super::system::{HANGUP, has_terminal, next_key, restore_terminal, signals, single_keys};
-use super::{DAMAGED, Failure};
+use super::{DAMAGED, Done};
 use crate::station::Command;
 
 /// Time from the first signal until the process is ended by force. It is longer than a station needs
@@ -56,13 +56,13 @@ impl Drop for Keys {
 /// Turns the first signal into [`Command::Quit`], and notifies the receiver. A second signal ends
 /// the process at once; the first signal also does if neither a station nor the receiver exists.
 /// In any case, the process ends within [`LIMIT`].
-pub(super) fn watch_signals(commands: Sender<Command>) -> Result<mpsc::Receiver<()>, Failure> {
+pub(super) fn watch_signals(commands: Sender<Command>) -> Done<mpsc::Receiver<()>> {
     watch(signals()?, commands)
 }
 
 /// Like [`watch_signals`], for a station that lasts. Where no terminal could hang up, a hang-up asks a
 /// service to read its configuration anew; this is refused, and the station goes on.
-pub(super) fn watch_service(commands: Sender<Command>) -> Result<mpsc::Receiver<()>, Failure> {
+pub(super) fn watch_service(commands: Sender<Command>) -> Done<mpsc::Receiver<()>> {
     let is_service = !has_terminal();
     let ends = move |signal: &i32| {
         let is_reload = is_service && HANGUP == Some(*signal);
@@ -79,7 +79,7 @@ pub(super) fn watch_service(commands: Sender<Command>) -> Result<mpsc::Receiver<
 fn watch(
     signals: impl Iterator<Item = i32> + Send + 'static,
     commands: Sender<Command>,
-) -> Result<mpsc::Receiver<()>, Failure> {
+) -> Done<mpsc::Receiver<()>> {
     let (send, signalled) = mpsc::channel();
     let watch = move || {
         for (count, signal) in signals.enumerate() {

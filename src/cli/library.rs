@@ -2,6 +2,7 @@
 //! reference surfaces, and shows their drift.
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
@@ -97,7 +98,7 @@ struct TrialsArgs {
     /// The library's folder
     library: PathBuf,
     /// Trials, SURFACE/TRIAL or SURFACE/FILE.wav each, or surfaces
-    #[arg(required = true)]
+    #[arg(required = true, value_parser = |name: &str| Ok::<_, Infallible>(normal(name)))]
     trials: Vec<String>,
 }
 
@@ -144,24 +145,19 @@ pub(super) fn run(args: &Args) -> Done {
             (library, editor(library)?.rename(&normal(surface), &label)?)
         }
         Edit::Move { of: TrialsArgs { library, trials }, to } => {
-            (library, editor(library)?.move_to(&all_normal(trials), &named(to)?)?)
+            (library, editor(library)?.move_to(trials, &named(to)?)?)
         }
         Edit::Session { of: TrialsArgs { library, trials }, to, none: _ } => {
-            (library, editor(library)?.set_session(&all_normal(trials), to.as_deref())?)
+            (library, editor(library)?.set_session(trials, to.as_deref())?)
         }
-        Edit::Remove(TrialsArgs { library, trials }) => {
-            (library, editor(library)?.remove(&all_normal(trials))?)
-        }
-        Edit::Restore(TrialsArgs { library, trials }) => {
-            (library, editor(library)?.restore(&all_normal(trials))?)
-        }
+        Edit::Remove(of) => (&of.library, editor(&of.library)?.remove(&of.trials)?),
+        Edit::Restore(of) => (&of.library, editor(&of.library)?.restore(&of.trials)?),
         Edit::Undo { library } => {
             let step = editor(library)?.undo()?;
             moved(&step);
             say!("undone: {}", step.what);
-            for trial in step.gone.iter().flatten() {
-                say!("{trial} is no longer there, and did not come back");
-            }
+            let gone = step.gone.iter().flatten();
+            gone.for_each(|trial| say!("{trial} is no longer there, and did not come back"));
             return Ok(());
         }
     };
@@ -171,7 +167,7 @@ pub(super) fn run(args: &Args) -> Done {
     Ok(())
 }
 
-fn named(label: &str) -> Result<String, Failure> {
+fn named(label: &str) -> Done<String> {
     match label.trim() {
         "" => Err(Failure::usage("an empty label; give it a name, such as oak")),
         label => Ok(normal(label)),
@@ -192,11 +188,7 @@ fn is_free(library: &Path, surface: &str, label: &str) -> Done {
     }
 }
 
-fn all_normal(names: &[String]) -> Vec<String> {
-    names.iter().map(|name| normal(name)).collect()
-}
-
-fn editor(library: &Path) -> Result<Editor, Failure> {
+fn editor(library: &Path) -> Done<Editor> {
     Ok(Editor::open(library, &Scene::lmt108())?)
 }
 
@@ -212,7 +204,7 @@ fn reference(args: &ReferenceArgs) -> Done {
     let Some(surface) = args.surface.as_deref().map(normal) else { return drift(args) };
     if dataset::is_foreign(library) {
         let problem = "this is a copy of LMT108, in which a station keeps no scans";
-        return Err(Failure::usage_at(library, problem.to_string()));
+        return Err(Failure::usage_at(library, problem));
     }
     if args.none {
         if !references(library)?.contains_key(&surface) {
@@ -237,10 +229,7 @@ fn reference(args: &ReferenceArgs) -> Done {
 
 fn drift(args: &ReferenceArgs) -> Done {
     let folder = args.library.join(history::FOLDER);
-    let history = match folder.exists() {
-        true => History::read(&folder)?,
-        false => History::default(),
-    };
+    let history = if folder.exists() { History::read(&folder)? } else { History::default() };
     history.refer(&references(&args.library)?);
     let drift = history.drift();
     if drift.references.is_empty() {
@@ -248,17 +237,8 @@ fn drift(args: &ReferenceArgs) -> Done {
             "no surface is a reference; `surfaced library reference LIBRARY SURFACE` makes it one"
         );
     }
-    let head = [
-        "reference",
-        "quantity",
-        "channel",
-        ">scans",
-        ">at first",
-        ">now",
-        ">limit",
-        ">finds",
-        "drift",
-    ];
+    let head = "reference,quantity,channel,>scans,>at first,>now,>limit,>finds,drift";
+    let head: Vec<&str> = head.split(',').collect();
     show::result(args.json, &*drift, |drift| show::table(&head, chart_rows(drift)));
     drift.doubts.iter().for_each(|doubt| say!("drift: {doubt}"));
     Ok(())

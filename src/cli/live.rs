@@ -11,8 +11,8 @@ use crossbeam_channel::Sender;
 use super::devices::SURVEY_PATIENCE;
 use super::json_lines::JsonLines;
 use super::keys::{Keys, watch_service};
-use super::method::{AccuracyArgs, AnswerArgs, ComparingArgs, NOT_WITH_MODEL};
-use super::naming::{self, OpenedModel};
+use super::method::{AccuracyArgs, AnswerArgs, ComparingArgs, not_with_model};
+use super::naming;
 use super::serve::{Page, ServeArgs};
 use super::show::{counted, quoted};
 use super::system;
@@ -83,8 +83,7 @@ impl StationArgs {
         config.unwrap_or_default() + &lines.unwrap_or_default()
     }
 
-    /// The configuration that results from the file and the flags.
-    pub(super) fn config(&self) -> Result<StationConfig, Failure> {
+    pub(super) fn config(&self) -> Done<StationConfig> {
         let mut config = match (&self.config, &self.lines) {
             (None, Some(address)) => surveyed(address)?,
             (file, _) => super::config(file.as_deref())?,
@@ -112,7 +111,7 @@ impl StationArgs {
 }
 
 /// A configuration for one sensor that no file describes, made from the lines that it sends.
-fn surveyed(address: &LinesAddress) -> Result<StationConfig, Failure> {
+fn surveyed(address: &LinesAddress) -> Done<StationConfig> {
     say!("learning what comes from {address}, for {SURVEY_S} s; leave the sensor at rest");
     let survey = survey_of(address, SURVEY_PATIENCE).map_err(Failure::Failed)?;
     let text = fitting(address, &survey).map_err(Failure::Failed)?;
@@ -130,14 +129,13 @@ fn surveyed(address: &LinesAddress) -> Result<StationConfig, Failure> {
     Ok(config)
 }
 
-pub(super) fn library_of(config: &StationConfig) -> Result<PathBuf, Failure> {
+pub(super) fn library_of(config: &StationConfig) -> Done<PathBuf> {
     config.library.clone().ok_or_else(|| {
         let text = "no library is named; give --library FOLDER, or `library` in the configuration";
         Failure::usage(text)
     })
 }
 
-/// Makes a library without trials.
 pub(super) fn make_library(folder: &Path, scene: &Scene) -> Done {
     let name = folder.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
     Ok(write_library_toml(folder, scene, &name, false)?)
@@ -154,39 +152,27 @@ fn is_agreed(library: &Path) -> bool {
     is_read && matches!(answer.trim(), "y" | "Y" | "yes" | "Yes")
 }
 
-/// How the scans of a station are named.
-pub(super) enum NamedBy {
-    Nothing,
-    /// The library that this function reads.
-    Library(Load),
-    /// A model without trials.
-    Model(Arc<Recogniser>),
+/// What a station does with its scans.
+pub(super) enum Work<'a> {
+    /// Keeps them. The order applies while the page has given no other one.
+    Keep(Keep, &'a mut Kept),
+    /// Names them by the library that the first function reads, and the second one audits.
+    ByLibrary(Load, Audit),
+    /// Names them by a model without trials.
+    ByModel(Arc<Recogniser>),
 }
 
-/// The work that a command wants of a station.
-pub(super) struct StationWork<'a> {
-    pub by: NamedBy,
-    /// The library for enrolled scans; of a model, the folder for past scans and unsent answers.
-    pub store: PathBuf,
-    /// The station's own order to keep scans. It applies while the page has given no other order.
-    pub keep: Option<(Keep, &'a mut Kept)>,
-    /// Instructions for the operator, shown while there is no other text.
-    pub hint: String,
-    /// The function that audits the library; `None` if the page may not start an audit.
-    pub check: Option<Audit>,
-}
-
-/// Runs a station with these devices until a key, a signal or a listener ends it.
+/// Runs a station with these devices until a key, a signal or a listener ends it. `folder` is the library
+/// for enrolled scans; of a model, it holds past scans and unsent answers. The operator sees `hint` while
+/// there is no other text.
 pub(super) fn work(
     config: &StationConfig,
     args: &StationArgs,
     assembled: Assembled,
-    work: StationWork<'_>,
-) -> Result<Totals, Failure> {
+    (work, folder, hint): (Work<'_>, PathBuf, String),
+) -> Done<Totals> {
     if assembled.devices.is_empty() {
-        for what in &assembled.left_out {
-            say!("{what}");
-        }
+        assembled.left_out.iter().for_each(|what| say!("{what}"));
         return Err(Failure::usage("no device is configured that this build can use"));
     }
     let options = Options {
@@ -196,7 +182,7 @@ pub(super) fn work(
     };
     let options = args.serve.options(options);
     let store = ScanStore {
-        folder: work.store,
+        folder,
         scene: config.scene.clone(),
         devices: assembled.device_of,
         session: Some(args.session()),
@@ -205,8 +191,8 @@ pub(super) fn work(
     let library = LibraryFolder { folder: store.folder.clone(), scene: store.scene.clone() };
     let (devices, session) = (store.devices.clone(), store.session.clone());
     let mut station = Station::new(assembled.devices, options);
-    let is_named = !matches!(work.by, NamedBy::Nothing);
-    let has_trials = !matches!(work.by, NamedBy::Model(_));
+    let is_named = !matches!(work, Work::Keep(..));
+    let has_trials = !matches!(work, Work::ByModel(_));
     station.store = has_trials.then_some(store);
     station.continuous = config.continuous().filter(|_| is_named);
     let commands = station.commands();
@@ -217,7 +203,6 @@ pub(super) fn work(
         reloads: has_trials,
         enrolls,
         library: enrolls.then(|| library.clone()),
-        check: work.check,
         viewfinder: assembled.viewfinder,
         ..Settings::default()
     };
@@ -226,15 +211,14 @@ pub(super) fn work(
         let sources = (&library.scene, devices, session);
         station = keep_and_send(station, config, &library.folder, sources, (&mut settings, &page))?;
     }
-    match work.by {
-        NamedBy::Nothing => {}
-        NamedBy::Library(load) => station.load = Some(load),
-        NamedBy::Model(recogniser) => station.recogniser = Some(recogniser),
-    }
-    if let Some((order, kept)) = work.keep {
-        let counter = KeptCounter { commands: commands.clone(), order: order.clone(), kept };
-        station.keep = Some(order);
-        station = station.listener(counter);
+    match work {
+        Work::Keep(order, kept) => {
+            let counter = KeptCounter { commands: commands.clone(), order: order.clone(), kept };
+            station.keep = Some(order);
+            station = station.listener(counter);
+        }
+        Work::ByLibrary(load, check) => (station.load, settings.check) = (Some(load), Some(check)),
+        Work::ByModel(recogniser) => station.recogniser = Some(recogniser),
     }
     if let Some(flasher) = assembled.flasher {
         station = station.listener(flasher);
@@ -244,7 +228,7 @@ pub(super) fn work(
     }
     let supervisor = Supervisor::new(commands.clone())?;
     let (station, _server) = args.serve.start(station.listener(supervisor), settings, &page)?;
-    let terminal = Terminal::new(args.json, work.hint);
+    let terminal = Terminal::new(args.json, hint);
     let _keys = Keys::listen(commands.clone(), terminal.scanning());
     let _signals = watch_service(commands.clone())?;
     let mut station = station.listener(terminal);
@@ -264,7 +248,7 @@ pub(super) fn keep_and_send<'a>(
     folder: &Path,
     (scene, devices, session): (&Scene, BTreeMap<String, String>, Option<String>),
     (settings, page): (&mut Settings, &Page),
-) -> Result<Station<'a>, Failure> {
+) -> Done<Station<'a>> {
     settings.stale_after_s = config.stale_after_s;
     settings.public_address = config.public_address.clone();
     if config.keep_mb > 0 {
@@ -352,7 +336,7 @@ pub(super) struct Args {
     ///
     /// A model holds no trials: surfaces are not enrolled, and nothing is reloaded. Past scans and unsent
     /// answers are kept beside it, in the folder FILE.kept.
-    #[arg(long, value_name = "FILE", conflicts_with_all = NOT_WITH_MODEL, conflicts_with = "create")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = not_with_model(), conflicts_with = "create")]
     model: Option<PathBuf>,
     /// Name the surface while something moves, without tap and end, and say when it changes
     #[arg(long)]
@@ -373,7 +357,7 @@ fn kept_beside(model: &Path) -> PathBuf {
 }
 
 /// The library that is named; made, if the user wants that.
-fn existing_library(args: &Args, config: &StationConfig) -> Result<PathBuf, Failure> {
+fn existing_library(args: &Args, config: &StationConfig) -> Done<PathBuf> {
     let library = library_of(config)?;
     if !library.is_dir() {
         if !args.create && !is_agreed(&library) {
@@ -401,21 +385,20 @@ pub(super) fn run(args: &Args) -> Done {
     let is_used = |id: &SourceId| !config.is_continuous || config.scene.is_dragged(id);
     let given: BTreeSet<SourceId> = given.filter(is_used).collect();
     let answering = (&args.answers, &args.accuracy);
-    let (by, store, check, scan_s) = match &args.model {
+    let (by, folder, scan_s) = match &args.model {
         Some(path) => {
-            let OpenedModel { ready, query_s, .. } =
-                OpenedModel::open(path, answering, Some(&given))?;
+            let (ready, file) = naming::open_model(path, answering, Some(&given))?;
             if config.is_continuous {
                 naming::has_scan_time(&ready.by).map_err(Failure::Failed)?;
             }
-            (NamedBy::Model(Arc::new(ready.by)), kept_beside(path), None, query_s)
+            (Work::ByModel(Arc::new(ready.by)), kept_beside(path), file.query_s)
         }
         None => {
             let library = existing_library(args, &config)?;
             let check = naming::check(&library, &how);
             let load = naming::load(&library, &config.scene, &how, answering, Some(given));
             let load = if config.is_continuous { naming::with_scan_time(load) } else { load };
-            (NamedBy::Library(load), library, Some(check), how.query_seconds)
+            (Work::ByLibrary(load, check), library, how.query_seconds)
         }
     };
     let long = scan_s.map(|s| format!(" for {s} s or more")).unwrap_or_default();
@@ -425,8 +408,7 @@ pub(super) fn run(args: &Args) -> Done {
             format!("tap a surface, then drag over it{long}; space begins and ends a scan, q quits")
         }
     };
-    let of = StationWork { by, store, keep: None, hint, check };
-    verdict(&work(&config, &args.station, assembled, of)?)
+    verdict(&work(&config, &args.station, assembled, (by, folder, hint))?)
 }
 
 /// How many scans of an order were kept, and how many could not be written.

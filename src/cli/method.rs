@@ -40,7 +40,6 @@ impl OneOrAll {
     }
 }
 
-/// The settings of methods.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct MethodOptions {
     /// With `reference`: how sample positions are drawn (default: shared)
@@ -75,11 +74,9 @@ pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
 }
 
 impl MethodOptions {
-    /// The methods that the user named, or else the one that the given options belong to.
-    ///
-    /// # Errors
-    /// If an option was given that goes with none of them.
-    pub(super) fn specs(&self, named: &[MethodName]) -> Result<Vec<MethodSpec>, Failure> {
+    /// The methods that the user named, or else the one that the given options belong to. Fails if an
+    /// option was given that goes with none of them.
+    pub(super) fn specs(&self, named: &[MethodName]) -> Done<Vec<MethodSpec>> {
         let counts = [self.n, self.repetitions, self.neighbours];
         let of_reference = counts.iter().any(Option::is_some)
             || self.positions.is_some()
@@ -131,20 +128,10 @@ pub(super) fn options_of(method: &MethodSpec) -> String {
 }
 
 /// The options that say how a library's trials are compared, and so do not go with a model.
-pub(super) const NOT_WITH_MODEL: [&str; 12] = [
-    "library",
-    "sources",
-    "method",
-    "n",
-    "repetitions",
-    "positions",
-    "neighbours",
-    "halving",
-    "exact",
-    "seed",
-    "no_cache",
-    "plan",
-];
+pub(super) fn not_with_model() -> impl Iterator<Item = &'static str> {
+    "library sources method n repetitions positions neighbours halving exact seed no_cache plan"
+        .split(' ')
+}
 
 /// How trials are compared, in commands that name scans: by options or by a plan.
 #[derive(clap::Args)]
@@ -165,7 +152,7 @@ pub(super) struct ComparingArgs {
 
 impl ComparingArgs {
     /// Reads the plan if one is given, and prints its settings; without a plan, uses the options.
-    pub(super) fn resolve(&self, query_seconds: Option<f64>) -> Result<Comparing, Failure> {
+    pub(super) fn resolve(&self, query_seconds: Option<f64>) -> Done<Comparing> {
         let MethodOptions { seed, no_cache, .. } = self.options;
         let (sources, cache) = (self.sources.clone(), !no_cache);
         let Some(path) = &self.plan else {
@@ -204,11 +191,7 @@ impl Comparing {
     }
 
     /// How long scans must last: as the plan says, if it has a scan time, or else by the model.
-    pub(super) fn lasting(
-        &self,
-        accuracy: &AccuracyArgs,
-        model: &Arc<dyn Model>,
-    ) -> Result<Lasting, Failure> {
+    pub(super) fn lasting(&self, accuracy: &AccuracyArgs, model: &Arc<dyn Model>) -> Done<Lasting> {
         if let Some(scan_s) = self.plan.as_ref().and_then(|plan| plan.scan_s) {
             return Ok((Some(scan_s), Some(format!("drag for {scan_s:.1} s, as the plan says"))));
         }
@@ -216,7 +199,7 @@ impl Comparing {
     }
 
     /// The scene with only the sources that are compared.
-    pub(super) fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
+    pub(super) fn narrow(&self, scene: Scene) -> Done<Scene> {
         match &self.plan {
             Some(plan) => scene.only(&plan.sources).map_err(|error| {
                 Failure::Usage(format!("the plan needs sources that the data do not have: {error}"))
@@ -252,7 +235,7 @@ impl AccuracyArgs {
     }
 
     /// How long scans must last with this model; nothing if its method cannot tell.
-    pub(super) fn lasting(&self, model: &Arc<dyn Model>) -> Result<Lasting, Failure> {
+    pub(super) fn lasting(&self, model: &Arc<dyn Model>) -> Done<Lasting> {
         let Some(answer) = model.clone().scan_time(self.accuracy) else {
             let problem = "--accuracy goes with --method embedding, which follows scans";
             return if self.is_given() { Err(Failure::usage(problem)) } else { Ok((None, None)) };
@@ -266,10 +249,7 @@ impl AccuracyArgs {
 
 /// Fails if no scan time reaches the accuracy that was asked for.
 pub(super) fn honoured(answer: &ScanTime) -> Done {
-    match answer.scan_s() {
-        Some(_) => Ok(()),
-        None => Err(Failure::Failed(answer.reason().unwrap_or_default())),
-    }
+    answer.scan_s().map(drop).ok_or_else(|| Failure::Failed(answer.reason().unwrap_or_default()))
 }
 
 fn share_or_none(text: &str) -> Result<f64, String> {

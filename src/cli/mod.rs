@@ -197,7 +197,7 @@ impl<E: std::error::Error> From<E> for Failure {
     }
 }
 
-type Done = Result<(), Failure>;
+type Done<T = ()> = Result<T, Failure>;
 
 /// The sources that a comparison uses.
 #[derive(Clone, Debug, clap::Args)]
@@ -209,7 +209,7 @@ struct SourceArgs {
 
 impl SourceArgs {
     /// The scene with only the sources that the user named.
-    fn narrow(&self, scene: Scene) -> Result<Scene, Failure> {
+    fn narrow(&self, scene: Scene) -> Done<Scene> {
         if self.sources.is_empty() {
             return Ok(scene);
         }
@@ -218,7 +218,7 @@ impl SourceArgs {
 }
 
 /// Reads the configuration of a station from a file; without a file, returns the defaults.
-fn config(file: Option<&Path>) -> Result<StationConfig, Failure> {
+fn config(file: Option<&Path>) -> Done<StationConfig> {
     let read = |path| StationConfig::read(path).map_err(Failure::usage);
     file.map_or_else(|| Ok(StationConfig::embedded()), read)
 }
@@ -233,13 +233,13 @@ fn hold(path: &Path) {
 }
 
 /// Opens recordings in any form, locks them against edits, and summarises them on stderr.
-fn open(path: &Path) -> Result<Library, Failure> {
+fn open(path: &Path) -> Done<Library> {
     hold(path);
     open_held(path)
 }
 
 /// Like [`open`], for callers that have already locked the recordings.
-fn open_held(path: &Path) -> Result<Library, Failure> {
+fn open_held(path: &Path) -> Done<Library> {
     let library = bad_files::open(path, &Scene::lmt108())?;
     show::library(&library);
     Ok(library)

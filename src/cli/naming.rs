@@ -8,7 +8,7 @@ use super::choose::within;
 use super::condition::WhereArgs;
 use super::method::{AccuracyArgs, AnswerArgs, Comparing, Lasting};
 use super::show::{listed, summary};
-use super::{Failure, bad_files, say};
+use super::{Done, Failure, bad_files, say};
 use crate::library::{Entry, Library};
 use crate::recognise::{Model, ModelFile, RejectionError, ready_model};
 use crate::record::edit::LibraryLock;
@@ -47,54 +47,36 @@ impl Ready {
     }
 }
 
-/// A model file, ready to name scans.
-pub(super) struct OpenedModel {
-    pub ready: Ready,
-    pub name: String,
-    pub scene: Scene,
-    pub is_synthetic: bool,
-    /// Seconds of each drag that a replay uses, if the model follows a plan.
-    pub query_s: Option<f64>,
-}
-
-impl OpenedModel {
-    /// Opens a model file, and says what it holds. `given` are the sources that scans can have, if they
-    /// are known.
-    pub(super) fn open(
-        path: &Path,
-        (answers, accuracy): (&AnswerArgs, &AccuracyArgs),
-        given: Option<&BTreeSet<SourceId>>,
-    ) -> Result<Self, Failure> {
-        let file = ModelFile::read(path).map_err(|error| Failure::at(path, error))?;
-        let trials = file.surfaces.iter().map(|(_, trials)| trials).sum();
-        let what = summary(&file.library, file.is_synthetic, trials, file.surfaces.len());
-        say!("{what}, a model by surfaced {}, library {}", file.program, file.digest);
-        if let Some(given) = given {
-            check_given(path, &file.sources, given)?;
-            if let Some(embedding) = file.model.clone().embedding() {
-                embedding.ready_for(given);
-            }
+/// Opens a model file, ready to name scans, and says what it holds. `given` are the sources that scans can
+/// have, if they are known.
+pub(super) fn open_model(
+    path: &Path,
+    (answers, accuracy): (&AnswerArgs, &AccuracyArgs),
+    given: Option<&BTreeSet<SourceId>>,
+) -> Done<(Ready, ModelFile)> {
+    let file = ModelFile::read(path).map_err(|error| Failure::at(path, error))?;
+    let trials = file.surfaces.iter().map(|(_, trials)| trials).sum();
+    let what = summary(&file.library, file.is_synthetic, trials, file.surfaces.len());
+    say!("{what}, a model by surfaced {}, library {}", file.program, file.digest);
+    if let Some(given) = given {
+        check_given(path, &file.sources, given)?;
+        if let Some(embedding) = file.model.clone().embedding() {
+            embedding.ready_for(given);
         }
-        let lasting = match accuracy.is_given() {
-            true => accuracy.lasting(&file.model)?,
-            false => (file.scan_s, file.scan_s_why),
-        };
-        let state = LibraryState {
-            name: file.library.clone(),
-            surfaces: file.surfaces,
-            sources: file.sources,
-            synthetic: file.is_synthetic,
-            ..LibraryState::default()
-        };
-        let by = Recogniser::new(file.model, file.scene.clone(), state);
-        Ok(Self {
-            ready: Ready::new(by, answers, lasting)?,
-            name: file.library,
-            scene: file.scene,
-            is_synthetic: file.is_synthetic,
-            query_s: file.query_s,
-        })
     }
+    let lasting = match accuracy.is_given() {
+        true => accuracy.lasting(&file.model)?,
+        false => (file.scan_s, file.scan_s_why.clone()),
+    };
+    let state = LibraryState {
+        name: file.library.clone(),
+        surfaces: file.surfaces.clone(),
+        sources: file.sources.clone(),
+        synthetic: file.is_synthetic,
+        ..LibraryState::default()
+    };
+    let by = Recogniser::new(file.model.clone(), file.scene.clone(), state);
+    Ok((Ready::new(by, answers, lasting)?, file))
 }
 
 /// The trained model of a library, with the part of the library that it compares.
@@ -113,7 +95,7 @@ pub(super) fn trained(
     how: &Comparing,
     given: Option<&BTreeSet<SourceId>>,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Trained, Failure> {
+) -> Done<Trained> {
     let scene = how.narrow(library.scene.clone())?;
     let entries = within(library, &scene)?;
     let state = LibraryState::of(&library.name, &entries, library.synthetic);
@@ -183,11 +165,7 @@ pub(super) fn check(path: &Path, how: &Comparing) -> Audit {
 }
 
 /// Checks that the station's devices give at least one of the sources of the library or model at `path`.
-fn check_given(
-    path: &Path,
-    sources: &[SourceId],
-    given: &BTreeSet<SourceId>,
-) -> Result<(), Failure> {
+fn check_given(path: &Path, sources: &[SourceId], given: &BTreeSet<SourceId>) -> Done<()> {
     if sources.iter().any(|source| given.contains(source)) {
         return Ok(());
     }

@@ -58,11 +58,7 @@ pub(super) fn run(
     Ok(())
 }
 
-fn worked(
-    library: &Library,
-    options: &ReferenceOptions,
-    shard: Shard,
-) -> Result<PaperPart, Failure> {
+fn worked(library: &Library, options: &ReferenceOptions, shard: Shard) -> Done<PaperPart> {
     let part = replication::work(library, options, shard, &say::progress)?;
     Ok(PaperPart { library: library.digest(), ..part })
 }
@@ -84,7 +80,7 @@ pub(super) fn merge(args: &MergeArgs) -> Done {
     finish(&whole, args.out.as_deref(), args.json)
 }
 
-fn read(path: &Path) -> Result<PaperPart, Failure> {
+fn read(path: &Path) -> Done<PaperPart> {
     let text = std::fs::read(path).map_err(|error| Failure::at(path, error))?;
     serde_json::from_slice(&text).map_err(|error| {
         Failure::at(path, format!("{error}; expected what `surfaced eval --paper --shard` wrote"))
@@ -144,10 +140,8 @@ fn add_cells(row: &ReportRow, rows: &mut Vec<Vec<String>>) {
         Some(std) => format!("{mean:.1} ± {std:4.1}"),
         None => format!("{mean:.1}       "),
     };
-    let ours = match row.accuracy_mean {
-        Some(mean) => figure(mean * 100.0, row.accuracy_std.map(|std| std * 100.0)),
-        None => "no queries".into(),
-    };
+    let std = row.accuracy_std.map(|std| std * 100.0);
+    let ours = row.accuracy_mean.map_or("no queries".into(), |mean| figure(mean * 100.0, std));
     let published = row.row.published;
     let paper = published.map_or(String::new(), |p| figure(p.accuracy, p.std));
     let points = row.difference_points.map_or(String::new(), |points| format!("{points:+.1}"));

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::choose::{Choice, SplitArgs, choose, protocols, within};
+use super::choose::{Choice, SplitArgs, protocols, within};
 use super::condition::WhereArgs;
 use super::json_lines::JsonLines;
 use super::keys::watch_signals;
-use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs, NOT_WITH_MODEL};
-use super::naming::{self, OpenedModel, Ready};
+use super::method::{AccuracyArgs, AnswerArgs, Comparing, ComparingArgs, not_with_model};
+use super::naming::{self, Ready};
 use super::serve::{Page, ServeArgs};
 use super::show::{self, quoted};
 use super::tally::Tally;
@@ -48,7 +48,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "LIB", requires = "data")]
     library: Option<PathBuf>,
     /// Name by this model, a file written by `surfaced train`, instead of a library
-    #[arg(long, value_name = "FILE", requires = "data", conflicts_with_all = NOT_WITH_MODEL)]
+    #[arg(long, value_name = "FILE", requires = "data", conflicts_with_all = not_with_model())]
     model: Option<PathBuf>,
     /// How fast to play: a multiple of real time, or `max`
     #[arg(long, default_value = "max", value_name = "SPEED")]
@@ -109,7 +109,7 @@ pub(super) fn run(args: &Args) -> Done {
         (None, ..) => demonstration(&how)?,
         (Some(data), _, Some(model)) => by_model(args, &mut how, data, model)?,
         (Some(data), Some(library), _) => against(args, &how, data, library)?,
-        (Some(data), None, None) => by_protocol(&how, played(args, data)?, data, args.protocol)?,
+        (Some(data), None, None) => by_protocol(args, &how, data)?,
     };
     play(args, &how, stage, library)?;
     if !args.json {
@@ -137,7 +137,7 @@ fn advise(args: &Args) {
 
 /// Uses the embedded scene. The expert's trials are the library, and the users' trials are the
 /// queries; one surface of the queries is missing from the library.
-fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
+fn demonstration(how: &Comparing) -> Done<ReplayStage> {
     let library = synth::embedded();
     show::library(&library);
     let scene = how.narrow(library.scene.clone())?;
@@ -151,23 +151,18 @@ fn demonstration(how: &Comparing) -> Result<ReplayStage, Failure> {
 }
 
 /// The recordings to play. Those that cannot be read are left out here, since all are played.
-fn played(args: &Args, data: &Path) -> Result<Library, Failure> {
+fn played(args: &Args, data: &Path) -> Done<Library> {
     let (mut library, _) = bad_files::readable(data, super::open_held(data)?)?;
     args.only.keep(data, &mut library)?;
     Ok(library)
 }
 
-fn by_protocol(
-    how: &Comparing,
-    data: Library,
-    folder: &Path,
-    protocol: Option<Protocol>,
-) -> Result<ReplayStage, Failure> {
+fn by_protocol(args: &Args, how: &Comparing, folder: &Path) -> Done<ReplayStage> {
+    let data = played(args, folder)?;
     let scene = how.narrow(data.scene.clone())?;
-    let named = protocol.is_some();
-    let how_split = SplitArgs { protocol, ..SplitArgs::default() };
-    let Choice { scene, entries, split } = choose(folder, &data, scene, &how_split)?;
-    if named {
+    let how_split = SplitArgs { protocol: args.protocol, ..SplitArgs::default() };
+    let Choice { scene, entries, split } = how_split.choose(folder, &data, scene)?;
+    if args.protocol.is_some() {
         say!("protocol: {}", split.name);
     }
     let (name, synthetic, cache) = (data.name, data.synthetic, how.cache_in(folder));
@@ -175,31 +170,22 @@ fn by_protocol(
 }
 
 /// Uses the model file that is named. Its scene says which sources of the data are compared.
-fn by_model(
-    args: &Args,
-    how: &mut Comparing,
-    data: &Path,
-    model: &Path,
-) -> Result<ReplayStage, Failure> {
-    let opened = OpenedModel::open(model, (&args.answers, &args.accuracy), None)?;
-    let OpenedModel { mut ready, name, scene, is_synthetic, query_s } = opened;
+fn by_model(args: &Args, how: &mut Comparing, data: &Path, model: &Path) -> Done<ReplayStage> {
+    let answering = (&args.answers, &args.accuracy);
+    let (mut ready, file) = naming::open_model(model, answering, None)?;
     ready.say();
-    how.query_seconds = how.query_seconds.or(query_s);
+    how.query_seconds = how.query_seconds.or(file.query_s);
     let data = played(args, data)?;
-    let synthetic = data.synthetic || is_synthetic;
+    let synthetic = data.synthetic || file.is_synthetic;
     ready.by.library.synthetic = synthetic;
+    let (name, scene) = (file.library, file.scene);
     let entries = within(&data, &scene)?;
     let queries = (0..entries.len()).collect();
     let folds = vec![Fold { name: "model".into(), library: Vec::new(), queries }];
     Ok(ReplayStage { name, scene, entries, folds, synthetic, cache: None, ready: Some(ready) })
 }
 
-fn against(
-    args: &Args,
-    how: &Comparing,
-    data: &Path,
-    library: &Path,
-) -> Result<ReplayStage, Failure> {
+fn against(args: &Args, how: &Comparing, data: &Path, library: &Path) -> Done<ReplayStage> {
     let same = |path: &Path| path.canonicalize().ok();
     if same(data).is_some() && same(data) == same(library) {
         let problem = "data and library are one folder, so each trial would meet itself; leave \
@@ -228,13 +214,8 @@ fn against(
 /// Seconds between two scans on a page at real speed, so that people can read an answer.
 const REST_S: f64 = 2.5;
 
-/// Plays and names the queries of the stage. `reading` locks out edits until the library is read.
-fn play(
-    args: &Args,
-    how: &Comparing,
-    mut stage: ReplayStage,
-    reading: Option<LibraryLock>,
-) -> Done {
+/// Plays and names the queries of the stage. The lock keeps edits out until the library is read.
+fn play(args: &Args, how: &Comparing, mut stage: ReplayStage, lock: Option<LibraryLock>) -> Done {
     let queries: Vec<Entry> = (stage.queries())
         .map(|(_, entry)| first_seconds(entry, &stage.scene, how.query_seconds))
         .collect();
@@ -264,8 +245,8 @@ fn play(
     let mut settings = Settings { enrolls, reloads, ..Settings::default() };
     if let Some(folder) = library {
         let (folder, scene) = (folder.clone(), stage.scene.clone());
-        let load = naming::load(&folder, &scene, how, (&args.answers, &args.accuracy), None);
-        station.load = Some(load);
+        let answering = (&args.answers, &args.accuracy);
+        station.load = Some(naming::load(&folder, &scene, how, answering, None));
         station.store = Some(ScanStore::new(folder.clone(), scene.clone()));
         settings.check = Some(naming::check(&folder, how));
         settings.library = Some(LibraryFolder { folder, scene });
@@ -281,11 +262,8 @@ fn play(
     let (mut station, server) = args.serve.start(station, settings, &page)?;
     // The page can be seen while the models are made; a signal then ends the program at once.
     station.emit(&StationEvent::Reading);
-    let ready = match stage.ready.take() {
-        Some(ready) => ready,
-        None => made(args, how, &mut stage)?,
-    };
-    drop(reading);
+    let ready = stage.ready.take().map_or_else(|| made(args, how, &mut stage), Ok)?;
+    drop(lock);
     if station.continuous.is_some() {
         naming::has_scan_time(&ready.by).map_err(Failure::Failed)?;
     }
@@ -293,10 +271,7 @@ fn play(
     if ready.follows {
         station.options.progress_every_s = Some(LOOK_S);
     }
-    let signals = match &server {
-        Some(_) => Some(watch_signals(station.commands())?),
-        None => None,
-    };
+    let signals = server.as_ref().map(|_| watch_signals(station.commands())).transpose()?;
     let totals = station.run()?;
     tally.sum_up(stage.synthetic);
     if let (Some(server), Some(signals)) = (server, signals) {
@@ -311,16 +286,15 @@ fn play(
 }
 
 /// Makes the recogniser, without recordings that cannot be read.
-fn made(args: &Args, how: &Comparing, stage: &mut ReplayStage) -> Result<Ready, Failure> {
+fn made(args: &Args, how: &Comparing, stage: &mut ReplayStage) -> Done<Ready> {
     match (recogniser(args, how, stage), &args.library) {
         (Err(error), Some(folder)) => {
             if bad_files::leave_out(folder, &mut stage.entries)? {
                 return Err(error);
             }
             let ReplayStage { entries, folds, .. } = &mut *stage;
-            for fold in folds {
-                fold.library.retain(|&i| !entries[i].sources.is_empty());
-            }
+            let is_readable = |i: &usize| !entries[*i].sources.is_empty();
+            folds.iter_mut().for_each(|fold| fold.library.retain(is_readable));
             recogniser(args, how, stage)
         }
         (made, _) => made,
@@ -329,7 +303,7 @@ fn made(args: &Args, how: &Comparing, stage: &mut ReplayStage) -> Result<Ready, 
 
 /// Makes the recogniser, which names each query by the library of its fold, and prints what its
 /// answers are based on.
-fn recogniser(args: &Args, how: &Comparing, stage: &ReplayStage) -> Result<Ready, Failure> {
+fn recogniser(args: &Args, how: &Comparing, stage: &ReplayStage) -> Done<Ready> {
     let method = how.method.build(&stage.scene);
     let models = models(&*method, stage)?;
     // The scan time is that of all trials together, although a query is named by only some of them.

@@ -5,8 +5,8 @@
 
 use std::fmt;
 use std::io::{self, Write};
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -18,6 +18,7 @@ use tracing_subscriber::layer::{Context, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 
 use super::system::{AsOutput, takes_more};
+use crate::outputs::lock;
 use crate::printable::Printable;
 
 /// How long a line may wait for a stalled reader. Later lines do not wait until the reader is ready.
@@ -31,7 +32,8 @@ static LIVE: AtomicBool = AtomicBool::new(false);
 static STALLED: [AtomicBool; 2] = [const { AtomicBool::new(false) }; 2];
 /// Whether stdout is reserved for JSON.
 static RESULTS_ASIDE: AtomicBool = AtomicBool::new(false);
-/// The text of the status line, the last line of the terminal. `None` if no status line is kept.
+/// The text of the status line, the last line of the terminal. `None` if no status line is kept. It is
+/// locked while a line is written, so that the two do not mix.
 static STATUS: Mutex<Option<String>> = Mutex::new(None);
 
 /// Moves the cursor to the start of the line, and clears the line.
@@ -64,15 +66,9 @@ pub(super) fn never_wait() {
     LIVE.store(true, Ordering::Release);
 }
 
-/// Locks the status line while a line is written, so that the two do not mix.
-fn status_line() -> MutexGuard<'static, Option<String>> {
-    // Each change is one assignment, so the text is valid even if a thread panicked meanwhile.
-    STATUS.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Starts (`on`) or ends the status line at the bottom of the terminal; [`status`] sets its text.
 pub(super) fn keep_status_line(on: bool) {
-    let mut kept = status_line();
+    let mut kept = lock(&STATUS);
     if kept.is_some() && !on {
         write_stderr(CLEAR);
     }
@@ -84,8 +80,7 @@ static PROGRESS: Mutex<Option<(&'static str, ProgressBar)>> = Mutex::new(None);
 
 /// Draws the progress of a step as a bar on a terminal; the next line of text removes the bar.
 pub(super) fn progress(step: &'static str, done: usize, of: usize) {
-    // If a thread panicked while it held the lock, the bar can still be drawn.
-    let mut shown = PROGRESS.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut shown = lock(&PROGRESS);
     if shown.as_ref().is_none_or(|(name, _)| *name != step) {
         shown.take().inspect(|(_, old)| old.finish_and_clear());
         let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} · {eta} left");
@@ -97,22 +92,18 @@ pub(super) fn progress(step: &'static str, done: usize, of: usize) {
 }
 
 pub(super) fn end_progress() {
-    let shown = PROGRESS.lock().unwrap_or_else(PoisonError::into_inner).take();
+    let shown = lock(&PROGRESS).take();
     shown.inspect(|(_, bar)| bar.finish_and_clear());
 }
 
-/// Writes a line on stderr; see [`say!`].
 pub(super) fn line(text: &str) {
     end_progress();
-    write_stderr(&above(&status_line(), &format!("{}\n", lines(text))));
+    write_stderr(&above(&lock(&STATUS), &format!("{}\n", lines(text))));
 }
 
 /// The text that prints a line above the status line, if there is one.
 fn above(status: &Option<String>, line: &str) -> String {
-    match status {
-        Some(status) => format!("{CLEAR}{line}{status}"),
-        None => line.into(),
-    }
+    status.as_ref().map_or(line.into(), |status| format!("{CLEAR}{line}{status}"))
 }
 
 /// With `aside`, results for people go to stderr from now on, since stdout is for JSON.
@@ -127,7 +118,7 @@ pub(super) fn result_line(text: &str) {
         return line(text);
     }
     let print = || write(&mut io::stdout().lock(), &STALLED[0], &format!("{}\n", Printable(text)));
-    let kept = status_line();
+    let kept = lock(&STATUS);
     let Some(status) = &*kept else {
         // A stalled reader of stdout must not delay lines on stderr.
         drop(kept);
@@ -140,7 +131,7 @@ pub(super) fn result_line(text: &str) {
 
 /// Replaces the text of the status line, if one is kept.
 pub(super) fn status(text: &str) {
-    if let Some(kept) = &mut *status_line() {
+    if let Some(kept) = &mut *lock(&STATUS) {
         *kept = Printable(text).to_string();
         write_stderr(&format!("{CLEAR}{kept}"));
     }

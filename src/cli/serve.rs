@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Arc, OnceLock};
 
-use super::Failure;
+use super::{Done, Failure};
 use crate::scan::Options;
 use crate::serve::{Reporter, ServeError, Server, Settings, Token};
 use crate::station::Station;
@@ -81,7 +81,7 @@ impl ServeArgs {
         station: Station<'a>,
         settings: Settings,
         page: &Page,
-    ) -> Result<(Station<'a>, Option<Server>), Failure> {
+    ) -> Done<(Station<'a>, Option<Server>)> {
         if !self.is_wanted() {
             return Ok((station, None));
         }
@@ -101,35 +101,28 @@ impl ServeArgs {
     }
 
     /// Adds the token and the command line's options to the settings.
-    pub(super) fn settings(&self, settings: Settings) -> Result<Settings, Failure> {
+    pub(super) fn settings(&self, settings: Settings) -> Done<Settings> {
         let [token, operator_token] =
             [TOKEN, OPERATOR_TOKEN].map(|name| token(name, std::env::var_os(name)));
         let (token, operator_token) = (token?, operator_token?);
         let usual = settings.address;
-        let address = self
-            .serve
-            .flatten()
-            .map_or(usual, |(ip, port)| SocketAddr::new(ip, port.unwrap_or(usual.port())));
+        let given = |(ip, port): Address| SocketAddr::new(ip, port.unwrap_or(usual.port()));
+        let address = self.serve.flatten().map_or(usual, given);
         let proxies = self.proxies.iter().map(|proxy| proxy.to_canonical()).collect();
         Ok(Settings { address, token, operator_token, proxies, ..settings })
     }
 }
 
-/// The token in an environment variable; `None` if the variable is not set.
-fn token(variable: &str, text: Option<OsString>) -> Result<Option<Token>, Failure> {
+fn token(variable: &str, text: Option<OsString>) -> Done<Option<Token>> {
     // Bytes that are not UTF-8 become characters that no token has, so they are refused.
     let token = text.map(|text| Token::new(&text.to_string_lossy())).transpose();
     token.map_err(|error| Failure::Usage(format!("{variable}: {error}")))
 }
 
-/// Turns an error of the server's start into the failure of the command.
 pub(super) fn failure(error: ServeError) -> Failure {
     match error {
-        ServeError::Open(_)
-        | ServeError::Token
-        | ServeError::OperatorAlone
-        | ServeError::SameToken => Failure::usage(error),
         ServeError::Bind { .. } | ServeError::System(_) => error.into(),
+        _ => Failure::usage(error),
     }
 }
 

@@ -17,12 +17,9 @@ use crate::trial::{Doubt, TrialKey};
 pub(super) fn library(library: &Library) {
     let (trials, surfaces) = (library.entries.len(), library.surfaces().len());
     say!("{}", summary(&library.name, library.synthetic, trials, surfaces));
-    for remark in &library.remarks {
-        say!("  {remark}");
-    }
+    library.remarks.iter().for_each(|remark| say!("  {remark}"));
 }
 
-/// The name and the size of a library.
 pub(super) fn summary(name: &str, synthetic: bool, trials: usize, surfaces: usize) -> String {
     let mark = if synthetic { " (synthetic)" } else { "" };
     format!("{name}{mark}: {} of {}", counted(trials, "trial"), counted(surfaces, "surface"))
@@ -55,7 +52,6 @@ pub(super) struct Made<T> {
 #[derive(Default, serde::Serialize, serde::Deserialize)]
 struct MadeBy {
     version: String,
-    /// The command line.
     command: String,
     seed: u64,
     /// The digest of the trials that were used; see [`Library::digest`].
@@ -110,7 +106,6 @@ pub(super) fn wrote<P: AsRef<Path>>(files: &[P]) {
     say!("wrote {}", listed(files.iter().map(|file| file.as_ref().display())));
 }
 
-/// Joins texts with commas.
 pub(super) fn listed<T: ToString>(things: impl IntoIterator<Item = T>) -> String {
     joined(things, ", ")
 }

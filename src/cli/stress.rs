@@ -4,7 +4,7 @@ use std::ffi::OsStr;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
-use super::choose::{Choice, choose};
+use super::choose::Choice;
 use super::figure::{FigureArgs, draw, is_earlier, write};
 use super::method::{OneOrAll, at_least_one};
 use super::show::Made;
@@ -63,7 +63,7 @@ pub(super) fn run(args: &Args) -> Done {
 }
 
 /// Reads the report that an earlier run wrote beside its chart.
-fn earlier(path: &Path) -> Result<Made<StressReport>, Failure> {
+fn earlier(path: &Path) -> Done<Made<StressReport>> {
     let failed = |error: &dyn Display| {
         let expected = "expected what `surfaced stress` writes beside its picture";
         Failure::at(path, format!("{error}; {expected}"))
@@ -72,9 +72,9 @@ fn earlier(path: &Path) -> Result<Made<StressReport>, Failure> {
     serde_json::from_str(&text).map_err(|error| failed(&error))
 }
 
-fn measured(args: &Args, library: &Library) -> Result<Made<StressReport>, Failure> {
+fn measured(args: &Args, library: &Library) -> Done<Made<StressReport>> {
     let scene = args.figure.sources.narrow(library.scene.clone())?;
-    let Choice { scene, entries, split } = choose(&args.lib, library, scene, &args.figure.split)?;
+    let Choice { scene, entries, split } = args.figure.split.choose(&args.lib, library, scene)?;
     let folds = StressPlan::limited(split.folds, args.queries);
     let held: Vec<&SourceSpec> = (scene.sources())
         .filter(|spec| entries.iter().any(|entry| entry.sources.contains(&spec.id)))
@@ -123,7 +123,7 @@ fn quick(method: MethodName) -> MethodSpec {
     }
 }
 
-fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Failure> {
+fn chosen(only: &[String], held: &[&SourceSpec]) -> Done<Vec<Disturbance>> {
     let all = disturb::all();
     if let Some(unknown) = only.iter().find(|name| !all.iter().any(|d| d.name == **name)) {
         let known = show::listed(all.iter().map(|d| d.name));
@@ -139,7 +139,7 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Result<Vec<Disturbance>, Fai
 }
 
 /// Writes the pictures and their numbers, and returns the paths of the files.
-fn keep(args: &Args, made: &Made<StressReport>) -> Result<Vec<PathBuf>, Failure> {
+fn keep(args: &Args, made: &Made<StressReport>) -> Done<Vec<PathBuf>> {
     let (out, report) = (&args.figure.out, &made.of);
     let mut written =
         args.figure.keep(&figure(report, Measure::Accuracy, args.figure.look.into())?, made)?;

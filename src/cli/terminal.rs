@@ -180,7 +180,6 @@ impl Drop for Terminal {
     }
 }
 
-/// The status line for a scan in progress.
 fn so_far(guess: &Guess) -> String {
     let best = guess.named.first().map(|best| {
         let settled = if guess.settled { ", settled" } else { "" };

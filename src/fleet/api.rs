@@ -4,19 +4,18 @@ use std::io::Write;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use axum::http::header::CONTENT_TYPE;
-use axum::response::{IntoResponse, Json, Response};
+use axum::response::{IntoResponse, Json};
 use axum::routing::get;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::Fleet;
-use super::cache::Snapshot;
+use super::cache::Texts;
 use crate::history::{STATION_COLUMNS, write_csv};
 use crate::serve::api::{FILES, file, guarded};
-use crate::serve::request::{CSV, JSON_LINES, Problem, aside, exported};
+use crate::serve::request::{Asked, CSV, JSON_LINES, Problem, Reply, aside, exported};
 use crate::serve::scans::{MOST, USUAL};
 use crate::serve::{Settings, unix_ms};
 
@@ -69,9 +68,7 @@ struct ScansRequest {
     before_unix_ms: Option<u64>,
 }
 
-type Asked = Result<Query<ScansRequest>, QueryRejection>;
-
-async fn scans(State(fleet): Shared, request: Asked) -> Result<Response, Problem> {
+async fn scans(State(fleet): Shared, request: Asked<ScansRequest>) -> Reply {
     let Query(ScansRequest { limit, station, before_unix_ms }) = request?;
     let most = limit.unwrap_or(USUAL).min(MOST);
     let before = before_unix_ms.unwrap_or(u64::MAX);
@@ -80,28 +77,28 @@ async fn scans(State(fleet): Shared, request: Asked) -> Result<Response, Problem
     Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
 }
 
-fn history(fleet: &Fleet, request: Asked) -> Result<Snapshot, Problem> {
+fn history(fleet: &Fleet, request: Asked<ScansRequest>) -> Reply<Texts> {
     let Query(ScansRequest { limit, station, before_unix_ms }) = request?;
     if limit.is_some() || before_unix_ms.is_some() {
         return Err(Problem::Bad("the history is given as a whole, or of a `station`".into()));
     }
-    Ok(fleet.lock().cache.snapshot(station.as_deref())?)
+    Ok(fleet.lock().cache.texts(station.as_deref())?)
 }
 
-async fn json_lines(State(fleet): Shared, request: Asked) -> Result<Response, Problem> {
+async fn json_lines(State(fleet): Shared, request: Asked<ScansRequest>) -> Reply {
     let history = history(&fleet, request)?;
     Ok(exported(JSON_LINES, move |mut out| {
-        for text in history.texts() {
+        for text in history {
             writeln!(out, "{}", text?)?;
         }
         out.flush()
     }))
 }
 
-async fn csv(State(fleet): Shared, request: Asked) -> Result<Response, Problem> {
+async fn csv(State(fleet): Shared, request: Asked<ScansRequest>) -> Reply {
     let history = history(&fleet, request)?;
     Ok(exported(CSV, move |out| {
-        let scans = history.texts().map(|text| Ok(serde_json::from_str(&text?)?));
+        let scans = history.map(|text| Ok(serde_json::from_str(&text?)?));
         write_csv(out, STATION_COLUMNS, scans)
     }))
 }

@@ -56,17 +56,8 @@ struct Entry {
     state: AnswerState,
 }
 
-/// The answers at one moment, so that a slow reader does not block the cache.
-pub(super) struct Snapshot {
-    log: Log,
-    spans: Vec<Span>,
-}
-
-impl Snapshot {
-    pub(super) fn texts(&self) -> impl Iterator<Item = Result<String, HistoryError>> + '_ {
-        self.spans.iter().map(|span| self.log.answer_text(*span))
-    }
-}
+/// The answers of one moment, so that a slow reader does not block the cache.
+pub(super) type Texts = Box<dyn Iterator<Item = Result<String, HistoryError>> + Send>;
 
 impl Cache {
     pub(super) fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
@@ -158,9 +149,10 @@ impl Cache {
         wanted.into_iter().map(|(_, span)| self.log.answer_text(span)).collect()
     }
 
-    pub(super) fn snapshot(&self, station: Option<&str>) -> Result<Snapshot, HistoryError> {
-        let spans = self.spans(station, u64::MAX).map(|(_, span)| span).collect();
-        Ok(Snapshot { log: self.log.share()?, spans })
+    pub(super) fn texts(&self, station: Option<&str>) -> Result<Texts, HistoryError> {
+        let spans: Vec<Span> = self.spans(station, u64::MAX).map(|(_, span)| span).collect();
+        let log = self.log.share()?;
+        Ok(Box::new(spans.into_iter().map(move |span| log.answer_text(span))))
     }
 
     /// Times and places of the answers of one station or of all, from before `before_ms`.
@@ -198,7 +190,7 @@ mod tests {
             let row: Value = serde_json::from_str(&text.unwrap()).unwrap();
             (row["station"].as_str().unwrap().to_string(), row["scan"].as_u64().unwrap())
         };
-        cache.snapshot(None).unwrap().texts().map(of).collect()
+        cache.texts(None).unwrap().map(of).collect()
     }
 
     #[test]

@@ -107,20 +107,16 @@ pub(super) async fn refill(fleet: &Arc<Fleet>, pages: Arc<[Pages]>) {
     }
 }
 
-async fn read_due(fleet: Arc<Fleet>, (station, page, from_ms): Due, pages: Arc<[Pages]>) {
-    let all = timeout(HISTORY_PATIENCE, read(&fleet, &station, &page, from_ms, &pages)).await;
+async fn read_due(fleet: Arc<Fleet>, due: Due, pages: Arc<[Pages]>) {
+    let all = timeout(HISTORY_PATIENCE, read(&fleet, &due, &pages)).await;
     let done = all.unwrap_or_else(|_| Err("its page is too slow".into()));
+    let (station, _, from_ms) = due;
     fleet.lock().stations.was_read(&station, from_ms, done);
 }
 
-/// Reads the history of a station, from the newest scan back to the time `from_ms`.
-async fn read(
-    fleet: &Fleet,
-    station: &str,
-    page: &str,
-    from_ms: u64,
-    pages: &[Pages],
-) -> Result<(), String> {
+/// Reads the history of a station, from the newest scan back to the time where to begin.
+async fn read(fleet: &Fleet, due: &Due, pages: &[Pages]) -> Result<(), String> {
+    let (station, page, from_ms) = due;
     let address: HttpAddress = page.parse()?;
     let host = &address.host.0;
     if !pages.iter().any(|pages| pages.allow(host)) {
@@ -137,7 +133,7 @@ async fn read(
         for scan in scans {
             add(fleet, station, scan)?;
         }
-        if is_last || oldest_ms < from_ms {
+        if is_last || oldest_ms < *from_ms {
             break;
         }
     }

@@ -92,10 +92,8 @@ impl Stations {
         station.newest = (sequence, unix_ms);
     }
 
-    /// Updates the state of a station. A last will has fewer fields, so the others keep their values.
-    ///
-    /// # Errors
-    /// If a field that the page shows is of another type than a station publishes.
+    /// Updates the state of a station. A last will has fewer fields, so the others keep their values. Fails
+    /// if a field that the page shows is of another type than a station publishes.
     pub(super) fn stated(&mut self, name: &str, state: &Map<String, Value>) -> Result<(), String> {
         let unsound = |field: &&str| state.get(*field).is_some_and(|value| !is_sound(field, value));
         if let Some(field) = FIELDS.split(' ').find(unsound) {
@@ -113,11 +111,8 @@ impl Stations {
             station.not_before = None;
         }
         let tells = station.card.get("sequence").and_then(Value::as_u64).unwrap_or(0);
-        if tells <= station.newest.0 {
-            station.behind = None;
-        } else if station.behind.is_none() {
-            station.behind = Some(Instant::now());
-        }
+        let is_behind = tells > station.newest.0;
+        station.behind = is_behind.then(|| station.behind.unwrap_or_else(Instant::now));
         Ok(())
     }
 

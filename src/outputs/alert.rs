@@ -8,11 +8,11 @@ use std::time::{Duration, SystemTime};
 use serde::Serialize;
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
-use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout, timeout_at};
+use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tokio_modbus::client::{Context, Reader, Writer, tcp};
 use tokio_modbus::slave::Slave;
 
-use super::{BackOff, OutputHealth, Said};
+use super::{BackOff, OutputHealth, Said, every};
 use crate::history::{History, news};
 use crate::station::config::{AlertCause, AlertConfig, CoilAddress};
 use crate::station::{Answer, AnswerState};
@@ -25,10 +25,8 @@ const LATEST: Duration = Duration::from_secs(10);
 /// Interval at which the history is asked for drift.
 const DRIFT_EVERY: Duration = Duration::from_secs(1);
 
-/// An alert, as it is sent.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Alert {
-    /// The name of its rule.
     pub alert: String,
     /// When the answer was given that made it, or the drift was found, in milliseconds since 1970.
     pub unix_ms: u64,
@@ -58,7 +56,7 @@ enum Reason {
 /// A rule, and what it has heard.
 #[derive(Debug)]
 pub(super) struct Watch {
-    rule: AlertConfig,
+    pub rule: AlertConfig,
     /// Whether each of the last answers fits the rule, the newest last.
     heard: VecDeque<bool>,
     /// The drift that the last alert reported, as far as it has not ended since.
@@ -70,10 +68,6 @@ impl Watch {
     pub(super) fn new(rule: &AlertConfig) -> Self {
         let (heard, drifted) = (VecDeque::new(), Vec::new());
         Self { rule: rule.clone(), heard, drifted, quiet_until_ms: 0 }
-    }
-
-    pub(super) fn is_for_drift(&self) -> bool {
-        self.rule.on == AlertCause::Drift
     }
 
     /// Hears an answer; gives an alert if the answer fits the rule, as enough of the last ones do, and no
@@ -129,8 +123,7 @@ pub(super) async fn watch_drift(
     mut watches: Vec<Watch>,
     said: mpsc::WeakSender<Said>,
 ) {
-    let mut due = interval(DRIFT_EVERY);
-    due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut due = every(DRIFT_EVERY);
     loop {
         due.tick().await;
         let (drift, now) = (history.drift(), unix_ms(SystemTime::now()));
@@ -211,10 +204,8 @@ async fn reached<T>(
     let stream = timeout_at(until, TcpStream::connect((host.as_str(), *port))).await;
     let stream = stream.map_err(late)?.map_err(|error| error.to_string())?;
     let device = tcp::attach_slave(stream, Slave(coil.unit));
-    match timeout_at(until, work(device)).await.map_err(late)? {
-        Ok(done) => done.map_err(|refusal| refusal.to_string()),
-        Err(error) => Err(error.to_string()),
-    }
+    let done = timeout_at(until, work(device)).await.map_err(late)?;
+    done.map_err(|error| error.to_string())?.map_err(|refusal| refusal.to_string())
 }
 
 #[cfg(test)]
@@ -240,10 +231,8 @@ mod tests {
             surface: surface.map(String::from),
             ..Answer::of(&crate::scan::Scan::of_signals(0, Default::default()), 0.0)
         });
-        answers
-            .filter_map(|answer| watch.hears(&answer))
-            .map(|alert| alert.unix_ms / 1000)
-            .collect()
+        let alerts = answers.filter_map(|answer| watch.hears(&answer));
+        alerts.map(|alert| alert.unix_ms / 1000).collect()
     }
 
     #[test]

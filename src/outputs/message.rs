@@ -18,7 +18,6 @@ const BEST: usize = 10;
 /// How many devices are listed, at most. Hardware chooses their names, so there could be many.
 const DEVICES: usize = 64;
 
-/// An answer as other programs receive it.
 #[derive(Serialize)]
 struct Message<'a> {
     station: &'a str,
@@ -206,32 +205,25 @@ mod tests {
         let sum: f64 = (0..3).map(share).sum();
         assert!((sum - 1.0).abs() < 1e-9 && share(2) > 0.0, "{said}");
         let plain = self::said(&with_scores(&[2.0, f64::INFINITY]));
-        assert_eq!(
-            (&plain["probabilities"], &plain["unknown"]),
-            (&Value::Array(vec![]), &Value::Null)
-        );
+        assert_eq!(plain["probabilities"], json!([]));
+        assert_eq!(plain["unknown"], Value::Null);
         assert_eq!(plain["ranked"].as_array().unwrap().len(), 1);
     }
 
     #[test]
-    fn topics_and_descriptions_for_home_assistant_are_plain() {
+    fn home_assistant_gets_plain_topics_and_descriptions_and_never_its_own_word_unknown() {
         let entities = discovery("press-3", "surfaced/press-3/answer", "surfaced/press-3/state");
         let ids = entities.iter().map(|(topic, _)| topic.split('/').nth(3).unwrap());
         assert!(ids.eq(["surface", "certainty", "state", "event", "devices"]));
-        for (topic, about) in entities {
+        let about = |entity: usize| serde_json::from_str::<Value>(&entities[entity].1).unwrap();
+        for (entity, (topic, _)) in entities.iter().enumerate() {
             let plain = |c: char| c.is_ascii_alphanumeric() || "-_/".contains(c);
             assert!(topic.chars().all(plain), "{topic}");
-            let about: Value = serde_json::from_str(&about).unwrap();
+            let about = about(entity);
             assert_eq!(about["availability_topic"], "surfaced/press-3/state");
             assert_eq!(about["availability_template"], "{{ value_json.state }}");
             assert_eq!(about["device"]["name"], "press-3");
         }
-    }
-
-    #[test]
-    fn home_assistant_is_never_told_its_own_word_unknown() {
-        let entities = discovery("press-3", "surfaced/press-3/answer", "surfaced/press-3/state");
-        let about = |entity: usize| serde_json::from_str::<Value>(&entities[entity].1).unwrap();
         let said = "'unknown_surface' if value_json.state == 'unknown' else value_json.state";
         let surface = "{{ value_json.surface or 'unknown_surface' }}";
         assert_eq!(about(0)["value_template"], surface);

@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 use rumqttc::{Event, MqttOptions, Packet, QoS};
 use serde::Serialize;
 use tokio::sync::mpsc;
-use tokio::time::timeout;
+use tokio::time::{Interval, MissedTickBehavior, interval, timeout};
 
 use self::alert::{Alert, Watch};
 use self::http::Receiver;
@@ -32,7 +32,7 @@ use self::mqtt::Line;
 use self::outbox::Outbox;
 use crate::history::{History, HistoryError};
 use crate::scan::Scan;
-use crate::station::config::{AlertConfig, HttpAddress, OutputsConfig};
+use crate::station::config::{AlertCause, AlertConfig, HttpAddress, OutputsConfig};
 use crate::station::{Answer, Change, End, Listener, StationEvent};
 use crate::trial::Doubt;
 
@@ -106,7 +106,6 @@ impl OutputHealth {
     }
 }
 
-/// A message of a station to an output.
 #[derive(Debug)]
 enum Said {
     Answer(Arc<Answer>),
@@ -142,9 +141,16 @@ impl Wants {
 
 type Card = Arc<Mutex<StationCard>>;
 
-fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(crate) fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
     // Each change leaves the value valid, so the value can be used even after a panic.
     shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// An interval that goes on from a tick that comes late.
+pub(crate) fn every(period: Duration) -> Interval {
+    let mut interval = interval(period);
+    interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    interval
 }
 
 /// The answers of one output that have not arrived, in their outbox.
@@ -182,10 +188,8 @@ impl Pending {
     }
 
     fn first(&self) -> Option<(u64, String)> {
-        self.outbox.first().unwrap_or_else(|error| {
-            self.health.failed(&error.to_string());
-            None
-        })
+        let first = self.outbox.first().inspect_err(|error| self.health.failed(&error.to_string()));
+        first.ok().flatten()
     }
 
     /// Removes an answer from the outbox, since it has arrived or was refused for good.
@@ -265,7 +269,8 @@ impl Output {
         let system = |error| HistoryError::Io { path: health.view().output.into(), error };
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(system)?;
-        let for_drift: Vec<_> = wants.alerts.extract_if(.., |watch| watch.is_for_drift()).collect();
+        let is_for_drift = |watch: &mut Watch| watch.rule.on == AlertCause::Drift;
+        let for_drift: Vec<_> = wants.alerts.extract_if(.., is_for_drift).collect();
         if !for_drift.is_empty() {
             let said = said.downgrade();
             runtime.spawn(alert::watch_drift(history.clone(), for_drift, said));

@@ -15,10 +15,10 @@ use serde::Serialize;
 use serde_json::json;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
-use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout_at};
+use tokio::time::{Instant, sleep, timeout_at};
 
 use super::message::{self, LARGEST, discovery};
-use super::{BackOff, Card, PATIENCE, Pending, Said, lock, tls};
+use super::{BackOff, Card, PATIENCE, Pending, Said, every, lock, tls};
 use crate::history::{History, HistoryError};
 use crate::station::config::{MqttAddress, Password};
 
@@ -78,12 +78,8 @@ impl Publisher {
         let mut options = options(address, client)?;
         // The broker publishes this message if the station disappears without notice.
         let will = json!({ "station": pending.station, "state": "offline" }).to_string();
-        options.set_last_will(LastWill::new(
-            format!("{topics}/state"),
-            will,
-            QoS::AtLeastOnce,
-            true,
-        ));
+        let state = format!("{topics}/state");
+        options.set_last_will(LastWill::new(state, will, QoS::AtLeastOnce, true));
         let (history, page, back_off) = (history.clone(), page.clone(), BackOff::new());
         Ok(Self { pending, options, topics, card, history, page, back_off })
     }
@@ -113,8 +109,7 @@ impl Publisher {
             awaited: None,
             state: String::new(),
         };
-        let mut state_due = interval(STATE_EVERY);
-        state_due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut state_due = every(STATE_EVERY);
         loop {
             tokio::select! {
                 event = on.line.events.recv() => match event {

@@ -20,7 +20,6 @@ const MOST: u64 = 64 << 20;
 /// The file is rewritten only if delivered answers take at least this many bytes of it.
 const SPENT: u64 = 1 << 20;
 
-/// The waiting answers, the oldest first.
 #[derive(Debug)]
 pub(super) struct Outbox {
     log: Log,

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use axum::body::Body;
-use axum::extract::rejection::QueryRejection;
 use axum::extract::{DefaultBodyLimit, Query, State};
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
@@ -15,7 +14,7 @@ use serde_json::{Value, json};
 
 use super::guard::{Guard, Traffic, guard};
 use super::hub::{Hub, Shared};
-use super::request::{JSON_LINES, Problem, Said, aside, body, exported, label};
+use super::request::{Asked, JSON_LINES, Problem, Reply, Said, aside, body, exported, label};
 use super::roles::By;
 use super::scans::{MOST, USUAL};
 use super::settings::{LARGEST_BODY, Settings};
@@ -88,10 +87,7 @@ struct AuditRequest {
 }
 
 /// The newest changes: who changed what. For administrators, like all of the audit log.
-async fn audit(
-    State(hub): Shared,
-    asked: Result<Query<AuditRequest>, QueryRejection>,
-) -> Result<Json<Value>, Problem> {
+async fn audit(State(hub): Shared, asked: Asked<AuditRequest>) -> Reply<Json<Value>> {
     let Query(AuditRequest { limit, before }) = asked?;
     let most = limit.unwrap_or(USUAL).min(MOST);
     let changes = aside(move || Ok(hub.settings.history.changes(before, most)?)).await?;
@@ -108,10 +104,7 @@ struct Types {
     types: Option<String>,
 }
 
-async fn events(
-    State(hub): Shared,
-    types: Result<Query<Types>, QueryRejection>,
-) -> Result<Response, Problem> {
+async fn events(State(hub): Shared, types: Asked<Types>) -> Reply {
     let Query(Types { types }) = types?;
     let filter = types.as_deref().map_or(Ok(EventFilter::ALL), EventFilter::parse);
     let stream = hub.subscribe(filter.map_err(Problem::Bad)?).ok_or(Problem::Readers)?;
@@ -129,7 +122,7 @@ struct Enroll {
     replace: Option<bool>,
 }
 
-async fn enroll(State(hub): Shared, Extension(by): By, said: Said) -> Result<Response, Problem> {
+async fn enroll(State(hub): Shared, Extension(by): By, said: Said) -> Reply {
     let expected = "{\"surface\": \"oak\", \"user\": \"anna\", \"trials\": 3}";
     let Enroll { surface, user, trials, replace } = body(said, expected)?;
     let surface = label("surface", &surface)?;
@@ -154,11 +147,7 @@ struct KeepRefused {
     scan: u32,
 }
 
-async fn keep_refused(
-    State(hub): Shared,
-    Extension(by): By,
-    said: Said,
-) -> Result<Response, Problem> {
+async fn keep_refused(State(hub): Shared, Extension(by): By, said: Said) -> Reply {
     let KeepRefused { scan } = body(said, "{\"scan\": 7}")?;
     send(hub, by, "enroll/keep", Command::KeepRefused(scan)).await
 }
@@ -172,12 +161,7 @@ fn order_by_post(accepted: &'static str, order: Command) -> MethodRouter<Arc<Hub
 }
 
 /// Gives the station an order. The audit log gets those that change what is kept or compared.
-async fn send(
-    hub: Arc<Hub>,
-    by: Actor,
-    accepted: &'static str,
-    order: Command,
-) -> Result<Response, Problem> {
+async fn send(hub: Arc<Hub>, by: Actor, accepted: &'static str, order: Command) -> Reply {
     let (subject, after) = match &order {
         Command::Enroll { surface, user, trials, .. } => {
             let trials = counted(*trials as usize, "trial");

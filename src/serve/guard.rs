@@ -19,7 +19,7 @@ use axum::response::{AppendHeaders, Html, IntoResponse, Response};
 use rand::TryRng;
 use rand::rngs::SysRng;
 
-use super::request::Problem;
+use super::request::{Problem, Reply};
 use super::roles::{may_operator, person};
 use super::settings::{Limits, Settings};
 use crate::history::{Actor, Role};
@@ -105,7 +105,7 @@ impl Budgets {
         &mut self,
         (settings, given): (&Settings, &str),
         (address, session): (IpAddr, Option<u128>),
-    ) -> Result<Role, Problem> {
+    ) -> Reply<Role> {
         let now = Instant::now();
         let session = session.filter(|session| self.sessions.contains(session));
         let admitted = match session {
@@ -156,7 +156,7 @@ impl Guard {
 
     /// Lets a request pass, or answers it. A person opens `/?token=…` once; the answer sets the
     /// cookies and redirects to the page's address without the token.
-    fn check(&self, request: &Request, client: Client) -> Result<Admission, Problem> {
+    fn check(&self, request: &Request, client: Client) -> Reply<Admission> {
         let (headers, address) = (request.headers(), neighbourhood(client.address));
         let host = text(headers, &HOST).unwrap_or_default();
         let in_address = in_address(request);
@@ -304,7 +304,7 @@ fn is_loopback(host: &str) -> bool {
 
 /// Refuses requests from pages of other sites; browsers send `Origin` or `Sec-Fetch-Site` for them.
 /// A proxy may replace the host; its own name is that of the public address.
-fn check_origin(headers: &HeaderMap, host: &str, public: Option<&Uri>) -> Result<(), Problem> {
+fn check_origin(headers: &HeaderMap, host: &str, public: Option<&Uri>) -> Reply<()> {
     if let Some(origin) = headers.get(ORIGIN) {
         let origin = origin.to_str().unwrap_or_default();
         let own = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));

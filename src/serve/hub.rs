@@ -5,18 +5,17 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use crossbeam_channel::{Sender, TrySendError};
 use serde::Serialize;
 use serde_json::json;
 use tokio::sync::{mpsc, watch};
-use tokio::time::{Interval, MissedTickBehavior, interval};
 
 use super::guard::Traffic;
-use super::metrics::{Histogram, LATENCY_BOUNDS_S, Metrics, SCAN_BOUNDS_S};
-use super::request::Problem;
+use super::metrics::{Histogram, LATENCY_BOUNDS_S, SCAN_BOUNDS_S};
+use super::request::{Problem, Reply};
 use super::settings::Settings;
 use super::state::{State, unix_ms};
 use super::subscribers::{EventFilter, EventKind, EventStream, Subscribers, encode};
@@ -25,7 +24,7 @@ use crate::device::camera::{CameraView, Viewfinder};
 use crate::device::{Warning, WarningKind};
 use crate::evaluate::CheckReport;
 use crate::history::news;
-use crate::outputs::{OutputHealth, OutputView};
+use crate::outputs::{OutputHealth, OutputView, every, lock};
 use crate::ring::Counts;
 use crate::scan::StreamMeter;
 use crate::scene::SourceId;
@@ -52,21 +51,31 @@ pub(crate) struct Hub {
 #[derive(Default)]
 pub(crate) struct HubState {
     pub state: State,
-    scan_s: Histogram,
-    latency_s: Histogram,
-    subscribers: Subscribers,
+    pub(super) scan_s: Histogram,
+    pub(super) latency_s: Histogram,
+    pub(super) subscribers: Subscribers,
     tracer: Tracer,
     pub pictures: BTreeMap<SourceId, Arc<Image>>,
-    meters: Vec<StreamMeter>,
+    pub(super) meters: Vec<StreamMeter>,
     settings: Arc<Settings>,
     published_camera: Option<CameraView>,
     published_outputs: Vec<OutputView>,
-    /// The drift that scans of the reference surfaces show.
     drift: Vec<Doubt>,
     pub check: CheckView,
 }
 
 impl HubState {
+    pub(super) fn new(settings: Arc<Settings>) -> Self {
+        Self {
+            state: State::new(),
+            scan_s: Histogram::new(&SCAN_BOUNDS_S),
+            latency_s: Histogram::new(&LATENCY_BOUNDS_S),
+            settings,
+            check: CheckView { state: "none", ..CheckView::default() },
+            ..Self::default()
+        }
+    }
+
     pub(crate) fn whole(&self) -> StateDocument<'_> {
         StateDocument {
             state: &self.state,
@@ -100,8 +109,8 @@ impl HubState {
     pub(crate) fn publish(&mut self, kind: EventKind, data: &impl Serialize) {
         if self.subscribers.wanted(kind) {
             let mut subscribers = std::mem::take(&mut self.subscribers);
-            let mut whole = || encode(EventKind::State, &self.whole());
-            subscribers.publish(kind, &encode(kind, data), &mut whole);
+            let whole = || encode(EventKind::State, &self.whole());
+            subscribers.publish(kind, &encode(kind, data), &whole);
             self.subscribers = subscribers;
         }
     }
@@ -171,7 +180,6 @@ impl HubState {
             StationEvent::Guess(guess) if self.state.guess.as_ref() == Some(guess) => {
                 self.publish(EventKind::Guess, guess);
             }
-            StationEvent::Guess(_) => {}
             StationEvent::Change(change) => self.publish(EventKind::Change, change),
             StationEvent::Answer(answer) => {
                 self.scan_s.observe(answer.scan_s);
@@ -181,6 +189,7 @@ impl HubState {
             StationEvent::Enrolled(enrolled) => self.publish(EventKind::Enrolled, enrolled),
             // The change of these events is published below, if there is one.
             StationEvent::Enrolling(_)
+            | StationEvent::Guess(_)
             | StationEvent::Ending(_)
             | StationEvent::Alive
             | StationEvent::Scan(_) => {}
@@ -213,50 +222,27 @@ impl Hub {
         missed: Arc<AtomicU64>,
     ) -> Self {
         let settings = Arc::new(settings.clone());
-        let inner = HubState {
-            state: State::new(),
-            scan_s: Histogram::new(&SCAN_BOUNDS_S),
-            latency_s: Histogram::new(&LATENCY_BOUNDS_S),
-            settings: settings.clone(),
-            check: CheckView { state: "none", ..CheckView::default() },
-            ..HubState::default()
-        };
-        Self { inner: Mutex::new(inner), orders, missed, traffic: Arc::default(), settings }
+        let inner = Mutex::new(HubState::new(settings.clone()));
+        Self { inner, orders, missed, traffic: Arc::default(), settings }
     }
 
     pub(crate) fn lock(&self) -> MutexGuard<'_, HubState> {
-        // Each change leaves the state valid, so it is usable even after a panic.
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.inner)
     }
 
     pub(crate) fn metrics(&self) -> String {
-        let precision = self.settings.history.precision();
-        let drift = self.settings.history.drift();
-        let inner = &*self.lock();
-        let metrics = Metrics {
-            scan_s: &inner.scan_s,
-            latency_s: &inner.latency_s,
-            precision: &precision,
-            drift: &drift,
-            traffic: &self.traffic,
-            outputs: &inner.outputs(),
-            state: &inner.state,
-            meters: &inner.meters,
-            subscribers: inner.subscribers.count(),
-            dropped: inner.subscribers.dropped,
-            missed: self.missed.load(Ordering::Relaxed),
-        };
-        metrics.text()
+        let history = &self.settings.history;
+        let (precision, drift) = (history.precision(), history.drift());
+        let (inner, missed) = (&*self.lock(), self.missed.load(Ordering::Relaxed));
+        inner.metrics(&inner.outputs(), (&precision, &drift), &self.traffic, missed)
     }
 
     /// Handles an event. When all trials of an enrolment are kept, the library is read again.
     fn take(&self, notice: &StationEvent) {
-        let answer = match notice {
-            StationEvent::Answer(answer) | StationEvent::Unnamed(answer) => Some(answer),
-            _ => None,
-        };
         let history = &self.settings.history;
-        if let Some(answer) = answer.filter(|_| history.root().is_none()) {
+        if let StationEvent::Answer(answer) | StationEvent::Unnamed(answer) = notice
+            && history.root().is_none()
+        {
             // Without a disk, adding an answer cannot fail.
             let _ = history.answered(answer);
         }
@@ -284,7 +270,7 @@ impl Hub {
     }
 
     /// Sends a command without waiting for the station.
-    pub(crate) fn order(&self, order: Command) -> Result<(), Problem> {
+    pub(crate) fn order(&self, order: Command) -> Reply<()> {
         let enrolls =
             matches!(order, Command::Enroll { .. } | Command::KeepRefused(_) | Command::EndEnroll);
         let inner = self.lock();
@@ -341,12 +327,6 @@ pub(super) async fn run(
         hub.take(&notice);
     }
     hub.lock().subscribers.close();
-}
-
-fn every(period: Duration) -> Interval {
-    let mut interval = interval(period);
-    interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    interval
 }
 
 #[derive(Serialize)]

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::hub::{CheckView, Hub, Shared};
-use super::request::{Problem, Said, aside, body, label};
+use super::request::{Problem, Reply, Said, aside, body, label};
 use super::roles::By;
 use super::state::unix_ms;
 use super::subscribers::EventKind;
@@ -32,7 +32,7 @@ pub(super) fn router() -> Router<Arc<Hub>> {
         .route("/check", get(check).post(begin_check))
 }
 
-async fn trials(State(hub): Shared) -> Result<Json<Value>, Problem> {
+async fn trials(State(hub): Shared) -> Reply<Json<Value>> {
     let library = hub.settings.library.clone().ok_or(Problem::NoLibrary)?;
     let listed = aside(move || {
         Ok(json!({
@@ -65,38 +65,38 @@ struct Chosen {
     trials: Vec<String>,
 }
 
-async fn rename(State(hub): Shared, Extension(by): By, said: Said) -> Result<Json<Step>, Problem> {
+async fn rename(State(hub): Shared, Extension(by): By, said: Said) -> Reply<Json<Step>> {
     let Rename { surface, to } = body(said, "{\"surface\": \"oak\", \"to\": \"ash\"}")?;
     let to = label("to", &to)?;
     edited(&hub, (by, "rename"), move |editor| editor.rename(&surface, &to)).await
 }
 
-async fn move_to(State(hub): Shared, Extension(by): By, said: Said) -> Result<Json<Step>, Problem> {
+async fn move_to(State(hub): Shared, Extension(by): By, said: Said) -> Reply<Json<Step>> {
     let MoveTo { trials, to } = body(said, "{\"trials\": [\"oak/anna-01\"], \"to\": \"ash\"}")?;
     let (trials, to) = (few(trials)?, label("to", &to)?);
     edited(&hub, (by, "move"), move |editor| editor.move_to(&trials, &to)).await
 }
 
-fn chosen(said: Said) -> Result<Vec<String>, Problem> {
+fn chosen(said: Said) -> Reply<Vec<String>> {
     let Chosen { trials } = body(said, "{\"trials\": [\"oak/anna-01\"]}")?;
     few(trials)
 }
 
-async fn remove(State(hub): Shared, Extension(by): By, said: Said) -> Result<Json<Step>, Problem> {
+async fn remove(State(hub): Shared, Extension(by): By, said: Said) -> Reply<Json<Step>> {
     let trials = chosen(said)?;
     edited(&hub, (by, "remove"), move |editor| editor.remove(&trials)).await
 }
 
-async fn restore(State(hub): Shared, Extension(by): By, said: Said) -> Result<Json<Step>, Problem> {
+async fn restore(State(hub): Shared, Extension(by): By, said: Said) -> Reply<Json<Step>> {
     let trials = chosen(said)?;
     edited(&hub, (by, "restore"), move |editor| editor.restore(&trials)).await
 }
 
-async fn undo(State(hub): Shared, Extension(by): By) -> Result<Json<Step>, Problem> {
+async fn undo(State(hub): Shared, Extension(by): By) -> Reply<Json<Step>> {
     edited(&hub, (by, "undo"), Editor::undo).await
 }
 
-fn few(trials: Vec<String>) -> Result<Vec<String>, Problem> {
+fn few(trials: Vec<String>) -> Reply<Vec<String>> {
     match trials.len() {
         1..=MOST => Ok(trials),
         n => Err(Problem::Bad(format!("{n} trials; expected 1 to {MOST}"))),
@@ -108,7 +108,7 @@ async fn edited(
     hub: &Hub,
     (by, action): (Actor, &'static str),
     edit: impl FnOnce(&mut Editor) -> Result<Step, LibraryError> + Send + 'static,
-) -> Result<Json<Step>, Problem> {
+) -> Reply<Json<Step>> {
     let library = hub.settings.library.clone().ok_or(Problem::NoLibrary)?;
     let history = hub.settings.history.clone();
     let step = aside(move || {
@@ -116,7 +116,7 @@ async fn edited(
         // If the moves cannot be recorded now, moved trials are found later by their notes.
         let _ = history.relocated(&step.moves, by.person.as_deref());
         let moves = step.moves.iter();
-        history.note_changes(moves.map(|one| moved(&by, action, Some(&one.from), Some(&one.to))));
+        history.note_changes(moves.map(|one| moved(&by, action, [Some(&one.from), Some(&one.to)])));
         Ok(step)
     });
     let step = step.await?;
@@ -127,13 +127,8 @@ async fn edited(
 
 /// The record of a trial that went from one place in the library to another, or to the removed trials
 /// or back.
-pub(super) fn moved(
-    by: &Actor,
-    action: &'static str,
-    from: Option<&str>,
-    to: Option<&str>,
-) -> AuditRecord {
-    let [from, to] = [from, to].map(|place| place.filter(|place| !place.starts_with('.')));
+pub(super) fn moved(by: &Actor, action: &'static str, places: [Option<&str>; 2]) -> AuditRecord {
+    let [from, to] = places.map(|place| place.filter(|place| !place.starts_with('.')));
     AuditRecord::now(by, action, from.or(to), (from, to))
 }
 
@@ -141,7 +136,7 @@ async fn check(State(hub): Shared) -> Json<CheckView> {
     Json(hub.lock().check.clone())
 }
 
-async fn begin_check(State(hub): Shared) -> Result<Json<CheckView>, Problem> {
+async fn begin_check(State(hub): Shared) -> Reply<Json<CheckView>> {
     let audit = hub.settings.check.clone().ok_or(Problem::NoLibrary)?;
     let view = {
         let view = &mut hub.lock().check;

@@ -7,13 +7,12 @@ use std::fmt::{Display, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::guard::Traffic;
-use super::state::State;
+use super::hub::HubState;
 use crate::device::DeviceState;
 use crate::history::{Drift, Precision, Quantity};
 use crate::outputs::OutputView;
 use crate::printable::Printable;
 use crate::ring::Counts;
-use crate::scan::StreamMeter;
 use crate::station::AnswerState;
 
 pub(super) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -42,26 +41,17 @@ impl Histogram {
     }
 }
 
-pub(super) struct Metrics<'a> {
-    pub scan_s: &'a Histogram,
-    pub latency_s: &'a Histogram,
-    pub state: &'a State,
-    pub meters: &'a [StreamMeter],
-    pub traffic: &'a Traffic,
-    pub subscribers: usize,
-    /// Number of events that subscribers missed.
-    pub dropped: u64,
-    pub missed: u64,
-    pub outputs: &'a [OutputView],
-    /// The share of right answers among those that a person reviewed.
-    pub precision: &'a [Precision],
-    pub drift: &'a Drift,
-}
-
-impl Metrics<'_> {
-    pub(super) fn text(&self) -> String {
+impl HubState {
+    /// The metrics as text; `missed` counts the notices that the server missed.
+    pub(super) fn metrics(
+        &self,
+        outputs: &[OutputView],
+        (precision, drift): (&[Precision], &Drift),
+        traffic: &Traffic,
+        missed: u64,
+    ) -> String {
         let mut page = MetricsPage::default();
-        let Self { state, traffic, subscribers, dropped, missed, .. } = *self;
+        let (state, dropped) = (&self.state, self.subscribers.dropped);
         let info = ("surfaced_info", "gauge", "The version of the program.");
         page.family([info], [(vec![("version", state.version)], [1])]);
         let heads = [
@@ -120,35 +110,35 @@ impl Metrics<'_> {
             ("surfaced_output_dropped_total", "counter", "Answers that made room for newer ones."),
             ("surfaced_output_waiting", "gauge", "Answers that wait for an output."),
         ];
-        let outputs = self.outputs.iter().map(|output| {
+        let outputs = outputs.iter().map(|output| {
             let OutputView { output, waiting, failures, dropped, .. } = output;
             (vec![("output", output.as_str())], [*failures, *dropped, *waiting])
         });
         page.family(heads, outputs);
         let help = "Scans of which somebody said what they were.";
-        let reviewed = self.precision.iter().flat_map(|of| {
+        let reviewed = precision.iter().flat_map(|of| {
             let answer = of.surface.as_deref().unwrap_or("unknown");
             [("true", of.right), ("false", of.corrected - of.right)]
                 .map(|(right, count)| (vec![("answer", answer), ("right", right)], [count as u64]))
         });
         page.family([("surfaced_reviewed_scans", "gauge", help)], reviewed);
-        let scans = self.drift.references.iter();
+        let scans = drift.references.iter();
         let scans = scans.map(|of| (vec![("surface", of.surface.as_str())], [of.scans as u64]));
         let help = "Scans of a reference surface since it was made one.";
         page.family([("surfaced_reference_scans", "gauge", help)], scans);
         let help = "Things that have drifted, by scans of the reference surfaces.";
         let kinds = [Quantity::Fit, Quantity::Distance, Quantity::Level, Quantity::Noise];
         let drifted = kinds.map(|kind| {
-            let charts = self.drift.references.iter().flat_map(|of| &of.series);
+            let charts = drift.references.iter().flat_map(|of| &of.series);
             let count = charts.filter(|chart| chart.quantity == kind && chart.drifted).count();
             (vec![("quantity", kind.as_str())], [count as u64])
         });
         page.family([("surfaced_drifted", "gauge", help)], drifted);
         let head = ("surfaced_readers", "gauge", "Subscribers to the stream of events.");
-        page.family([head], [(vec![], [subscribers as u64])]);
-        page.histogram("surfaced_scan_seconds", "Duration of a scan.", self.scan_s);
+        page.family([head], [(vec![], [self.subscribers.count() as u64])]);
+        page.histogram("surfaced_scan_seconds", "Duration of a scan.", &self.scan_s);
         let help = "From the end of a scan to its name.";
-        page.histogram("surfaced_answer_latency_seconds", help, self.latency_s);
+        page.histogram("surfaced_answer_latency_seconds", help, &self.latency_s);
         page.0
     }
 }
@@ -206,43 +196,30 @@ impl MetricsPage {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use axum::body::Bytes;
+
     use super::*;
+    use crate::serve::subscribers::EventFilter;
     use crate::station::StationEvent;
 
     #[test]
     fn buckets_add_up_labels_are_escaped_and_the_dashboard_shows_what_is_there() {
-        let mut state = State::new();
-        state.take(&StationEvent::Device {
+        let mut hub = HubState::new(Arc::default());
+        hub.state.take(&StationEvent::Device {
             device: "a \"b\"\\\n\u{202e}".into(),
             state: DeviceState::Streaming,
             detail: String::new(),
         });
-        let mut scan_s = Histogram::new(&SCAN_BOUNDS_S);
-        let mut latency_s = Histogram::new(&LATENCY_BOUNDS_S);
         for latency in [0.0005, 0.001, 0.003, 99.0] {
-            scan_s.observe(1.0);
-            latency_s.observe(latency);
+            hub.scan_s.observe(1.0);
+            hub.latency_s.observe(latency);
         }
-        let metrics = Metrics {
-            scan_s: &scan_s,
-            latency_s: &latency_s,
-            state: &state,
-            meters: &[],
-            traffic: &Traffic::default(),
-            subscribers: 3,
-            dropped: 4,
-            missed: 5,
-            precision: &[],
-            drift: &Drift::default(),
-            outputs: &[OutputView {
-                output: "http://example/".into(),
-                waiting: 7,
-                failures: 2,
-                dropped: 1,
-                problem: None,
-            }],
-        };
-        let text = metrics.text();
+        let _readers = [(); 3].map(|()| hub.subscribers.subscribe(EventFilter::ALL, Bytes::new()));
+        let output = "http://example/".into();
+        let outputs = [OutputView { output, waiting: 7, failures: 2, dropped: 1, problem: None }];
+        let text = hub.metrics(&outputs, (&[], &Drift::default()), &Traffic::default(), 5);
         for line in [
             "surfaced_device_streaming{device=\"a \\\"b\\\"\\\\\\n\\\\u{202e}\"} 1",
             "surfaced_answer_latency_seconds_bucket{le=\"0.001\"} 2",

@@ -3,6 +3,7 @@
 use std::io::{self, BufWriter, Write};
 
 use axum::body::{Body, Bytes};
+use axum::extract::Query;
 use axum::extract::rejection::{BytesRejection, QueryRejection};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
@@ -55,6 +56,10 @@ pub(crate) enum Problem {
     Standing(String, String),
 }
 
+/// The query of a request, which may hold something else.
+pub(crate) type Asked<T> = Result<Query<T>, QueryRejection>;
+pub(crate) type Reply<T = Response> = Result<T, Problem>;
+
 impl Problem {
     /// The status of the answer, and the word for programs.
     pub(crate) fn kind(&self) -> (StatusCode, &'static str) {
@@ -103,8 +108,8 @@ impl From<QueryRejection> for Problem {
 
 /// Runs work that may wait for the disk, on a thread other than the server's.
 pub(crate) async fn aside<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
-) -> Result<T, Problem> {
+    work: impl FnOnce() -> Reply<T> + Send + 'static,
+) -> Reply<T> {
     let done = tokio::task::spawn_blocking(work).await;
     done.unwrap_or_else(|_| Err(Problem::Failed("this failed; please report it".into())))
 }
@@ -145,14 +150,10 @@ pub(crate) fn exported(
     ([(CONTENT_TYPE, content_type)], Body::from_stream(EventStream(pieces))).into_response()
 }
 
-/// The body of a request, or an error if it is too large.
 pub(crate) type Said = Result<Bytes, BytesRejection>;
 
 /// Parses the body of a request as JSON; an empty body counts as `{}`.
-pub(crate) fn body<T: serde::de::DeserializeOwned>(
-    said: Said,
-    expected: &str,
-) -> Result<T, Problem> {
+pub(crate) fn body<T: serde::de::DeserializeOwned>(said: Said, expected: &str) -> Reply<T> {
     let body = said?;
     let text: &[u8] = if body.is_empty() { b"{}" } else { &body };
     serde_json::from_slice(text)
@@ -160,6 +161,6 @@ pub(crate) fn body<T: serde::de::DeserializeOwned>(
 }
 
 /// The checked label of a surface or user; messages call the field `what`.
-pub(crate) fn label(what: &str, label: &str) -> Result<String, Problem> {
+pub(crate) fn label(what: &str, label: &str) -> Reply<String> {
     checked_label(label).map_err(|why| Problem::Bad(format!("`{what}` {why}")))
 }

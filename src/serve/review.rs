@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::hub::{Hub, Shared};
 use super::library::moved;
-use super::request::{Problem, Said, aside, body, label};
+use super::request::{Problem, Reply, Said, aside, body, label};
 use super::roles::By;
 use super::scans::{MOST, ScanPath};
 use super::settings::LibraryFolder;
@@ -58,7 +58,7 @@ struct AllWere {
 }
 
 impl Was {
-    fn truth(self) -> Result<Option<Truth>, Problem> {
+    fn truth(self) -> Reply<Option<Truth>> {
         match (self.surface, self.unknown, self.bad) {
             (None, false, false) => Ok(None),
             (None, true, false) => Ok(Some(Truth::Unknown)),
@@ -76,7 +76,7 @@ async fn correct(
     id: ScanPath,
     Extension(by): By,
     said: Said,
-) -> Result<Json<HistoryRow>, Problem> {
+) -> Reply<Json<HistoryRow>> {
     let Path(id) = id?;
     let expected = "{\"surface\": \"oak\"}, {\"unknown\": true} or {\"bad\": true}";
     let truth = body::<Was>(said, expected)?.truth()?;
@@ -85,11 +85,7 @@ async fn correct(
 }
 
 /// Corrects up to 1000 scans in the same way, and says of each whether that was done.
-async fn correct_many(
-    State(hub): Shared,
-    Extension(by): By,
-    said: Said,
-) -> Result<Json<Value>, Problem> {
+async fn correct_many(State(hub): Shared, Extension(by): By, said: Said) -> Reply<Json<Value>> {
     let expected = "{\"ids\": [\"20260921-143000.001-01\"], \"surface\": \"oak\"}, or \
                     `\"unknown\": true`, `\"bad\": true` or neither in the place of `surface`";
     let AllWere { ids, surface, unknown, bad } = body(said, expected)?;
@@ -109,7 +105,7 @@ async fn correct_many(
 }
 
 /// A scan as it is after its correction, or why it was not corrected.
-type Corrected = Result<HistoryRow, Problem>;
+type Corrected = Reply<HistoryRow>;
 
 /// Corrects scans, and tells subscribers and the station.
 async fn corrected(
@@ -117,7 +113,7 @@ async fn corrected(
     ids: Vec<String>,
     by: Actor,
     truth: Option<Truth>,
-) -> Result<Vec<Corrected>, Problem> {
+) -> Reply<Vec<Corrected>> {
     let (history, library) = (hub.settings.history.clone(), hub.settings.library.clone());
     let work = move || Ok(correct_all(&history, library.as_ref(), &ids, (&by, truth)));
     let (scans, is_moved) = aside(work).await?;
@@ -144,8 +140,7 @@ fn correct_all(
     let _reviewing = history.reviewing();
     let correction = truth.map(|truth| Correction { truth, person: by.person.clone() });
     let found: Vec<Corrected> = ids.iter().map(|id| find(history, id)).collect();
-    let kept: Vec<&HistoryRow> =
-        found.iter().flatten().filter(|scan| scan.became.is_some()).collect();
+    let kept: Vec<_> = found.iter().flatten().filter(|scan| scan.became.is_some()).collect();
     let label = correction.as_ref().and_then(Correction::surface);
     let moves = library.map(|library| move_trials(library, &kept, label)).transpose();
     let is_moved = matches!(&moves, Ok(Some(moves)) if !moves.is_empty());
@@ -163,8 +158,8 @@ fn correct_all(
                 let person = from.map_or(&scan.became_by, |_| &by.person);
                 history.became(id, to.cloned(), person.clone())?;
                 let action = if to.is_some() { "move" } else { "remove" };
-                records
-                    .extend(from.map(|from| moved(by, action, Some(from), to.map(String::as_str))));
+                let to = to.map(String::as_str);
+                records.extend(from.map(|from| moved(by, action, [Some(from), to])));
             }
         }
         let before = history.correct(id, correction.clone())?;
@@ -230,7 +225,7 @@ async fn keep(
     id: ScanPath,
     Extension(by): By,
     said: Said,
-) -> Result<Json<HistoryRow>, Problem> {
+) -> Reply<Json<HistoryRow>> {
     let Path(id) = id?;
     let KeepRequest { user } = body(said, "{\"user\": \"anna\"}")?;
     let user = label("user", user.as_deref().unwrap_or(EXPERT))?;
@@ -265,7 +260,7 @@ fn to_library(
     scan: &HistoryRow,
     folder: &std::path::Path,
     user: String,
-) -> Result<String, Problem> {
+) -> Reply<String> {
     let refuse = |why: &str| Err(Problem::Bad(why.into()));
     let Some(surface) = scan.correction.as_ref().and_then(Correction::surface) else {
         return refuse("say first which surface this scan was");

@@ -5,7 +5,7 @@ use axum::http::{HeaderMap, Method};
 use axum::response::Json;
 use serde_json::{Value, json};
 
-use super::request::Problem;
+use super::request::{Problem, Reply};
 use crate::history::Actor;
 use crate::station::config::percent_decoded;
 
@@ -20,18 +20,16 @@ pub(super) fn may_operator(method: &Method, path: &str) -> bool {
     match path.strip_prefix("/api/v1/").unwrap_or_default() {
         "audit" | "audit.jsonl" => false,
         "start" | "stop" | "scans/correct" => true,
-        path if corrects_one(path) => true,
-        _ => method == Method::GET || method == Method::HEAD,
+        _ if method == Method::GET || method == Method::HEAD => true,
+        path => {
+            let id = path.strip_prefix("scans/").and_then(|rest| rest.strip_suffix("/correct"));
+            id.is_some_and(|id| !id.contains('/'))
+        }
     }
 }
 
-fn corrects_one(path: &str) -> bool {
-    let id = path.strip_prefix("scans/").and_then(|rest| rest.strip_suffix("/correct"));
-    id.is_some_and(|id| !id.contains('/'))
-}
-
 /// The name of the person who sends a request; `None` if the request names nobody.
-pub(super) fn person(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+pub(super) fn person(headers: &HeaderMap) -> Reply<Option<String>> {
     let Some(value) = headers.get(PERSON) else { return Ok(None) };
     let bad = |why: String| Problem::Bad(format!("`X-Surfaced-Person` {why}"));
     let name = value.to_str().ok().and_then(percent_decoded).ok_or_else(|| {
@@ -53,7 +51,6 @@ pub(super) fn person(headers: &HeaderMap) -> Result<Option<String>, Problem> {
 /// Who sends a request, as axum passes it to the handlers. The guard has found out.
 pub(super) type By = Extension<Actor>;
 
-/// Tells a client its role.
 pub(super) async fn me(Extension(actor): By) -> Json<Value> {
     Json(json!({ "role": actor.role }))
 }

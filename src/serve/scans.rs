@@ -4,7 +4,7 @@ use std::io::Write;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::extract::rejection::{PathRejection, QueryRejection};
+use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, Query, State};
 use axum::http::header::{ACCEPT_RANGES, CONTENT_RANGE, CONTENT_TYPE, RANGE};
 use axum::http::{HeaderMap, StatusCode};
@@ -14,7 +14,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::hub::{Hub, Shared};
-use super::request::{CSV, JSON_LINES, Problem, aside, exported};
+use super::request::{Asked, CSV, JSON_LINES, Problem, Reply, aside, exported};
 use crate::history::{
     COLUMNS, Drift, HistoryError, HistoryRow, NOTES, Wanted, nearest_picture, write_csv,
 };
@@ -46,9 +46,7 @@ impl From<HistoryError> for Problem {
         match error {
             HistoryError::NoScan(_) => Self::NotFound,
             HistoryError::NoSignals(_) => Self::Gone(error.to_string()),
-            HistoryError::Library(_) | HistoryError::Io { .. } | HistoryError::InUse(_) => {
-                Self::Failed(error.to_string())
-            }
+            _ => Self::Failed(error.to_string()),
         }
     }
 }
@@ -81,7 +79,7 @@ struct ScansRequest {
 }
 
 impl ScansRequest {
-    fn wanted(self) -> Result<Wanted, Problem> {
+    fn wanted(self) -> Reply<Wanted> {
         let states = self.state.iter().flat_map(|states| states.split(','));
         let states = states.map(|state| {
             serde_json::from_value::<AnswerState>(state.into()).map_err(|_| {
@@ -100,9 +98,7 @@ impl ScansRequest {
     }
 }
 
-type Asked = Result<Query<ScansRequest>, QueryRejection>;
-
-async fn scans(State(hub): Shared, asked: Asked) -> Result<Json<Value>, Problem> {
+async fn scans(State(hub): Shared, asked: Asked<ScansRequest>) -> Reply<Json<Value>> {
     let Query(mut asked) = asked?;
     let most = asked.limit.unwrap_or(USUAL).min(MOST);
     let before = asked.before.take();
@@ -112,7 +108,7 @@ async fn scans(State(hub): Shared, asked: Asked) -> Result<Json<Value>, Problem>
 }
 
 /// The scans that an export is to hold: all that are wanted.
-fn to_export(asked: Asked) -> Result<Wanted, Problem> {
+fn to_export(asked: Asked<ScansRequest>) -> Reply<Wanted> {
     let Query(asked) = asked?;
     if asked.limit.is_some() || asked.before.is_some() {
         return Err(Problem::Bad(
@@ -122,12 +118,12 @@ fn to_export(asked: Asked) -> Result<Wanted, Problem> {
     asked.wanted()
 }
 
-async fn csv(State(hub): Shared, asked: Asked) -> Result<Response, Problem> {
+async fn csv(State(hub): Shared, asked: Asked<ScansRequest>) -> Reply {
     let wanted = to_export(asked)?;
     Ok(exported(CSV, move |out| write_csv(out, COLUMNS, hub.settings.history.values(wanted))))
 }
 
-async fn json_lines(State(hub): Shared, asked: Asked) -> Result<Response, Problem> {
+async fn json_lines(State(hub): Shared, asked: Asked<ScansRequest>) -> Reply {
     let wanted = to_export(asked)?;
     Ok(exported(JSON_LINES, move |mut out| {
         for row in hub.settings.history.rows(wanted) {
@@ -137,21 +133,21 @@ async fn json_lines(State(hub): Shared, asked: Asked) -> Result<Response, Proble
     }))
 }
 
-pub(super) type ScanPath = Result<Path<String>, PathRejection>;
+pub(super) type ScanPath<T = String> = Result<Path<T>, PathRejection>;
 
-async fn scan(State(hub): Shared, id: ScanPath) -> Result<Json<HistoryRow>, Problem> {
+async fn scan(State(hub): Shared, id: ScanPath) -> Reply<Json<HistoryRow>> {
     let Path(id) = id?;
     Ok(Json(aside(move || Ok(hub.settings.history.answer(&id)?)).await?))
 }
 
-fn whole(path: &std::path::Path) -> Result<Vec<u8>, Problem> {
+fn whole(path: &std::path::Path) -> Reply<Vec<u8>> {
     std::fs::read(path).map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => Problem::NotFound,
         _ => Problem::Failed(format!("{}: {error}", path.display())),
     })
 }
 
-async fn why(State(hub): Shared, id: ScanPath) -> Result<Response, Problem> {
+async fn why(State(hub): Shared, id: ScanPath) -> Reply {
     let Path(id) = id?;
     let text = aside(move || whole(&hub.settings.history.folder(&id)?.join(NOTES))).await?;
     Ok(([(CONTENT_TYPE, "application/json")], text).into_response())
@@ -193,11 +189,7 @@ fn part(headers: &HeaderMap, mut bytes: Vec<u8>) -> Response {
     (StatusCode::PARTIAL_CONTENT, part, bytes.split_off(first)).into_response()
 }
 
-async fn file(
-    State(hub): Shared,
-    path: Result<Path<(String, String)>, PathRejection>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
+async fn file(State(hub): Shared, path: ScanPath<(String, String)>, headers: HeaderMap) -> Reply {
     let Path((id, file)) = path?;
     let (file, content_type) = on_disk(&file).ok_or(Problem::NotFound)?;
     let bytes = aside(move || whole(&hub.settings.history.folder(&id)?.join(file))).await?;
@@ -205,7 +197,7 @@ async fn file(
 }
 
 /// The latest picture of a camera, cut to the compared region, or whole for `whole-SOURCE.jpg`.
-async fn live_picture(State(hub): Shared, file: ScanPath) -> Result<Response, Problem> {
+async fn live_picture(State(hub): Shared, file: ScanPath) -> Reply {
     let Path(file) = file?;
     let stem = file.strip_suffix(".jpg").ok_or(Problem::NotFound)?;
     let whole = stem.strip_prefix("whole-");
@@ -230,6 +222,6 @@ async fn history(State(hub): Shared) -> Json<Value> {
     Json(view)
 }
 
-async fn drift(State(hub): Shared) -> Result<Json<Arc<Drift>>, Problem> {
+async fn drift(State(hub): Shared) -> Reply<Json<Arc<Drift>>> {
     Ok(Json(aside(move || Ok(hub.settings.history.drift())).await?))
 }

@@ -127,12 +127,7 @@ impl Subscribers {
     }
 
     /// Sends an event to all that want it, and `state` to those that have room again after a gap.
-    pub(super) fn publish(
-        &mut self,
-        kind: EventKind,
-        event: &Bytes,
-        state: &mut dyn FnMut() -> Bytes,
-    ) {
+    pub(super) fn publish(&mut self, kind: EventKind, event: &Bytes, state: &dyn Fn() -> Bytes) {
         let dropped = &mut self.dropped;
         self.subscribers.retain_mut(|subscriber| {
             subscriber.catch_up(state);
@@ -168,7 +163,7 @@ impl Subscriber {
     }
 
     /// If there is room again, sends the number of missed events, and the whole state.
-    fn catch_up(&mut self, state: &mut dyn FnMut() -> Bytes) {
+    fn catch_up(&mut self, state: &dyn Fn() -> Bytes) {
         if self.missed == 0 || self.queue.capacity() <= KEPT_FREE {
             return;
         }
@@ -218,7 +213,7 @@ mod tests {
         let mut read = 0;
         for n in 0..10_000 {
             let kind = if n % 2 == 0 { EventKind::Trace } else { EventKind::Answer };
-            subscribers.publish(kind, &encode(kind, &n), &mut state);
+            subscribers.publish(kind, &encode(kind, &n), &state);
             read += text(&mut quick).len();
         }
         assert_eq!(read, 10_001, "the quick one got all, and the state before");
@@ -229,7 +224,7 @@ mod tests {
         let traces = late.iter().filter(|event| event.starts_with("event: trace")).count();
         assert!(traces < QUEUE - KEPT_FREE, "traces leave room");
 
-        subscribers.publish(EventKind::Answer, &encode(EventKind::Answer, &"next"), &mut state);
+        subscribers.publish(EventKind::Answer, &encode(EventKind::Answer, &"next"), &state);
         let caught_up = text(&mut stalled);
         let answers = late.iter().filter(|event| event.starts_with("event: answer")).count();
         let missed = format!("event: missed\ndata: {{\"events\":{}}}\n\n", 5000 - answers);
@@ -243,8 +238,8 @@ mod tests {
         let filter = EventFilter::parse("answer, phase").unwrap();
         let mut reading = subscribers.subscribe(filter, state());
         assert!(subscribers.wanted(EventKind::Answer) && !subscribers.wanted(EventKind::Trace));
-        subscribers.publish(EventKind::Trace, &encode(EventKind::Trace, &0), &mut state);
-        subscribers.publish(EventKind::Answer, &encode(EventKind::Answer, &1), &mut state);
+        subscribers.publish(EventKind::Trace, &encode(EventKind::Trace, &0), &state);
+        subscribers.publish(EventKind::Answer, &encode(EventKind::Answer, &1), &state);
         assert_eq!(text(&mut reading), ["event: answer\ndata: 1\n\n"]);
         drop(reading);
         assert_eq!(subscribers.count(), 0);

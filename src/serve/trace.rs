@@ -196,10 +196,8 @@ impl Tracer {
     pub(super) fn add(&mut self, trace: &Trace) -> TraceEvent {
         let mut streams = Vec::new();
         for fresh in trace.fresh.iter().filter(|fresh| fresh.channels > 0) {
-            let stream = self
-                .streams
-                .entry(fresh.source.clone())
-                .or_insert_with(|| TracedStream::new(fresh));
+            let stream = self.streams.entry(fresh.source.clone());
+            let stream = stream.or_insert_with(|| TracedStream::new(fresh));
             let expected = (stream.next, stream.channels, stream.rate_hz);
             if expected != (fresh.start, fresh.channels, fresh.rate_hz) {
                 *stream = TracedStream::new(fresh);

@@ -69,7 +69,9 @@ impl Chart {
         let squares: f64 = first.iter().map(|value| (value - centre).powi(2)).sum();
         let spread = (squares / (BASELINE - 1) as f64).sqrt().max(resolution);
         let (factor, finds) = design(charts);
-        let limit = factor * spread * unit();
+        // The standard deviation of the average, after many values of standard deviation 1.
+        let unit = (LAMBDA / (2.0 - LAMBDA)).sqrt();
+        let limit = factor * spread * unit;
         let (mut averages, mut has_drifted) = (Vec::new(), false);
         let mut average = centre;
         for value in later {
@@ -85,11 +87,6 @@ impl Chart {
         }
         Some(Self { centre, spread, limit, finds: finds * spread, averages, has_drifted })
     }
-}
-
-/// The standard deviation of the average, after many values of standard deviation 1.
-fn unit() -> f64 {
-    (LAMBDA / (2.0 - LAMBDA)).sqrt()
 }
 
 /// The limit and the found change for a number of charts, interpolated on its logarithm.

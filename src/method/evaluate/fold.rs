@@ -135,12 +135,12 @@ impl Split {
             places.into_iter().filter(|fold| !is_one || fold.name == TEST).collect();
         // An interval is over people or sessions only if each fold is one of them.
         let each_is = |of: fn(&TrialKey) -> (&str, Option<&str>)| {
-            let of = |fold: &Fold| -> BTreeSet<_> {
-                fold.queries.iter().map(|&i| of(&keys[i])).collect()
+            let one_of = |fold: &Fold| {
+                let first = of(&keys[fold.queries[0]]);
+                fold.queries.iter().all(|&i| of(&keys[i]) == first).then_some(first)
             };
-            let all: Vec<_> = folds.iter().map(of).collect();
-            let union: BTreeSet<_> = all.iter().flatten().collect();
-            all.iter().all(|one| one.len() == 1) && union.len() == all.len()
+            let all: Option<BTreeSet<_>> = folds.iter().map(one_of).collect();
+            all.is_some_and(|all| all.len() == folds.len())
         };
         let over = match () {
             () if is_one => Over::Queries,
@@ -159,8 +159,7 @@ impl Split {
         folds: Vec<Fold>,
         keys: &[TrialKey],
     ) -> Result<Self, EvaluateError> {
-        let folds: Vec<Fold> =
-            folds.into_iter().filter_map(|fold| known_only(fold, keys)).collect();
+        let folds: Vec<_> = folds.into_iter().filter_map(|fold| known_only(fold, keys)).collect();
         if !enough(&folds, keys) {
             return Err(EvaluateError::Trials(format!(
                 "{name} leaves no fold to ask: each needs a library of at least two surfaces, and \
@@ -305,27 +304,26 @@ mod tests {
     }
 
     #[test]
-    fn expert_vs_users_has_a_fold_a_user_and_the_expert_as_library() {
-        let folds = folds(Protocol::ExpertVsUsers, &keys()).unwrap();
-        assert_eq!(folds.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["user1", "user2"]);
-        assert!(folds.iter().all(|f| f.library == [0, 1, 2, 5, 6, 7] && f.queries.len() == 2));
-    }
-
-    #[test]
-    fn leave_one_trial_out_stays_within_a_person() {
-        let folds = folds(Protocol::LeaveOneTrialOut, &keys()).unwrap();
-        assert_eq!(folds.len(), 3, "users with a single trial have no library of their own");
-        assert_eq!(
-            folds[1],
-            Fold { name: "trial 2".into(), library: vec![0, 2, 5, 7], queries: vec![1, 6] }
-        );
-    }
-
-    #[test]
-    fn all_vs_one_user_asks_every_person_the_expert_too() {
-        let folds = folds(Protocol::AllVsOneUser, &keys()).unwrap();
-        assert_eq!(folds.iter().map(|f| &*f.name).collect::<Vec<_>>(), [EXPERT, "user1", "user2"]);
-        assert_eq!(folds[1].library, [0, 1, 2, 4, 5, 6, 7, 9]);
+    fn each_protocol_has_its_folds_and_a_stray_trial_is_neither_a_class_nor_a_loss() {
+        use Protocol::{AllVsOneUser, ExpertVsUsers, LeaveOneTrialOut};
+        let mut keys = keys();
+        keys.push(TrialKey::new("stray", "user1", 1));
+        let expected: [(_, &str, &[usize], &[usize]); 8] = [
+            (ExpertVsUsers, "user1", &[0, 1, 2, 5, 6, 7], &[3, 8]),
+            (ExpertVsUsers, "user2", &[0, 1, 2, 5, 6, 7], &[4, 9]),
+            // Users with a single trial have no library of their own.
+            (LeaveOneTrialOut, "trial 1", &[1, 2, 6, 7], &[0, 5]),
+            (LeaveOneTrialOut, "trial 2", &[0, 2, 5, 7], &[1, 6]),
+            (LeaveOneTrialOut, "trial 3", &[0, 1, 5, 6], &[2, 7]),
+            (AllVsOneUser, EXPERT, &[3, 4, 8, 9, 10], &[0, 1, 2, 5, 6, 7]),
+            (AllVsOneUser, "user1", &[0, 1, 2, 4, 5, 6, 7, 9], &[3, 8]),
+            (AllVsOneUser, "user2", &[0, 1, 2, 3, 5, 6, 7, 8, 10], &[4, 9]),
+        ];
+        for of_protocol in expected.chunk_by(|a, b| a.0 == b.0) {
+            let folds = folds(of_protocol[0].0, &keys).unwrap();
+            let found = folds.iter().map(|f| (&*f.name, &*f.library, &*f.queries));
+            assert!(found.eq(of_protocol.iter().map(|row| (row.1, row.2, row.3))), "{folds:?}");
+        }
     }
 
     #[test]
@@ -334,14 +332,6 @@ mod tests {
         let keys = ["user1", "user01"].map(of).concat();
         let folds = folds(Protocol::LeaveOneTrialOut, &keys).unwrap();
         assert_eq!((folds.len(), &*folds[0].library), (4, &[5, 7][..]));
-    }
-
-    #[test]
-    fn a_stray_trial_is_neither_a_class_nor_a_loss() {
-        let mut keys = keys();
-        keys.push(TrialKey::new("stray", "user1", 1));
-        let folds = folds(Protocol::ExpertVsUsers, &keys).unwrap();
-        assert!(folds.iter().all(|f| f.queries.len() == 2));
     }
 
     /// Two trials of `a` and of `b` in each of these sessions, by one person.
@@ -382,10 +372,8 @@ mod tests {
         let days = sessions(&["monday", "tuesday"]);
         let found = folds(Protocol::LeaveOneSessionOut, &days).unwrap();
         assert_eq!(found[0].name, "monday");
-        assert_eq!(
-            (&*found[0].queries, &*found[0].library),
-            (&[0, 1, 4, 5][..], &[2, 3, 6, 7][..])
-        );
+        assert_eq!(found[0].queries, [0, 1, 4, 5]);
+        assert_eq!(found[0].library, [2, 3, 6, 7]);
         let mut two = days.clone();
         two.extend(days.into_iter().map(|key| TrialKey { user: "anna".into(), ..key }));
         assert_eq!(folds(Protocol::LeaveOneSessionOut, &two).unwrap().len(), 4);
@@ -419,10 +407,9 @@ mod tests {
     fn too_little_data_says_what_was_needed_and_found_and_which_protocol_fits() {
         let keys = [TrialKey::new("a", EXPERT, 1)];
         let error = folds(Protocol::LeaveOneTrialOut, &keys).unwrap_err().to_string();
-        assert!(
-            error.contains("at least two surfaces") && error.contains("1 trial(s) of 1"),
-            "{error}"
-        );
+        for part in ["at least two surfaces", "1 trial(s) of 1"] {
+            assert!(error.contains(part), "{error}");
+        }
         let error = folds(Protocol::ExpertVsUsers, &sessions(&[""])).unwrap_err().to_string();
         assert!(error.ends_with("; leave-one-trial-out fits them"), "{error}");
     }

@@ -102,15 +102,9 @@ impl Leaks {
         }
     }
 
-    /// Number of trials that share samples with another.
-    pub(crate) fn trials(&self) -> usize {
-        self.partners.len()
-    }
-
     /// Those of the trials `kept`, with their places there as indices.
     pub(crate) fn among(&self, kept: &[usize]) -> Self {
-        let place: BTreeMap<usize, usize> =
-            kept.iter().enumerate().map(|(at, &i)| (i, at)).collect();
+        let place: BTreeMap<_, _> = kept.iter().enumerate().map(|(at, &i)| (i, at)).collect();
         let of = |others: &BTreeSet<usize>| -> BTreeSet<usize> {
             others.iter().filter_map(|i| place.get(i).copied()).collect()
         };
@@ -128,13 +122,8 @@ impl Leaks {
     /// queries of surfaces that the library lacks. `None` if no fold remains that can be asked.
     pub fn apart(&self, folds: &[Fold], keys: &[TrialKey]) -> Option<Vec<Fold>> {
         let apart = |fold: &Fold| {
-            let partners: BTreeSet<usize> = fold
-                .queries
-                .iter()
-                .filter_map(|i| self.partners.get(i))
-                .flatten()
-                .copied()
-                .collect();
+            let of_queries = fold.queries.iter().filter_map(|i| self.partners.get(i));
+            let partners: BTreeSet<usize> = of_queries.flatten().copied().collect();
             let mut fold = fold.clone();
             fold.library.retain(|i| !partners.contains(i));
             known_only(fold, keys).filter(|fold| enough(std::slice::from_ref(fold), keys))
@@ -154,7 +143,7 @@ impl Leaks {
             false => format!("the picture {source}"),
         };
         let labels = if of_two.is_some() { ", under two labels" } else { "" };
-        let (count, all, a, b) = (self.trials(), keys.len(), name(*a), name(*b));
+        let (count, all, a, b) = (self.partners.len(), keys.len(), name(*a), name(*b));
         Some(format!(
             "{count} of {all} trials share samples with others, such as {a} and {b} ({what}){labels}"
         ))
@@ -174,6 +163,8 @@ fn fingerprints(signal: &Signal) -> Vec<(u64, usize)> {
     };
     const BASE: u64 = 0x9e37_79b9_7f4a_7c15;
     let oldest = BASE.wrapping_pow(WINDOW as u32);
+    let of_frame =
+        |frame: &[f32]| frame.iter().fold(0, |hash, x| mixed(hash ^ u64::from(x.to_bits())));
     let frames: Vec<u64> = series.samples().chunks(series.channels()).map(of_frame).collect();
     let changes = |at: usize| usize::from(at > 0 && frames[at] != frames[at - 1]);
     let (mut hash, mut lively) = (0u64, 0);
@@ -196,10 +187,6 @@ fn fingerprints(signal: &Signal) -> Vec<(u64, usize)> {
     found.sort_unstable();
     found.dedup_by_key(|(hash, _)| *hash);
     found
-}
-
-fn of_frame(frame: &[f32]) -> u64 {
-    frame.iter().fold(0, |hash, x| mixed(hash ^ u64::from(x.to_bits())))
 }
 
 /// Spreads the bits of a number over all others (Steele, Lea and Flood 2014, "SplitMix").
@@ -235,8 +222,7 @@ fn compared(
     };
     let mut candidates: Vec<Candidate> = groups.iter().enumerate().flat_map(of_group).collect();
     candidates.sort_by_key(|one| (one.trials, one.at));
-    let of_first: Vec<&[Candidate]> =
-        candidates.chunk_by(|a, b| a.trials[0] == b.trials[0]).collect();
+    let of_first: Vec<_> = candidates.chunk_by(|a, b| a.trials[0] == b.trials[0]).collect();
     let pairs = |of_first: &[Candidate]| -> Vec<_> {
         let Some(first) = load(&entries[of_first[0].trials[0]], source) else { return Vec::new() };
         let of_pair = |pair: &[Candidate]| {
@@ -384,7 +370,7 @@ mod tests {
         let entries = cut(1_000);
         let keys = keys(&entries);
         let leaks = leaks(&entries);
-        assert_eq!((leaks.trials(), leaks.shared.len()), (36, 33));
+        assert_eq!((leaks.partners.len(), leaks.shared.len()), (36, 33));
         assert_eq!(leaks.partners[&1], [0, 2].into());
         assert!(leaks.shared.values().all(|one| (one.share - 0.5).abs() < 1e-9 && !one.is_copy));
         let before = folds(Protocol::LeaveOneTrialOut, &keys).unwrap();
@@ -410,11 +396,7 @@ mod tests {
         for n in 1..=3 {
             entries.push(entry("silence", n, &[0.0; 2_000]));
             entries.push(entry("ramp", n, &(n * 9..2_000).map(|i| i as f32).collect::<Vec<_>>()));
-            entries.push(entry(
-                "toggle",
-                n,
-                &(0..2_000).map(|i| (i % 2) as f32).collect::<Vec<_>>(),
-            ));
+            entries.push(entry("toggle", n, &[0.0, 1.0].repeat(1_000)));
         }
         assert_eq!(leaks(&entries), Leaks::default());
     }

@@ -1,22 +1,21 @@
 //! The loudness and the band of a series.
 
 use crate::spectrum::amplitude_spectrum;
+use crate::trial::Series;
 
 /// Least root mean square, to keep the logarithm of silence finite; far below a 16-bit step.
 const SILENCE: f64 = 1e-12;
 
 /// Level of a series: ln of the root mean square over time and channels, after the mean of each
 /// channel was subtracted.
-pub(super) fn level_of(samples: &[f32], channels: usize) -> f64 {
-    let power: f64 = (0..channels)
-        .map(|channel| {
-            let of_channel = || samples[channel..].iter().step_by(channels).map(|&x| f64::from(x));
-            let n = of_channel().count() as f64;
-            let mean = of_channel().sum::<f64>() / n;
-            of_channel().map(|x| (x - mean).powi(2)).sum::<f64>() / n
-        })
-        .sum();
-    (power / channels as f64).sqrt().max(SILENCE).ln()
+pub(super) fn level_of(series: &Series) -> f64 {
+    let of_channel = |channel| {
+        let n = series.frames() as f64;
+        let mean = series.channel(channel).sum::<f64>() / n;
+        series.channel(channel).map(|x| (x - mean).powi(2)).sum::<f64>() / n
+    };
+    let power: f64 = (0..series.channels()).map(of_channel).sum();
+    (power / series.channels() as f64).sqrt().max(SILENCE).ln()
 }
 
 /// Most frames that the edge of a band is measured on.
@@ -24,9 +23,9 @@ const MOST_FRAMES: usize = 1 << 16;
 
 /// The frequency in Hz below which 95 % of the power of a series' first channel lies, without its mean.
 /// 0 for a constant.
-pub(super) fn edge_hz(samples: &[f32], channels: usize, rate_hz: f64) -> f64 {
-    let first: Vec<f64> =
-        samples.iter().step_by(channels).take(MOST_FRAMES).map(|&x| f64::from(x)).collect();
+pub(super) fn edge_hz(series: &Series) -> f64 {
+    let rate_hz = series.rate_hz();
+    let first: Vec<f64> = series.channel(0).take(MOST_FRAMES).collect();
     let mean = first.iter().sum::<f64>() / first.len() as f64;
     let power = amplitude_spectrum(first.iter().map(|x| x - mean), rate_hz, (0.0, rate_hz / 2.0));
     let power: Vec<f64> = power.into_iter().map(|x| x * x).collect();
@@ -43,23 +42,26 @@ pub(super) fn edge_hz(samples: &[f32], channels: usize, rate_hz: f64) -> f64 {
 mod tests {
     use super::*;
 
+    fn series(channels: usize, samples: Vec<f32>) -> Series {
+        Series::new(1024.0, channels, samples).unwrap()
+    }
+
     #[test]
     fn a_level_is_that_of_the_root_mean_square_without_the_mean() {
-        let samples: Vec<f32> =
-            (0..1000).flat_map(|i| [5.0 + if i % 2 == 0 { 0.3 } else { -0.3 }, 0.0]).collect();
         // One channel has level 0.3 and the other is silent, so the root mean square is 0.3/√2.
-        assert!((level_of(&samples, 2).exp() - 0.3 / 2f64.sqrt()).abs() < 1e-6);
-        assert_eq!(level_of(&[1.0; 8], 2), SILENCE.ln());
+        let samples = [5.3, 0.0, 4.7, 0.0].repeat(500);
+        assert!((level_of(&series(2, samples)).exp() - 0.3 / 2f64.sqrt()).abs() < 1e-6);
+        assert_eq!(level_of(&series(2, vec![1.0; 8])), SILENCE.ln());
     }
 
     #[test]
     fn the_edge_of_a_band_is_that_of_its_fastest_strong_tone() {
         let wave = |hz: f64, i: usize| (i as f64 * hz * std::f64::consts::TAU / 1024.0).sin();
-        let samples = |strength: f64| -> Vec<f32> {
-            (0..2048).map(|i| (3.0 + wave(50.0, i) + strength * wave(300.0, i)) as f32).collect()
+        let edge = |strength: f64| {
+            let sample = |i| (3.0 + wave(50.0, i) + strength * wave(300.0, i)) as f32;
+            edge_hz(&series(1, (0..2048).map(sample).collect()))
         };
-        assert_eq!(edge_hz(&samples(0.5), 1, 1024.0), 300.0);
-        assert_eq!(edge_hz(&samples(0.1), 1, 1024.0), 50.0);
-        assert_eq!(edge_hz(&[2.0; 64], 1, 1024.0), 0.0);
+        assert_eq!((edge(0.5), edge(0.1)), (300.0, 50.0));
+        assert_eq!(edge_hz(&series(1, vec![2.0; 64])), 0.0);
     }
 }

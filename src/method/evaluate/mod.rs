@@ -23,29 +23,25 @@ pub mod plan;
 #[doc(hidden)]
 pub mod stress;
 
+#[doc(hidden)]
+pub use self::{
+    check::{Audited, CheckReport, Finding, TrialCheck, TrialVerdict, check},
+    enrolled::enrol,
+    evaluation::{first_seconds, in_libraries, within},
+    fold::{Split, TEST, TRAIN},
+    leak::Leaks,
+    outcome::percentile,
+    paired::{Named, Paired, better_plain, paired},
+};
 pub use answers::{SettledOutcome, UnknownOutcome};
-#[doc(hidden)]
-pub use check::{Audited, CheckReport, Finding, TrialCheck, TrialVerdict, check};
 pub use enrolled::EnrolmentOutcome;
-#[doc(hidden)]
-pub use enrolled::enrol;
 pub use evaluation::{
     EvaluatedTrials, Evaluation, LeftOutSources, Measured, ProgressFn, Query, Run,
 };
-#[doc(hidden)]
-pub use evaluation::{first_seconds, in_libraries, within};
 pub use fold::{Fold, Protocol, folds};
-#[doc(hidden)]
-pub use fold::{Split, TEST, TRAIN};
-#[doc(hidden)]
-pub use leak::Leaks;
-#[doc(hidden)]
-pub use outcome::percentile;
 pub use outcome::{
     Confusion, FoldAccuracy, Interval, Outcome, Over, Prediction, Share, SurfaceAccuracy,
 };
-#[doc(hidden)]
-pub use paired::{Named, Paired, better_plain, paired};
 
 use crate::recognise::{RecogniseError, RejectionError};
 use crate::scene::SceneError;

@@ -375,6 +375,8 @@ mod tests {
             serde_json::json!({"accuracy": 0.75, "accuracy_low": low, "accuracy_high": high});
         assert_eq!(json, wanted);
         assert_eq!(Share::default().value(), 0.0);
+        let (low, high) = wilson_interval(10, 10);
+        assert!((low - 0.722_467).abs() < 1e-6 && (high - 1.0).abs() < 1e-12);
     }
 
     fn prediction(truth: &str, answer: &str, fold: usize) -> Prediction {
@@ -429,17 +431,11 @@ mod tests {
     }
 
     #[test]
-    fn the_wilson_interval_of_ten_of_ten_is_known() {
-        let (low, high) = wilson_interval(10, 10);
-        assert!((low - 0.722_467).abs() < 1e-6 && (high - 1.0).abs() < 1e-12);
-    }
-
-    #[test]
     fn an_interval_is_over_people_from_three_on() {
         let share = |right| Share { right, of: 10 };
         let people = [2, 5, 8].map(|n| FoldAccuracy { name: String::new(), share: share(n) });
-        let (of_people, of_queries) =
-            (Interval::of(&people, Over::People), wilson_interval(15, 30));
+        let of_people = Interval::of(&people, Over::People);
+        let of_queries = wilson_interval(15, 30);
         assert_eq!(of_people.over, Over::People);
         assert!(of_people.low < of_queries.0 && of_people.high > of_queries.1);
         let two = Interval::of(&people[..2], Over::People);

@@ -111,8 +111,7 @@ const BESIDE: f64 = 7.0;
 /// several. Bars are intervals, and ticks are users. The grey line is the Pareto front, grey dashed lines
 /// are negative controls. Hollow points use only some of the sources.
 pub fn figure(chart: &Chart, look: Look) -> Result<String, FigureError> {
-    let whole: Vec<&ChartPoint> =
-        chart.methods().filter(|point| point.query_seconds.is_none()).collect();
+    let whole: Vec<_> = chart.methods().filter(|point| point.query_seconds.is_none()).collect();
     if whole.is_empty() {
         return Err(FigureError("the chart has no point for whole drags".into()));
     }
@@ -250,7 +249,6 @@ fn percent(y: &f64) -> String {
     if *y > 1.001 { String::new() } else { format!("{:.0} %", y * 100.0) }
 }
 
-/// The pixel of a point within `area`.
 fn place<X: Ranged<ValueType = f64>>(
     area: &Area<'_>,
     panel: &Panel<'_, '_, X>,
@@ -261,7 +259,6 @@ fn place<X: Ranged<ValueType = f64>>(
     (x - left, y - top)
 }
 
-/// The box of a panel's axes within `area`.
 fn frame<X: Ranged<ValueType = f64>>(area: &Area<'_>, panel: &Panel<'_, '_, X>) -> PixelBox {
     let ((x, y), (left, top)) = (panel.plotting_area().get_pixel_range(), area.get_base_pixel());
     [x.start - left, y.start - top, x.end - left, y.end - top]
@@ -313,29 +310,15 @@ mod tests {
     use super::*;
 
     fn point(method: &str, ms: f64, accuracy: f64) -> ChartPoint {
+        let (low, high) = (accuracy - 0.05, (accuracy + 0.02).min(1.0));
         ChartPoint {
             method: method.into(),
             sources: vec!["ac".into(), "mi2".into()],
             accuracy,
-            interval: Interval {
-                low: accuracy - 0.05,
-                high: (accuracy + 0.02).min(1.0),
-                ..Interval::default()
-            },
+            interval: Interval { low, high, over: Over::Queries },
             query_ms_p50: ms,
             queries: 200,
             ..ChartPoint::default()
-        }
-    }
-
-    fn chart(points: Vec<ChartPoint>) -> Chart {
-        Chart {
-            data: "a <scene>".into(),
-            synthetic: true,
-            sources: vec!["ac".into(), "mi2".into()],
-            drag_s: Some(4.8),
-            points,
-            ..Chart::default()
         }
     }
 
@@ -361,7 +344,14 @@ mod tests {
         points.push(ChartPoint { sources: vec!["ac".into()], ..point("embedding", 1.0, 0.8) });
         let control = ChartPoint { control: true, ..point("control", 2.0, 0.5) };
         points.push(ChartPoint { setting: "loudness alone".into(), ..control });
-        let mut chart = chart(points);
+        let mut chart = Chart {
+            data: "a <scene>".into(),
+            synthetic: true,
+            sources: vec!["ac".into(), "mi2".into()],
+            drag_s: Some(4.8),
+            points,
+            ..Chart::default()
+        };
         let svg = figure(&chart, Look::default()).unwrap();
         for text in [
             "reference",

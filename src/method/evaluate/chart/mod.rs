@@ -181,7 +181,7 @@ pub fn measure(
 fn levels(entries: &[Entry], scene: &Scene) -> Result<Vec<FeatureVector>, RecogniseError> {
     let level = |(id, signal): (&SourceId, &Signal)| {
         let Signal::Series(series) = signal else { return None };
-        let values = vec![level_of(series.samples(), series.channels())];
+        let values = vec![level_of(series)];
         Some((id.clone(), SourceFeatures { values, rate_hz: series.rate_hz() }))
     };
     let of_entry = |entry: &Entry| {

@@ -62,6 +62,16 @@ pub struct Finding {
     pub command: Option<String>,
 }
 
+impl Finding {
+    /// A finding that is of no source, and that no command mends.
+    pub(super) fn new(kind: FaultKind, trials: Vec<String>, text: String) -> Self {
+        Self { kind, source: None, trials, text, command: None }
+    }
+}
+
+/// Findings, and advice in lines.
+type Found = (Vec<Finding>, Vec<String>);
+
 struct Fault {
     kind: FaultKind,
     source: Option<SourceId>,
@@ -132,8 +142,7 @@ pub(super) fn inspect(
         progress("reading all recordings", done.fetch_add(1, Ordering::Relaxed) + 1, all);
         inspected
     };
-    let read: Vec<(Inspected, Vec<Unreadable>)> =
-        entries.into_par_iter().enumerate().map(one).collect();
+    let read: Vec<_> = entries.into_par_iter().enumerate().map(one).collect();
     let (mut inspected, unreadable): (Vec<_>, Vec<_>) = read.into_iter().unzip();
     inspected.retain(|trial: &Inspected| !trial.entry.sources.is_empty());
     forget_usual(&mut inspected);
@@ -165,9 +174,9 @@ fn of_entry(
                 doubts.extend(flaws.doubts(id, &[]));
                 let measured = Measured {
                     seconds: one.duration_s(),
-                    level: level_of(one.samples(), one.channels()),
+                    level: level_of(one),
                     rate_hz: one.rate_hz(),
-                    edge_hz: edge_hz(one.samples(), one.channels(), one.rate_hz()),
+                    edge_hz: edge_hz(one),
                     is_constant: one.is_constant(),
                     rests: flaws.rests(),
                 };
@@ -206,13 +215,9 @@ pub(super) fn unreadable(
             (Some(trial), detail) => {
                 faults.push(Fault { kind, source, what: "cannot be read", trial, detail });
             }
-            (None, _) => others.push(Finding {
-                kind,
-                source,
-                trials: Vec::new(),
-                text: error.to_string(),
-                command: None,
-            }),
+            (None, _) => {
+                others.push(Finding { source, ..Finding::new(kind, vec![], error.to_string()) });
+            }
         }
     }
     let mut found = grouped(faults, usize::MAX, audited).0;
@@ -221,11 +226,7 @@ pub(super) fn unreadable(
 }
 
 /// Findings on the signals, and advice on each fault that half of the trials or more have.
-pub(super) fn of_signals(
-    inspected: &[Inspected],
-    leaks: &Leaks,
-    audited: &Audited<'_>,
-) -> (Vec<Finding>, Vec<String>) {
+pub(super) fn of_signals(inspected: &[Inspected], leaks: &Leaks, audited: &Audited<'_>) -> Found {
     let mut faults = copies(inspected, leaks, audited);
     let usual = |id: &SourceId, surface: Option<&str>, of: fn(&Measured) -> f64| {
         usual(inspected.iter(), id, surface, of)
@@ -287,12 +288,10 @@ pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> 
     for (trial, named) in found {
         by_label.entry(named).or_default().push(trial.clone());
     }
-    let finding = |(label, trials): (&str, Vec<String>)| Finding {
-        kind: FaultKind::Mislabelled,
-        source: None,
-        text: format!("{} mislabelled: left out, clearly named {label}", look(&trials)),
-        command: audited.command(&format!("move --to={}", quoted(label)), &trials),
-        trials,
+    let finding = |(label, trials): (&str, Vec<String>)| {
+        let command = audited.command(&format!("move --to={}", quoted(label)), &trials);
+        let text = format!("{} mislabelled: left out, clearly named {label}", look(&trials));
+        Finding { command, ..Finding::new(FaultKind::Mislabelled, trials, text) }
     };
     by_label.into_iter().map(finding).collect()
 }
@@ -309,11 +308,7 @@ fn look(trials: &[String]) -> String {
 
 /// Makes a finding for each source and kind of fault, the worst first. If a source of a trial has
 /// several faults, only the worst counts. A fault of half of `all` trials becomes advice on the sensor.
-fn grouped(
-    mut faults: Vec<Fault>,
-    all: usize,
-    audited: &Audited<'_>,
-) -> (Vec<Finding>, Vec<String>) {
+fn grouped(mut faults: Vec<Fault>, all: usize, audited: &Audited<'_>) -> Found {
     faults.sort_by(|a, b| (a.kind, &a.source).cmp(&(b.kind, &b.source)));
     let mut seen = BTreeSet::new();
     faults.retain(|fault| seen.insert((fault.source.clone(), fault.trial.clone())));
@@ -343,13 +338,8 @@ fn grouped(
         }
         let trials: BTreeSet<String> = faults.into_iter().map(|fault| fault.trial).collect();
         let trials: Vec<String> = trials.into_iter().collect();
-        findings.push(Finding {
-            kind,
-            source,
-            command: audited.command("remove", &trials),
-            trials,
-            text,
-        });
+        let command = audited.command("remove", &trials);
+        findings.push(Finding { kind, source, trials, text, command });
     }
     (findings, advice)
 }
@@ -381,13 +371,9 @@ pub(super) fn shared(
     let keys: Vec<TrialKey> = trials.iter().map(|&i| keys[i].clone()).collect();
     let name = |i: usize| entries[trials[i]].name_in(audited.root);
     let text = leaks.among(&trials).text(&keys, name)?;
-    Some(Finding {
-        kind: FaultKind::Shared,
-        source: None,
-        text: format!("{text}; cut recordings without overlap"),
-        command: None,
-        trials: (0..trials.len()).map(name).collect(),
-    })
+    let (names, text) =
+        ((0..trials.len()).map(name), format!("{text}; cut recordings without overlap"));
+    Some(Finding::new(FaultKind::Shared, names.collect(), text))
 }
 
 /// Forgets doubts about channels that rest no longer than they usually do in the library.

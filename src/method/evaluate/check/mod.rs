@@ -379,6 +379,12 @@ fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
 mod tests {
     use super::*;
 
+    fn left(folds: &[Fold]) -> Vec<usize> {
+        let mut left: Vec<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
+        left.sort_unstable();
+        left
+    }
+
     #[test]
     fn a_fold_never_leaves_out_all_trials_of_a_surface() {
         let mut keys: Vec<TrialKey> = (1..=23).map(|n| TrialKey::new("a", "x", n)).collect();
@@ -386,23 +392,17 @@ mod tests {
         keys.push(TrialKey::new("c", "x", 1));
         let (folds, _) = left_out(&keys);
         assert_eq!(folds.len(), MOST_FOLDS);
-        let mut left: Vec<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
-        left.sort_unstable();
-        assert_eq!(left, (0..26).collect::<Vec<_>>(), "each once, except the only one of c");
-        for fold in &folds {
-            for surface in ["a", "b", "c"] {
-                assert!(fold.library.iter().any(|&i| keys[i].surface == surface));
-            }
+        assert!(left(&folds).into_iter().eq(0..26), "each once, except the only one of c");
+        for surface in ["a", "b", "c"] {
+            let holds = |fold: &Fold| fold.library.iter().any(|&i| keys[i].surface == surface);
+            assert!(folds.iter().all(holds), "{surface}");
         }
     }
 
     #[test]
     fn every_person_is_left_out_where_there_are_several() {
-        let people = ["anna", "ben"];
-        let mut keys: Vec<TrialKey> = Vec::new();
-        for user in people {
-            keys.extend(["a", "b"].map(|surface| TrialKey::new(surface, user, 1)));
-        }
+        let of = |user| ["a", "b"].map(|surface| TrialKey::new(surface, user, 1));
+        let mut keys = ["anna", "ben"].map(of).concat();
         // Only anna has trials of c.
         keys.extend((1..=2).map(|n| TrialKey::new("c", "anna", n)));
         let (folds, over) = left_out(&keys);
@@ -410,8 +410,6 @@ mod tests {
         let names: Vec<&str> = folds.iter().map(|fold| &*fold.name).collect();
         assert_eq!(names, ["anna", "ben", "part 1", "part 2"]);
         assert!(folds[0].queries == [0, 1] && folds[0].library == [2, 3]);
-        let mut left: Vec<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
-        left.sort_unstable();
-        assert_eq!(left, (0..6).collect::<Vec<_>>());
+        assert!(left(&folds).into_iter().eq(0..6));
     }
 }

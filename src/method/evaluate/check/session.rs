@@ -77,16 +77,11 @@ pub(super) fn differing(
         let names = own.iter().filter(|one| trials.contains(&&one.entry.key));
         let names: Vec<String> = names.map(|one| one.entry.name_in(audited.root)).collect();
         let (count, all) = (names.len(), own.len());
-        Finding {
-            kind: FaultKind::Session,
-            source: None,
-            text: format!(
-                "{name} differs from the others: {count} of its {all} trials are clearly named other \
-                 surfaces when left out. It differs: {what}"
-            ),
-            command: None,
-            trials: names,
-        }
+        let text = format!(
+            "{name} differs from the others: {count} of its {all} trials are clearly named other \
+             surfaces when left out. It differs: {what}"
+        );
+        Finding::new(FaultKind::Session, names, text)
     };
     moved.iter().map(finding).collect()
 }

@@ -89,9 +89,9 @@ impl Plan {
         if file.sources.is_empty() {
             return Err("sources = []; expected at least one".into());
         }
-        let sources = file.sources.iter().map(|name| SourceId::new(name));
-        let sources: Vec<SourceId> =
-            sources.collect::<Result<_, _>>().map_err(|error| error.to_string())?;
+        let sources: Result<Vec<_>, _> =
+            file.sources.iter().map(|name| SourceId::new(name)).collect();
+        let sources = sources.map_err(|error| error.to_string())?;
         let counts = 1..=MOST_COUNT;
         let method = match (file.method, file.n, file.repetitions) {
             (MethodName::Reference, Some(samples), Some(repetitions))

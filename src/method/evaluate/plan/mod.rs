@@ -21,20 +21,17 @@
 
 mod file;
 
-use std::sync::Arc;
-
 use rayon::prelude::*;
 use serde::Serialize;
 
 pub use self::file::{Expected, Plan};
 use crate::evaluate::{
-    EvaluateError, Evaluation, Fold, Interval, Leaks, Outcome, ProgressFn, Protocol, Run, Share,
-    folds, percentile, within,
+    EvaluateError, Evaluation, Fold, Interval, Leaks, Outcome, ProgressFn, Protocol, Share, folds,
+    percentile, within,
 };
 use crate::library::{Entry, Library};
 use crate::recognise::{
-    MethodName, MethodSpec, Model, QueryVector, RecogniseError, ScanTime, if_enough, reaches,
-    ready_model,
+    MethodName, MethodSpec, QueryVector, RecogniseError, ScanTime, if_enough, reaches, ready_model,
 };
 use crate::scene::{Phase, Scene, SourceId};
 use crate::trial::{Image, Signal, Trial, TrialKey};
@@ -120,7 +117,7 @@ pub fn search(
         surfaces: outcome.classes,
         protocol: protocol.name().into(),
         latency_ms: outcome.query_ms_p50,
-        scan_s: scan_s.unwrap_or_else(|| search.scan_s(&choice.sources, None)),
+        scan_s: scan_s.unwrap_or_else(|| search.scan_s(&choice.sources)),
     };
     let plan = Plan {
         library: library.name.clone(),
@@ -184,8 +181,8 @@ impl PlanSearch<'_> {
         is_dragged.then(|| (self.scan_time)(&self.ids(sources))).flatten()
     }
 
-    fn scan_s(&self, sources: &[usize], drag_s: Option<f64>) -> f64 {
-        sources.iter().map(|&s| self.sources[s].scan_within(drag_s)).fold(0.0, f64::max)
+    fn scan_s(&self, sources: &[usize]) -> f64 {
+        sources.iter().map(|&s| self.sources[s].scan_s).fold(0.0, f64::max)
     }
 
     fn choice(&self, sources: &[usize]) -> SourceChoice {
@@ -267,12 +264,12 @@ impl PlanSearch<'_> {
     }
 
     fn note(&mut self, choice: &SourceChoice, what: &str) {
-        let names = self.ids(&choice.sources);
-        let names: Vec<&str> = names.iter().map(SourceId::as_str).collect();
+        let names = choice.sources.iter().map(|&s| self.sources[s].source.as_str());
+        let names: Vec<&str> = names.collect();
         self.steps.push(format!(
             "{what} {}, {:.1} s of scan: {} of {} right",
             names.join(" + "),
-            self.scan_s(&choice.sources, None),
+            self.scan_s(&choice.sources),
             choice.right,
             self.queries.len()
         ));
@@ -280,17 +277,10 @@ impl PlanSearch<'_> {
 }
 
 impl SourceCost {
-    /// How long a scan must last to record this source, in seconds; `drag_s` limits the drag.
-    fn scan_within(&self, drag_s: Option<f64>) -> f64 {
-        match (self.phase, drag_s) {
-            (Phase::Drag, Some(drag_s)) => drag_s.min(self.scan_s),
-            _ => self.scan_s,
-        }
-    }
-
-    /// The scan time in seconds, and the number of values to process.
+    /// The scan time in seconds, where `drag_s` limits a drag, and the number of values to process.
     fn cost(&self, drag_s: Option<f64>) -> (f64, f64) {
-        let scan_s = self.scan_within(drag_s);
+        let limit_s = drag_s.filter(|_| self.phase == Phase::Drag);
+        let scan_s = limit_s.map_or(self.scan_s, |limit_s| limit_s.min(self.scan_s));
         let is_picture = self.scan_s == 0.0;
         (scan_s, if is_picture { self.values } else { self.values * scan_s / self.scan_s })
     }
@@ -321,12 +311,22 @@ fn study(
     let mut latencies: Vec<Vec<f64>> = vec![Vec::new(); sources.len()];
     for fold in folds {
         let model = run.fit(&fold.library)?;
+        let embedding = model.clone().embedding();
         for &i in &fold.queries {
             let trial = run.recording(i)?;
-            queries.push((trial.key.surface.clone(), by_sources(&run, &model, &trial)?));
+            let query = run.query_of(&model, trial.clone())?.prepared;
+            let named = embedding.clone().map(|model| if_enough(model.by_sources(&query)));
+            queries.push((trial.key.surface.clone(), named.transpose()?.flatten()));
+            // Milliseconds from the raw samples of one source to its answer, if it gives one.
+            let time_alone = |id: &SourceId| {
+                let signals = [(id.clone(), trial.signals.get(id)?.clone())].into();
+                let query = run.query_of(&model, Trial { key: trial.key.clone(), signals }).ok()?;
+                model.rank(&query.prepared).ok()?;
+                Some(query.started.elapsed().as_secs_f64() * 1e3)
+            };
             if queries.len() <= TIMED {
                 for (source, latencies) in sources.iter().zip(&mut latencies) {
-                    latencies.extend(time_alone(&run, &model, &trial, &source.source));
+                    latencies.extend(time_alone(&source.source));
                 }
             }
             progress("trying sources", queries.len(), total);
@@ -349,31 +349,6 @@ fn right(sources: &[SourceCost], queries: &[StudyQuery], chosen: &[usize]) -> us
         named == Some(truth.as_str())
     };
     queries.par_iter().filter(is_right).count()
-}
-
-fn by_sources(
-    run: &Run<'_, '_>,
-    model: &Arc<dyn Model>,
-    trial: &Trial,
-) -> Result<Option<QueryVector>, RecogniseError> {
-    let query = run.query_of(model, trial.clone())?;
-    let embedding = model.clone().embedding();
-    let named = embedding.map(|model| if_enough(model.by_sources(&query.prepared))).transpose();
-    Ok(named?.flatten())
-}
-
-/// Milliseconds from the raw samples of one source to its answer; `None` if it gives no answer.
-fn time_alone(
-    run: &Run<'_, '_>,
-    model: &Arc<dyn Model>,
-    trial: &Trial,
-    id: &SourceId,
-) -> Option<f64> {
-    let signal = trial.signals.get(id)?.clone();
-    let alone = Trial { key: trial.key.clone(), signals: [(id.clone(), signal)].into() };
-    let query = run.query_of(model, alone).ok()?;
-    model.rank(&query.prepared).ok()?;
-    Some(query.started.elapsed().as_secs_f64() * 1e3)
 }
 
 /// The sources that at least one trial has. Scan time and values are measured on the first trial with

@@ -131,15 +131,11 @@ pub fn run(
                         let entries = fold.library.iter().map(|&i| plan.entries[i].clone());
                         let entries =
                             change(entries.collect(), level, &mut seed::rng(plan.seed, &key));
-                        let all = Fold {
-                            name: fold.name.clone(),
-                            library: (0..entries.len()).collect(),
-                            queries: Vec::new(),
-                        };
-                        let folds = std::slice::from_ref(&all);
-                        let changed =
-                            Evaluation::new(plan.scene, &entries, folds).prepare(method)?;
-                        let models = Models::fit(&changed, &unknown, fold, &all.library)?;
+                        let (name, library) = (fold.name.clone(), (0..entries.len()).collect());
+                        let all = [Fold { name, library, queries: Vec::new() }];
+                        let changed = Evaluation::new(plan.scene, &entries, &all);
+                        let changed = changed.prepare(method)?;
+                        let models = Models::fit(&changed, &unknown, fold, &all[0].library)?;
                         models.answers(&changed, plan, &queries, Trial::clone)
                     }
                     _ => models.answers(&run, plan, &queries, |raw| {

@@ -164,9 +164,8 @@ mod tests {
         let method = MethodReport { method: "joint".into(), clean, disturbances };
         assert_eq!(method.fails_first(), ["b"]);
         let table = StressReport { methods: vec![method], ..StressReport::default() }.markdown();
-        assert!(
-            table.contains("| b (unit) | 1 |") && table.contains("| c (unit) | – |"),
-            "{table}"
-        );
+        for row in ["| b (unit) | 1 |", "| c (unit) | – |"] {
+            assert!(table.contains(row), "{table}");
+        }
     }
 }

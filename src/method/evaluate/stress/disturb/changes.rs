@@ -204,24 +204,12 @@ const HUM_HZ: [f64; 3] = [50.0, 100.0, 150.0];
 /// Power of the hum, relative to the power of the red noise.
 const HUM_SHARE: f64 = 0.2;
 
-/// Adds white noise; the level is the ratio of the signal's deviation to the noise's, in dB.
-pub(super) fn white(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
-    add(series, db, rng, |rng, frames, _| {
-        (0..frames).map(|_| f64::from(nearly_normal(rng))).collect()
-    });
+pub(super) fn white(rng: &mut ChaCha8Rng, frames: usize, _: f64) -> Vec<f64> {
+    (0..frames).map(|_| f64::from(nearly_normal(rng))).collect()
 }
 
-/// Adds noise that is strongest at low frequencies, as from handling, cables and drift.
-pub(super) fn red(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
-    add(series, db, rng, red_noise);
-}
-
-/// Adds room noise to the microphone's sources: red noise that swells and fades, and hum.
-pub(super) fn room(_: &SourceSpec, series: &mut Series, db: f64, rng: &mut ChaCha8Rng) {
-    add(series, db, rng, room_noise);
-}
-
-fn red_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
+/// Noise that is strongest at low frequencies, as from handling, cables and drift.
+pub(super) fn red(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
     let keep = (-TAU * CORNER_HZ / rate_hz).exp();
     let fresh = (1.0 - keep * keep).sqrt();
     let mut state = f64::from(nearly_normal(rng));
@@ -232,8 +220,9 @@ fn red_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
     (0..frames).map(next).collect()
 }
 
-fn room_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
-    let mut noise = red_noise(rng, frames, rate_hz);
+/// Room noise, for the microphone's sources: red noise that swells and fades, and hum.
+pub(super) fn room(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
+    let mut noise = red(rng, frames, rate_hz);
     let (pace, start) = (TAU * SYLLABLES_HZ / rate_hz, TAU * uniform(rng));
     let hum = (2.0 * HUM_SHARE / HUM_HZ.len() as f64).sqrt();
     let phases = HUM_HZ.map(|_| TAU * uniform(rng));
@@ -248,11 +237,11 @@ fn room_noise(rng: &mut ChaCha8Rng, frames: usize, rate_hz: f64) -> Vec<f64> {
 }
 
 /// Adds noise to each channel. The deviation of the noise is `db` dB below that of the channel.
-fn add(
+pub(super) fn add(
     series: &mut Series,
     db: f64,
     rng: &mut ChaCha8Rng,
-    make: impl Fn(&mut ChaCha8Rng, usize, f64) -> Vec<f64>,
+    make: fn(&mut ChaCha8Rng, usize, f64) -> Vec<f64>,
 ) {
     for channel in 0..series.channels() {
         let noise = make(rng, series.frames(), series.rate_hz());

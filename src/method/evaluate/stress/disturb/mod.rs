@@ -23,6 +23,9 @@ pub(crate) type Touches<'a> = &'a dyn Fn(&SourceId) -> Option<&'a SourceSpec>;
 pub enum Kind {
     /// Changes each sample, given the spread of its channel.
     Samples(fn(f64, ChannelSpread, f64) -> f64),
+    /// Adds noise, made for a number of frames at a rate, to each channel. The level is the ratio of the
+    /// signal's deviation to the noise's, in dB.
+    Noise(fn(&mut ChaCha8Rng, usize, f64) -> Vec<f64>),
     Series(fn(&SourceSpec, &mut Series, f64, &mut ChaCha8Rng)),
     /// Changes each picture, given as RGB bytes.
     Pictures(fn(&[u8], f64) -> Vec<u8>),
@@ -39,25 +42,29 @@ pub struct Disturbance {
     pub levels: &'static [f64],
     pub kind: Kind,
     pub touches: fn(&SourceSpec) -> bool,
-    /// The disturbance makes sense only if it touches at least this many sources.
-    pub fewest: usize,
 }
 
-/// The axis of levels that count sources.
 const SOURCES: &str = "sources";
 
 #[rustfmt::skip] // One line for each disturbance.
 pub fn all() -> Vec<Disturbance> {
-    use Kind::{Library, Pictures, Samples, Series, Trial};
-    let one = |name, axis, levels, kind, touches| {
-        Disturbance { name, axis, levels, kind, touches, fewest: 1 }
-    };
-    let several = |disturbance: Disturbance| Disturbance { fewest: 2, ..disturbance };
+    use Kind::{Library, Noise, Pictures, Samples, Series, Trial};
+    let one = |name, axis, levels, kind, touches| Disturbance { name, axis, levels, kind, touches };
+    let any = |_: &SourceSpec| true;
+    let drag = |spec: &SourceSpec| spec.phase == Phase::Drag;
+    let sound = |spec: &SourceSpec| spec.sensor == "microphone";
+    let picture = |spec: &SourceSpec| spec.domain == Domain::Image;
+    // A switch, such as the metal detector, is no analog sensor.
+    let sensed = |spec: &SourceSpec| !spec.is_switch();
+    let analog = |spec: &SourceSpec| spec.domain != Domain::Image && !spec.is_switch();
+    let in_time = |spec: &SourceSpec| matches!(spec.domain, Domain::Time { .. }) && !spec.is_switch();
+    let many_channels =
+        |spec: &SourceSpec| spec.domain != Domain::Image && !spec.is_switch() && spec.channels > 1;
     vec![
-        one("white-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], Series(changes::white), analog),
-        one("red-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], Series(changes::red), analog),
+        one("white-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], Noise(changes::white), analog),
+        one("red-noise", "SNR, dB", &[40.0, 30.0, 20.0, 10.0, 0.0], Noise(changes::red), analog),
         one("room-noise", "sound over room, dB", &[30.0, 20.0, 10.0, 3.0, -10.0],
-            Series(changes::room), sound),
+            Noise(changes::room), sound),
         one("gain", "factor", &[1.2, 1.5, 2.0, 4.0, 16.0], Samples(changes::gain), analog),
         one("force", "factor", &[1.2, 1.5, 2.0, 3.0, 6.0], Series(changes::force), analog),
         one("offset", "deviations", &[0.2, 1.0, 3.0, 10.0, 100.0], Samples(changes::offset), analog),
@@ -71,19 +78,17 @@ pub fn all() -> Vec<Disturbance> {
         one("clock-error", "%", &[0.1, 0.5, 2.0, 5.0, 20.0], Series(changes::clock), analog),
         one("short-scan", "s", &[2.0, 1.0, 0.5, 0.25, 0.05], Series(changes::short), drag),
         one("slow-hand", "times closer than T*", &[1.5, 2.0, 4.0, 8.0, 32.0],
-            Series(changes::slow), slow),
-        several(one("dead-sensors", SOURCES, &[1.0, 2.0, 3.0, 4.0, 6.0],
-            Trial(changes::dead), sensed)),
-        several(one("stuck-sensors", SOURCES, &[1.0, 2.0, 3.0, 4.0, 6.0],
-            Trial(changes::stuck), analog)),
+            Series(changes::slow), in_time),
+        one("dead-sensors", SOURCES, &[1.0, 2.0, 3.0, 4.0, 6.0], Trial(changes::dead), sensed),
+        one("stuck-sensors", SOURCES, &[1.0, 2.0, 3.0, 4.0, 6.0], Trial(changes::stuck), analog),
         one("swapped-channels", "channels turned by", &[1.0, 2.0],
             Series(changes::swapped), many_channels),
-        one("darkness", "light", &[0.9, 0.75, 0.5, 0.25, 0.05], Pictures(changes::dark), is_picture),
+        one("darkness", "light", &[0.9, 0.75, 0.5, 0.25, 0.05], Pictures(changes::dark), picture),
         one("white-balance", "red over blue", &[1.05, 1.1, 1.25, 1.5, 3.0],
-            Pictures(changes::tint), is_picture),
+            Pictures(changes::tint), picture),
         one("image-shift", "pixels", &[2.0, 8.0, 32.0, 80.0, 160.0],
-            Pictures(changes::shift), is_picture),
-        one("blur", "pixels", &[1.0, 2.0, 4.0, 10.0, 40.0], Pictures(changes::blur), is_picture),
+            Pictures(changes::shift), picture),
+        one("blur", "pixels", &[1.0, 2.0, 4.0, 10.0, 40.0], Pictures(changes::blur), picture),
         one("stick-slip", "depth", &[0.1, 0.3, 0.6, 0.9, 1.0], Series(changes::stick_slip), drag),
         one("lift-offs", "share of the drag", &[0.02, 0.05, 0.15, 0.4, 0.8],
             Trial(changes::lift_offs), drag),
@@ -97,14 +102,13 @@ pub fn all() -> Vec<Disturbance> {
 }
 
 impl Disturbance {
-    /// The disturbance of these sources; `None` if it changes fewer than [`Self::fewest`]. Levels that
-    /// count sources leave one alone.
+    /// The disturbance of these sources; `None` if it changes none. Levels that count sources leave one
+    /// alone.
     pub fn fitted(self, sources: &[&SourceSpec]) -> Option<Self> {
         let touched = sources.iter().filter(|spec| (self.touches)(spec)).count();
-        let counts = self.axis == SOURCES;
-        let possible =
-            self.levels.iter().filter(|&&level| !counts || level < touched as f64).count();
-        (touched >= self.fewest).then(|| Self { levels: &self.levels[..possible], ..self })
+        let fits = |level: f64| touched > 0 && (self.axis != SOURCES || level < touched as f64);
+        let possible = self.levels.iter().filter(|&&level| fits(level)).count();
+        (possible > 0).then(|| Self { levels: &self.levels[..possible], ..self })
     }
 
     /// A query at a level of this disturbance; unchanged by a disturbance of the library.
@@ -131,6 +135,9 @@ impl Disturbance {
                         }
                     }
                 }
+                (Kind::Noise(make), Signal::Series(series)) => {
+                    changes::add(series, level, &mut rng, make);
+                }
                 (Kind::Series(change), Signal::Series(series)) => {
                     change(spec, series, level, &mut rng);
                 }
@@ -142,40 +149,6 @@ impl Disturbance {
         }
         trial
     }
-}
-
-fn any(_: &SourceSpec) -> bool {
-    true
-}
-
-/// Whether a source is a series of an analog sensor, not of a switch such as the metal detector.
-fn analog(spec: &SourceSpec) -> bool {
-    spec.domain != Domain::Image && !spec.is_switch()
-}
-
-fn sensed(spec: &SourceSpec) -> bool {
-    !spec.is_switch()
-}
-
-fn sound(spec: &SourceSpec) -> bool {
-    spec.sensor == "microphone"
-}
-
-fn drag(spec: &SourceSpec) -> bool {
-    spec.phase == Phase::Drag
-}
-
-/// Whether a source is analog, and is compared as a series in time.
-fn slow(spec: &SourceSpec) -> bool {
-    matches!(spec.domain, Domain::Time { .. }) && !spec.is_switch()
-}
-
-fn many_channels(spec: &SourceSpec) -> bool {
-    analog(spec) && spec.channels > 1
-}
-
-fn is_picture(spec: &SourceSpec) -> bool {
-    spec.domain == Domain::Image
 }
 
 fn to_sample(x: f64) -> f32 {
@@ -278,18 +251,13 @@ mod tests {
     use crate::trial::TrialKey;
 
     fn trial() -> Trial {
-        let small = Parameters {
-            surfaces: 1,
-            trials: 1,
-            users: 0,
-            drag_seconds: 1.0,
-            ..Default::default()
-        };
+        let (surfaces, trials, users) = (1, 1, 0);
+        let small = Parameters { surfaces, trials, users, drag_seconds: 1.0, ..Default::default() };
         synth::library(&small).entries[0].load().unwrap()
     }
 
-    fn disturbed(d: &Disturbance, level: f64, trial: &Trial, scene: &Scene, seed: u64) -> Trial {
-        d.disturbed(trial, level, scene, seed::rng(seed, &[b"test"]))
+    fn disturbed(d: &Disturbance, level: f64, trial: &Trial) -> Trial {
+        d.disturbed(trial, level, &Scene::lmt108(), seed::rng(1, &[b"test"]))
     }
 
     fn named(name: &str) -> Disturbance {
@@ -311,8 +279,8 @@ mod tests {
         let (trial, scene) = (trial(), Scene::lmt108());
         for d in all().into_iter().filter(|d| !matches!(d.kind, Kind::Library(_))) {
             for &level in d.levels {
-                let after = disturbed(&d, level, &trial, &scene, 1);
-                assert_eq!(after, disturbed(&d, level, &trial, &scene, 1), "{}: seeded", d.name);
+                let after = disturbed(&d, level, &trial);
+                assert_eq!(after, disturbed(&d, level, &trial), "{}: seeded", d.name);
                 let mut changed = 0;
                 for (id, signal) in &trial.signals {
                     let spec = scene.get(id.as_str()).unwrap();
@@ -334,9 +302,8 @@ mod tests {
 
     #[test]
     fn white_noise_has_the_level_that_it_says() {
-        let d = named("white-noise");
-        let (trial, scene) = (trial(), Scene::lmt108());
-        let after = disturbed(&d, 20.0, &trial, &scene, 3);
+        let trial = trial();
+        let after = disturbed(&named("white-noise"), 20.0, &trial);
         let (Signal::Series(a), Signal::Series(b)) = (&trial.signals["mi2"], &after.signals["mi2"])
         else {
             panic!("sound is a series");
@@ -349,10 +316,9 @@ mod tests {
 
     #[test]
     fn the_given_number_of_sensors_is_dead_and_one_is_left() {
-        let d = named("dead-sensors");
-        let (trial, scene) = (trial(), Scene::lmt108());
+        let trial = trial();
         for (level, expected) in [(1.0, 1), (3.0, 3), (99.0, 7)] {
-            let after = disturbed(&d, level, &trial, &scene, 4);
+            let after = disturbed(&named("dead-sensors"), level, &trial);
             let dead = trial.signals.iter().filter(|(id, s)| after.signals[*id] != **s).count();
             // The metal detector is never picked, since it is a switch.
             assert!(dead == expected, "{dead} of {expected}");
