@@ -564,9 +564,14 @@ fn what_would_give_wrong_numbers_without_a_word_is_refused_or_said() {
     assert_eq!(import("oak/1.csv", units.as_bytes(), &[]).series("a").rate_hz(), 100.0);
     let heat = table("time,ax,T\n", |i, [x, y, _]| format!("{:.2},{x},{y}", i as f64 / 100.0));
     assert_eq!(import("oak/1.csv", heat.as_bytes(), &[]).series("t").frames(), ROWS);
-    let force =
-        table("ax;force\n", |i, [x, ..]| format!("{};1 234,{}", x.replace('.', ","), i % 10));
-    says(&import("oak/1.csv", force.as_bytes(), rate).said(), &["`force` is left out", "1 234,0"]);
+    let thousands =
+        table("ax;force\n", |i, [x, ..]| format!("{};1 {:03},5", x.replace('.', ","), i));
+    let thousands = import("oak/1.csv", thousands.as_bytes(), rate);
+    assert_eq!(thousands.series("force").samples()[7], 1007.5);
+    let over =
+        table("ax,force\n", |i, [x, ..]| format!("{x},{}", if i < 20 { "2.5" } else { "OVER" }));
+    let over = import("oak/1.csv", over.as_bytes(), rate);
+    says(&over.said(), &["column `force` is left out", "`OVER`"]);
     let slow = timed("time_s", |i| format!("{:.2}", 0.08 * i as f64));
     let slow = import("oak/1.csv", slow.as_bytes(), &[]).series("a");
     assert_eq!((slow.rate_hz(), slow.samples()[2]), (12.5, value(1, 0) as f32));

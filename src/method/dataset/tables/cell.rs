@@ -6,6 +6,9 @@ use super::text::shown;
 const MISSING: &str = "nan na n/a #n/a #nv #div/0! #value! #num! #ref! null none - -- nan(ind) -nan \
                        -nan(ind) 1.#qnan";
 
+/// What may separate thousands, but is no decimal mark.
+const SPACES: [char; 5] = [' ', '\u{a0}', '\u{202f}', '\'', '\u{2019}'];
+
 pub(crate) fn is_missing(cell: &[u8]) -> bool {
     cell.len() < 10
         && (cell.is_empty()
@@ -65,7 +68,13 @@ impl Numbers {
     /// A number with a comma, which is a decimal mark or separates thousands.
     fn grouped(&mut self, cell: &[u8]) -> Result<f64, String> {
         let no_number = || "is not a finite number".to_string();
-        let text = shown(cell).replace('\u{2212}', "-");
+        let mut text = shown(cell).replace('\u{2212}', "-");
+        if let Some(apart) = text.find(SPACES).and_then(|at| text[at..].chars().next()) {
+            let (whole, rest) = text.split_at(text.find([',', '.']).unwrap_or(text.len()));
+            let are_groups =
+                !whole.contains([',', '.']) && by_thousands(&whole.replace(apart, ","));
+            text = are_groups.then(|| whole.replace(apart, "") + rest).ok_or_else(no_number)?;
+        }
         let is_mark = |c: char| c == ',' || c == '.';
         let number = |text: &str| text.parse::<f64>().ok().filter(|number| number.is_finite());
         let (Some(last), true) = (text.rfind(is_mark), text.bytes().any(|b| b.is_ascii_digit()))
@@ -135,6 +144,8 @@ mod tests {
             (b';', &[("0,5", 0.5), ("1.234,5", 1234.5), ("-7", -7.0), ("1,5E-2", 0.015)][..]),
             (b',', &[("0.5", 0.5), ("1,234.5", 1234.5), ("1,234,567", 1_234_567.0), (".5", 0.5)]),
             (b',', &[("0,5", 0.5), ("\u{2212}1,25", -1.25), ("12,345", 12.345)]),
+            (b';', &[("1 234,5", 1234.5), ("-12\u{202f}345", -12345.0), ("0,5", 0.5)]),
+            (b',', &[("1'234.5", 1234.5), ("1'234'567", 1_234_567.0)]),
             (b'\t', &[("+1e3", 1000.0), ("5.", 5.0), ("1,234.5", 1234.5)]),
         ] {
             let mut numbers = Numbers::new(delimiter);
@@ -171,6 +182,8 @@ mod tests {
             (b',', &["0.5g"], "not a finite"),
             (b',', &["inf"], "not a finite"),
             (b';', &["1,2,3"], "not a finite"),
+            (b';', &["1 23"], "not a finite"),
+            (b';', &["1 2 345"], "not a finite"),
             (b';', &["1.2.3"], "not a finite"),
             (b';', &["1e999"], "not a finite"),
         ] {
