@@ -124,7 +124,9 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
         match rises(column) {
             None => {}
             Some(Err(why)) => {
-                unclear = unclear.or(Some(format!("column `{}` {why}", columns[column].name)));
+                let other = if why.contains("--") { "" } else { "; mend it, or give --rate HZ" };
+                unclear =
+                    unclear.or(Some(format!("column `{}` {why}{other}", columns[column].name)));
             }
             Some(Ok((long, rows))) => match found {
                 None => found = Some((column, long)),

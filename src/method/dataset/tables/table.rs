@@ -166,7 +166,7 @@ impl<'a> Table<'a> {
             let apart = usize::from(is_broken && time.is_none() && gathered.groups[at].rows > 0);
             is_broken = false;
             // A gap of unknown length, which cuts the trial.
-            let nothing = vec![f32::NAN; values.len()];
+            let nothing = vec![f32::NAN; apart * values.len()];
             let gap = std::iter::repeat_n(&nothing, apart * (MOST_FILLED + 1));
             for values in gap.chain([&values]) {
                 gathered.push(at, time, values).map_err(|error| {
