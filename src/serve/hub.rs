@@ -266,7 +266,7 @@ impl Hub {
         let inner = &mut *self.lock();
         inner.take(notice);
         if let StationEvent::Enrolled(enrolled) = notice
-            && enrolled.wanted == 0
+            && enrolled.wanted == Some(0)
             && inner.state.library.is_some()
         {
             // If the station is too busy to take this command, the operator can reload later.
