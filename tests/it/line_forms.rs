@@ -249,6 +249,9 @@ fn what_has_two_readings_is_an_error_that_shows_both() {
     let (_, refused) = frames(vec![Column::Place(1)], &repeated(&["0,12,9,81", "0,05,9,80"]));
     let why = refused.unwrap();
     assert!(why.contains("0 | 5 | 9 | 80") && why.contains("0.05 | 9.8"), "{why}");
+    let (_, refused) = frames(vec![Column::Place(1)], &repeated(&["4;1,000"]));
+    let why = refused.unwrap();
+    assert!(why.contains("4 | 1 | 0, or with decimal commas 4 | 1, or with marks"), "{why}");
     let (_, refused) = frames(vec![Column::Place(1)], &repeated(&["1.280,486"]));
     let why = refused.unwrap();
     assert!(why.contains("1.28 | 486") && why.contains("commas 1280.486"), "{why}");

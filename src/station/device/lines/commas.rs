@@ -226,7 +226,7 @@ impl Runs {
         let mut parts = run.split(|byte| *byte == b',');
         let (whole, fraction) = (parts.next().unwrap_or(run), parts.next());
         let is_point = |part: &[u8]| part.contains(&b'.') && !is_grouped(part, b'.', b',');
-        self.pointed |= run.split(|byte| *byte == b',').any(is_point);
+        self.pointed = self.pointed || run.split(|byte| *byte == b',').any(is_point);
         let Some(fraction) = fraction else { return };
         let is_us = is_grouped(run, b',', b'.');
         self.groups += usize::from(is_us);

@@ -94,7 +94,7 @@ impl Form {
     /// Whether points may separate thousands in a line: its column has whole numbers of three
     /// digits and numbers such as `1.234`, and none whose point can only be a decimal point.
     pub(super) fn may_have_thousands(&mut self, cells: &Cells) -> bool {
-        if !self.named && !self.is_alike(cells) {
+        if !self.named && !self.resembles(cells) {
             return false;
         }
         let (mut found, mut hint) = (false, 0);

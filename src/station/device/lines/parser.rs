@@ -339,10 +339,11 @@ impl Reader {
         };
         let kept = (0..line.len()).filter(|at| !group(*at)).map(|at| line[at]);
         let whole = reading(&kept.collect::<Vec<_>>(), false);
-        let mut readings = reading(line, false);
+        let separate = reading(line, false);
+        let mut readings = separate.clone();
         let others = [("decimal commas", reading(line, true)), ("marks of thousands", whole)];
         for (with, other) in others {
-            if !readings.contains(&other) && !other.contains("NaN") {
+            if other != separate && !other.contains("NaN") {
                 readings += &format!(", or with {with} {other}");
             }
         }

@@ -199,6 +199,7 @@ impl Survey {
                 100.0 * self.fitting_share()
             ));
         }
+        remarks.extend(self.unclear.clone().filter(|_| !self.has_decimal_commas()));
         if self.has_decimal_commas() {
             remarks.push("commas are read as decimal commas".into());
         }
