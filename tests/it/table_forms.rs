@@ -577,7 +577,7 @@ fn what_would_give_wrong_numbers_without_a_word_is_refused_or_said() {
     assert_eq!((slow.rate_hz(), slow.samples()[2]), (12.5, value(1, 0) as f32));
     let zone = timed("time", |i| format!("2024-06-12 12:00:{:06.3}+02:00", i as f64 / 10.0));
     let zone = import("oak/1.csv", zone.as_bytes(), &[]);
-    let about = About::read(&zone.library().entries[0].places()[0]).unwrap();
+    let about = About::read(zone.library().entries[0].places()[0]).unwrap();
     assert_eq!(about.started_at.as_deref(), Some("2024-06-12T10:00:00Z"));
     let quoted = table("surface,ax\n", |_, [x, ..]| format!("\"3\"\" pipe\",{x}"));
     let quoted = import("all.csv", quoted.as_bytes(), &["--surface", "surface", "--rate", "9"]);
