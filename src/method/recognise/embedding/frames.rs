@@ -17,7 +17,7 @@ use super::packed::PackedFrames;
 use super::places::Places;
 use super::tiles::PictureTiles;
 use crate::recognise::error::{RecogniseError, of_known_sources};
-use crate::recognise::features::windowed_frames::FrameView;
+use crate::recognise::features::windowed_frames::{FEWEST, FrameView};
 use crate::recognise::follow::LOOK_S;
 use crate::recognise::shape::{LibraryShape, SourceShape};
 use crate::scene::{Phase, Scene, SourceId, SourceSpec};
@@ -31,7 +31,6 @@ const LEAST_POINTS: f64 = 64.0;
 const MOST_OF_TRIAL: f64 = 0.25;
 /// A long frame has this many times as many samples as a short frame.
 const SHORTER: usize = 4;
-const FEWEST: usize = 4;
 /// Most bands in a long frame and in a short frame.
 const BANDS: [usize; 2] = [40, 24];
 /// A band that covers at least this share of all frequencies counts as all of them.
@@ -301,6 +300,9 @@ mod tests {
         let at = |hz| views("mi2", 44_100.0, 211_611, hz);
         assert!(at(48_000.0)[0].comparable(&at(44_100.0)[0]));
         assert_eq!(at(96_000.0)[0].points, 4096);
+        let slow = views("ac", 100.0, 60, 10.0);
+        assert_eq!(slow.each_ref().map(|view| view.points), [4, 4], "no frame is shorter");
+        assert_eq!(slow[1].frames_in(9), 3);
         // Of a telephone, compared up to 4 kHz.
         let mut scene = Scene::lmt108();
         scene = scene.changed(|spec| spec.end_band_at(4000.0));

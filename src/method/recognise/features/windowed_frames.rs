@@ -22,6 +22,9 @@ const POWER_FLOOR: f32 = 1e-14;
 
 const FRAMES_A_TASK: usize = 64;
 
+/// Fewest samples in a frame.
+pub(crate) const FEWEST: usize = 4;
+
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct FrameView {
     /// Number of samples in a frame, L: a power of two.
@@ -58,7 +61,8 @@ impl FrameView {
     /// Frames of about the same duration and with the same bands at another rate. Frames are longer where the
     /// bins would else be wider than a band. Bands above half the rate are left out.
     pub fn at_rate(&self, rate_hz: f64) -> Self {
-        let mut points = (self.points as f64 * rate_hz / self.rate_hz).log2().round().exp2();
+        let points = (self.points as f64 * rate_hz / self.rate_hz).log2().round().exp2();
+        let mut points = points.max(FEWEST as f64);
         loop {
             let bins = self.rate_hz / self.points as f64 / (rate_hz / points);
             let end = points as usize / 2 + 1;
