@@ -1,5 +1,7 @@
 //! Numbers in the cells of a table, with a decimal point or a decimal comma.
 
+use std::borrow::Cow;
+
 use super::text::shown;
 
 /// The texts of a missing value in any letters; an empty cell is one, too.
@@ -84,10 +86,7 @@ impl Numbers {
         if text.matches(is_mark).count() == 1 {
             let value = number(&text.replace(',', ".")).ok_or_else(no_number)?;
             if self.mark.is_none() && self.between_commas && by_thousands(&text) {
-                let joined = text.replace(',', "");
-                return Err(format!(
-                    "may be {value} or {joined}; write numbers without separators of thousands"
-                ));
+                return Err(may_be(&value.to_string(), &text.replace(',', "")));
             }
             self.marked(b',', cell)?;
             return Ok(value);
@@ -110,17 +109,27 @@ impl Numbers {
     }
 }
 
-/// Two cells of a column whose marks are more likely to separate thousands than decimals: `999` and `1,000`,
-/// if all numbers with a mark have groups of three digits, and those without have fewer digits.
-pub(super) fn thousands(cells: &[Vec<u8>]) -> Option<(String, String)> {
+/// Refuses a column whose marks may separate thousands: `999` and `1,000`, if all numbers with a mark have
+/// groups of three digits, and those without have fewer digits. The error continues a sentence that begins
+/// with the column.
+pub(super) fn thousands(cells: &[Vec<u8>]) -> Result<(), String> {
     let texts = cells.iter().filter(|cell| !is_missing(cell)).map(|cell| shown(cell));
     let (marked, plain): (Vec<_>, Vec<_>) = texts.partition(|text| text.contains([',', '.']));
-    let value = |text: &std::borrow::Cow<'_, str>| text.parse::<i64>().ok().map(i64::abs);
+    let value = |text: &Cow<'_, str>| text.parse::<i64>().ok().map(i64::abs);
     let are_short = plain.iter().all(|text| value(text).is_some_and(|value| value < 1000));
     let long = plain.iter().find(|text| value(text).is_some_and(|value| value >= 100));
     let are_grouped = are_short && marked.iter().all(|text| by_thousands(text));
-    let (long, marked) = long.zip(marked.first()).filter(|_| are_grouped)?;
-    Some((long.to_string(), marked.to_string()))
+    match long.zip(marked.first()).filter(|_| are_grouped) {
+        None => Ok(()),
+        Some((long, marked)) => Err(format!(
+            "holds `{long}` and `{marked}`, which {}",
+            may_be(&marked.replace(',', "."), &marked.replace([',', '.'], ""))
+        )),
+    }
+}
+
+fn may_be(decimal: &str, whole: &str) -> String {
+    format!("may be {decimal} or {whole}; write numbers without separators of thousands")
 }
 
 /// Whether one kind of mark separates the digits of a whole number into thousands.
@@ -169,7 +178,7 @@ mod tests {
             (&["999.125", "1000", "1.000"], false),
         ] {
             let cells: Vec<Vec<u8>> = cells.iter().map(|cell| cell.as_bytes().to_vec()).collect();
-            assert_eq!(thousands(&cells).is_some(), expected, "{cells:?}");
+            assert_eq!(thousands(&cells).is_err(), expected, "{cells:?}");
         }
     }
 

@@ -11,10 +11,10 @@ use super::{Clock, Head};
 use crate::scene::SourceId;
 
 /// Names of columns of times: letters and digits alone, in small letters.
-const TIMES: &str = "time t timestamp timestamps ts zeit zeitstempel uhrzeit temps tiempo xvalue elapsed \
-    elapsedtime secondselapsed timeelapsed relativetime epoch unixtime utc datetime date \
-    datum millis micros nanos uptime sec seconds ms us ns milliseconds microseconds nanoseconds timems timeus xaxis sampletime loggingtime systemtime \
-    stamp nanosec nsec nsecs";
+const TIMES: &str = "time t timestamp timestamps ts zeit zeitstempel uhrzeit temps tiempo xvalue \
+    elapsed elapsedtime secondselapsed timeelapsed relativetime epoch unixtime utc datetime date \
+    datum millis micros nanos uptime sec seconds ms us ns milliseconds microseconds nanoseconds \
+    timems timeus xaxis sampletime loggingtime systemtime stamp nanosec nsec nsecs";
 
 /// Names of columns that count rows.
 const COUNTERS: &str = "index idx sample samples samplenumber sampleno count counter nr no seq sequence row \
@@ -103,7 +103,7 @@ pub(super) fn stamps(
 /// times of different lengths, or have several readings.
 pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option<String>, String> {
     let columns = &head.layout.columns;
-    let rises = |column: usize| -> Option<Result<(f64, usize), String>> {
+    let rises = |column: usize| -> Option<Result<(Stamps, f64, usize), String>> {
         let cells = head.cells(column);
         let stamps = match stamps(head, column, unit_s, from_1904) {
             Ok((stamps, _)) => stamps,
@@ -115,8 +115,11 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
         let steps = times.windows(2).map(|two| two[1].saturating_sub(two[0]).max(0) as f64);
         let long: f64 = steps.sum();
         // Each trial of a long table may begin anew.
-        (times.len() > 1 && back * 5 <= times.len() && long > 0.0)
-            .then_some(Ok((long / 1e9, times.len())))
+        (times.len() > 1 && back * 5 <= times.len() && long > 0.0).then_some(Ok((
+            stamps,
+            long / 1e9,
+            times.len(),
+        )))
     };
     let named = (0..columns.len()).filter(|column| is_time(columns, *column));
     let (mut found, mut unclear) = (None::<(usize, f64)>, None);
@@ -128,7 +131,7 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
                 unclear =
                     unclear.or(Some(format!("column `{}` {why}{other}", columns[column].name)));
             }
-            Some(Ok((long, rows))) => match found {
+            Some(Ok((_, long, rows))) => match found {
                 None => found = Some((column, long)),
                 Some((first, other)) if (long / other - 1.0).abs() > 0.05 + 2.0 / rows as f64 => {
                     return Err(format!(
@@ -142,14 +145,10 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
         }
     }
     let by_value = || {
-        (0..columns.len()).find(|column| {
-            let stamps = stamps(head, *column, unit_s, from_1904);
-            let is_when = stamps.is_ok_and(|(stamps, _)| match stamps {
-                Stamps::Numbers { since_1970, .. } => since_1970,
-                Stamps::Dates { .. } | Stamps::Clock { .. } => true,
-                Stamps::Days { .. } => false,
-            });
-            is_when && matches!(rises(*column), Some(Ok(_)))
+        (0..columns.len()).find(|column| match rises(*column) {
+            Some(Ok((Stamps::Numbers { since_1970, .. }, ..))) => since_1970,
+            Some(Ok((Stamps::Dates { .. } | Stamps::Clock { .. }, ..))) => true,
+            _ => false,
         })
     };
     match (found.map(|(column, _)| column).or_else(by_value), unclear) {
@@ -188,10 +187,8 @@ pub fn sources(
         let (base, name) = (plain(&column.base), &column.name);
         let cells = head.cells(at);
         if !column.is_numeric {
-            let numbers = |cell: &&Vec<u8>| {
-                !is_missing(cell) && Numbers::new(layout.delimiter).read(cell).is_err()
-            };
-            notes.extend(cells.iter().find(numbers).map(|cell| {
+            let is_other = |cell: &&Vec<u8>| Numbers::new(layout.delimiter).read(cell).is_err();
+            notes.extend(cells.iter().find(is_other).map(|cell| {
                 let cell = shown(cell);
                 format!(
                     "column `{name}` is left out, since most of its cells are no numbers: `{cell}`"

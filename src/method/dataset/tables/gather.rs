@@ -20,6 +20,8 @@ pub(crate) struct Rows {
 #[derive(Debug)]
 pub(crate) struct Group {
     pub key: TrialKey,
+    /// The trial as the table's first row of it writes it.
+    pub trial: Option<String>,
     /// Number of rows, on disk and in memory.
     pub rows: usize,
     pub last_time: Option<i64>,
@@ -57,6 +59,7 @@ impl<'a> Gathered<'a> {
         }
         self.groups.push(Group {
             key,
+            trial: None,
             rows: 0,
             last_time: None,
             offset: 0,

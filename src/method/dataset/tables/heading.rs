@@ -94,28 +94,24 @@ impl Names {
                     "line {line} names {found}, but the rows have {width}; {advice}"
                 ));
             }
+            let upper = || {
+                let is_upper = |other: &&HeadLine| other.number < line.number;
+                above.iter().filter(is_upper).filter(|other| other.cells.len() == width)
+            };
             // Below the name of a time, a unit of time begins a row of units, known or not.
             let has_time = line.cells.len() == width
                 && stamp::unit_ns(bare(&cells[0])).is_some()
-                && above.iter().any(|other| {
-                    other.number < line.number
-                        && other.cells.len() == width
-                        && is_time_name(&shown(&other.cells[0]))
-                });
+                && upper().any(|other| is_time_name(&shown(&other.cells[0])));
             let is_unit = |cell: &String| has_time || cell.is_empty() || is_unit(bare(cell));
             if names.units.is_none()
                 && names.rows.is_empty()
                 && written > 0
                 && cells.iter().all(is_unit)
+                && upper().next().is_some()
             {
-                let above_it = above
-                    .iter()
-                    .any(|other| other.number < line.number && other.cells.len() == width);
-                if above_it {
-                    names.units = Some(cells.iter().map(|cell| bare(cell).to_string()).collect());
-                    names.at = line.number;
-                    continue;
-                }
+                names.units = Some(cells.iter().map(|cell| bare(cell).to_string()).collect());
+                names.at = line.number;
+                continue;
             }
             names.at = names.at.max(line.number);
             names.rows.insert(0, cells);

@@ -12,6 +12,7 @@ mod cell;
 #[doc(hidden)]
 pub mod columns;
 mod gather;
+mod grid;
 mod heading;
 mod layout;
 mod mat;
@@ -249,16 +250,15 @@ fn give(
     said: &mut Said,
     on: OnRead<'_>,
 ) -> Result<(), LibraryError> {
-    let width = form.columns().len();
-    let widest = form.sources.iter().map(|(_, columns)| columns.len()).max().unwrap_or(0);
-    let samples = rows.values.len() / width.max(1);
-    let turned = (widest > MOST_TURNED && samples < widest).then(|| {
-        format!(
+    let (columns, widest) = (form.columns(), form.widest());
+    let samples = rows.values.len() / columns.len().max(1);
+    let mended = match widest > MOST_TURNED && samples < widest {
+        false => mend(rows, &columns, form.rate_hz(), form.gaps),
+        true => Err(format!(
             "has {samples} rows of {widest} channels; expected a row for each sample: if each row is a \
              channel or a trial, turn the table, or save it as .npy"
-        )
-    });
-    let mended = turned.map_or_else(|| mend(rows, &form.columns(), form.rate_hz(), form.gaps), Err);
+        )),
+    };
     let mended = match mended {
         Ok(mended) => mended,
         Err(problem) => {
@@ -321,6 +321,11 @@ impl Form {
             }
         };
         session.as_deref().map(session_name).transpose()
+    }
+
+    /// The number of channels of the source with the most.
+    fn widest(&self) -> usize {
+        self.sources.iter().map(|(_, columns)| columns.len()).max().unwrap_or(1)
     }
 
     fn columns(&self) -> Vec<String> {

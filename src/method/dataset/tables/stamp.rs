@@ -45,7 +45,7 @@ impl Stamps {
     ) -> Result<(Self, String), String> {
         let first = cells.iter().find(|cell| !super::cell::is_missing(cell));
         let Some(first) = first else { return Err("holds no times".into()) };
-        if date(first, false).or_else(|| date(first, true)).is_some() {
+        if is_date(first) {
             let reads = |day_first| move |cell: &Vec<u8>| date(cell, day_first).is_some();
             // One day after the twelfth shows it for all.
             let day_first = !cells.iter().all(reads(false)) && cells.iter().all(reads(true));
@@ -144,7 +144,7 @@ pub(crate) fn is_clock(cell: &[u8]) -> bool {
 
 /// Whether a cell holds a date or a time of the day.
 pub(crate) fn is_moment(cell: &[u8]) -> bool {
-    date(cell, false).or_else(|| date(cell, true)).is_some() || is_clock(cell)
+    is_date(cell) || is_clock(cell)
 }
 
 /// A unit of time by its name, or in seconds.
@@ -153,6 +153,10 @@ pub(crate) fn length(unit_ns: f64) -> String {
         Some((names, _)) => names[0].replace("us", "µs"),
         None => format!("{} s", unit_ns / S),
     }
+}
+
+fn is_date(cell: &[u8]) -> bool {
+    [false, true].into_iter().any(|day_first| date(cell, day_first).is_some())
 }
 
 fn in_range(ns: f64) -> Option<i64> {

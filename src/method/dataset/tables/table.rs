@@ -1,5 +1,6 @@
 //! Reads the rows of a table, in text or Parquet, into a group for each trial.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use super::cell::{Numbers, thousands};
@@ -40,14 +41,7 @@ impl<'a> Table<'a> {
         let values =
             columns.iter().map(|name| layout.column(name)).collect::<Result<Vec<_>, _>>()?;
         for (number, (&at, name)) in values.iter().zip(&columns).enumerate() {
-            if let Some((shorter, marked)) = thousands(&head.cells(at)) {
-                return Err(format!(
-                    "column `{name}` holds `{shorter}` and `{marked}`, which may be {} or {}; write \
-                     numbers without separators of thousands",
-                    marked.replace(',', "."),
-                    marked.replace([',', '.'], "")
-                ));
-            }
+            thousands(&head.cells(at)).map_err(|problem| format!("column `{name}` {problem}"))?;
             let (own, first) = (&layout.columns[at].unit, form.units.get(number));
             if first.is_some_and(|first| first != own) {
                 let [own, first] = [Some(own), first]
@@ -77,13 +71,11 @@ impl<'a> Table<'a> {
             })?,
         };
         of_name[3] = form.session_of(path)?;
-        let widest = form.sources.iter().map(|(_, columns)| columns.len()).max().unwrap_or(1);
+        let widest = form.widest();
         let layout = &self.head.layout;
         let mut numbers = Numbers::new(layout.delimiter);
         let mut values = vec![0.0; self.values.len()];
         let (mut label, mut known, mut at) = (Vec::new(), None::<Vec<u8>>, 0);
-        // The trial of each group as its first row writes it.
-        let mut trials: Vec<String> = Vec::new();
         let is_bare = self.stamps.is_none() && self.labels == [None; 4];
         // Whether the next row does not follow the one before it in its trial.
         let mut is_broken = false;
@@ -97,12 +89,13 @@ impl<'a> Table<'a> {
             let are_names = there && text == self.head.names.as_slice();
             is_broken |= are_names;
             // Where nothing else tells that a sample is missing, a row of empty cells does.
-            let is_empty = is_bare
-                && line >= layout.first
-                && cells.len() == layout.columns.len()
-                && cells.len() > 1
-                && cells.iter().all(|cell| cell.is_empty());
-            if are_names || !there && !is_empty {
+            let is_empty = || {
+                is_bare
+                    && cells.len() == layout.columns.len()
+                    && cells.len() > 1
+                    && cells.iter().all(|cell| cell.is_empty())
+            };
+            if are_names || !there && !is_empty() {
                 list = reused(cells);
                 continue;
             }
@@ -119,7 +112,7 @@ impl<'a> Table<'a> {
                         let key = key.map_err(|problem| format!("line {line}: {problem}"))?;
                         let at = gathered.group(key);
                         let trial = self.labels[2].map(|column| shown(cells[column]));
-                        same_trial(&mut trials, at, trial.unwrap_or_default().into_owned())
+                        same_trial(&mut gathered.groups[at], trial.unwrap_or_default())
                             .map_err(|problem| format!("line {line}: {problem}"))?;
                         gathered.places.insert(label.clone(), at);
                         at
@@ -163,16 +156,17 @@ impl<'a> Table<'a> {
                     format!("line {line}, column `{name}`: `{cell}` {problem}")
                 })? as f32;
             }
-            let apart = usize::from(is_broken && time.is_none() && gathered.groups[at].rows > 0);
-            is_broken = false;
-            // A gap of unknown length, which cuts the trial.
-            let nothing = vec![f32::NAN; apart * values.len()];
-            let gap = std::iter::repeat_n(&nothing, apart * (MOST_FILLED + 1));
-            for values in gap.chain([&values]) {
-                gathered.push(at, time, values).map_err(|error| {
-                    format!("line {line}: cannot keep its rows in {}: {error}", scratch.display())
-                })?;
+            let full = |error| {
+                format!("line {line}: cannot keep its rows in {}: {error}", scratch.display())
+            };
+            if std::mem::take(&mut is_broken) && time.is_none() && gathered.groups[at].rows > 0 {
+                // A gap of unknown length, which cuts the trial.
+                let nothing = vec![f32::NAN; values.len()];
+                for _ in 0..=MOST_FILLED {
+                    gathered.push(at, None, &nothing).map_err(full)?;
+                }
             }
+            gathered.push(at, time, &values).map_err(full)?;
             list = reused(cells);
         }
         match gathered.groups.is_empty() {
@@ -201,21 +195,17 @@ impl<'a> Table<'a> {
     }
 }
 
-/// Remembers how a new group's trial is written; refuses another text for the trial of a known group, unless
+/// Remembers how the trial of a new group is written; refuses another text for that of a known group, unless
 /// both are the same number.
-fn same_trial(trials: &mut Vec<String>, group: usize, text: String) -> Result<(), String> {
+fn same_trial(group: &mut Group, text: Cow<'_, str>) -> Result<(), String> {
     let number = |text: &str| text.replace(',', ".").parse::<f64>().ok();
-    match trials.get(group) {
-        None => trials.push(text),
-        Some(known)
-            if *known == text || number(&text).is_some_and(|n| number(known) == Some(n)) => {}
-        Some(known) => {
-            return Err(format!(
-                "the trials `{known}` and `{text}` end with one number; give each a number of its own"
-            ));
-        }
+    let known = group.trial.get_or_insert_with(|| text.to_string());
+    if *known == text || number(&text).is_some_and(|n| number(known) == Some(n)) {
+        return Ok(());
     }
-    Ok(())
+    Err(format!(
+        "the trials `{known}` and `{text}` end with one number; give each a number of its own"
+    ))
 }
 
 /// An empty list in the memory of another one, for cells of the next line.
