@@ -164,7 +164,7 @@ def check(browser, station, shots):
     shots_of(browser, shots, "long-scan")
     close(browser, "scan")
 
-    browser.click("#shelf-open")
+    browser.open_library()
     browser.click("#check")
     browser.wait("the check", lambda: browser.run("return document.getElementById('shelf').dataset.check") == "done")
     browser.run("document.querySelectorAll('#shelf details').forEach(d => d.open = true)")

@@ -146,7 +146,7 @@ def an_operator_is_offered_what_is_allowed(browser, station, shots):
     assert not seen(browser, "keep-form")
     browser.keys("\ue00c")
     browser.wait("the page", lambda: not browser.run("return document.getElementById('scan').open"))
-    browser.click("#shelf-open")
+    browser.open_library()
     browser.wait("the trials", lambda: browser.run("return document.querySelectorAll('#shelf-trials tbody tr').length > 4"))
     assert not seen(browser, "check") and not browser.run("return document.querySelector('.acts button').checkVisibility()")
     browser.accessible("an operator's library")

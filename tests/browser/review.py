@@ -145,7 +145,7 @@ def a_wrong_answer_is_corrected(browser, station, shots):
 
 def the_library_is_checked_and_mended(browser, station, shots, wrong):
     """Finds the trial with the wrong label, removes it, sees the verdicts change, and takes it back."""
-    browser.click("#shelf-open")
+    browser.open_library()
     state = lambda: browser.run("return document.getElementById('shelf').dataset.check")
     browser.wait("the trials", lambda: browser.run("return document.querySelectorAll('#shelf-trials tbody tr').length") > 12)
     browser.click("#check")

@@ -85,6 +85,11 @@ class Browser:
     def click(self, selector):
         self.call("POST", f"{self.session}/element/{self.element(selector)}/click")
 
+    def open_library(self):
+        """Clicks until the library's dialogue is open: scans arrive and move the page, so a click may miss."""
+        shown = lambda: self.run("return document.getElementById('shelf').open")
+        self.wait("the library", lambda: shown() or self.click("#shelf-open"))
+
     def type(self, selector, text):
         self.call("POST", f"{self.session}/element/{self.element(selector)}/value", {"text": text})
 
