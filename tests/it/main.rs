@@ -7,6 +7,7 @@ mod bench;
 mod common;
 
 mod answers;
+mod array_forms;
 mod bad_input;
 mod chart;
 mod commands;
@@ -62,4 +63,5 @@ mod station_config;
 mod stress;
 mod synth;
 mod t_star;
+mod table_doubts;
 mod table_forms;

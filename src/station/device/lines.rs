@@ -11,6 +11,8 @@ mod commas;
 mod form;
 mod intake;
 mod lateness;
+mod layout;
+mod numbers;
 mod parser;
 mod survey;
 mod swaps;
@@ -31,7 +33,8 @@ use crate::ring::Sink;
 use address::{Drops, OpenLine, put_back};
 
 pub use address::LinesAddress;
-pub use intake::{Column, Count, LinesEvent, LinesIntake, LinesStream};
+pub use intake::{LinesEvent, LinesIntake};
+pub use layout::{Column, Count, LinesStream};
 pub use survey::{ColumnSurvey, SURVEY_S, Survey};
 
 use intake::GARBAGE;
@@ -366,7 +369,7 @@ impl Work<'_> {
         let off = (seen_hz - rate_hz).abs() > (PACE * rate_hz).max(least_hz);
         self.measure_from(now);
         if off && !self.off_pace {
-            let seen_hz = intake::rounded(seen_hz, 3);
+            let seen_hz = clocks::rounded(seen_hz, 3);
             let text = format!(
                 "its rate is {seen_hz} Hz, but {rate_hz} Hz are expected, so scans are recorded at a \
                  wrong rate; say rate_hz = {seen_hz} in its [[lines]] of the configuration"

@@ -35,7 +35,7 @@ pub(crate) enum DetectorEvent {
     /// The drag is over; `end` is the first hop after it. `cut` says that a gap in the data hides
     /// what happened in it, or where it began or ended.
     End { end: u64, cut: bool },
-    /// Contact lasted too long, so it was noise, and the noise floor must be learnt again.
+    /// Contact lasted too long, or it began with noise, so it was no drag.
     NoiseTimeout,
 }
 
@@ -67,12 +67,19 @@ pub(crate) struct Detector {
     gap_at: Option<u64>,
     /// Where the latest gap ended.
     gap_end: Option<u64>,
+    /// The mean levels of the blocks of the contact so far, each with its first hop and its number of
+    /// hops; empty where force holds the contact.
+    blocks: Vec<(u64, f64, u64)>,
+    /// Whether the last event came since the noise at rest has risen: the lowest level within the contact
+    /// is then the new floor.
+    pub rest_rose: bool,
 }
 
 impl Detector {
     pub(crate) fn new(config: DetectorConfig, hop_s: f64) -> Self {
         let state = DetectorState::Quiet { tap: None };
-        Self { config, state, hop_s, hop: 0, gap_at: None, gap_end: None }
+        let (blocks, rest_rose) = (Vec::new(), false);
+        Self { config, state, hop_s, hop: 0, gap_at: None, gap_end: None, blocks, rest_rose }
     }
 
     /// Whether there is contact, during which noise floors are not learnt.
@@ -86,10 +93,12 @@ impl Detector {
     }
 
     /// Takes the level of the next hop, which is the highest level of all streams in this hop;
-    /// `None` for a hop in a gap, which neither begins, holds nor ends a contact.
-    pub(crate) fn hop(&mut self, level: Option<f64>) -> Option<DetectorEvent> {
+    /// `None` for a hop in a gap, which neither begins, holds nor ends a contact. `pressed`: a force
+    /// shows contact in this hop.
+    pub(crate) fn hop(&mut self, level: Option<f64>, pressed: bool) -> Option<DetectorEvent> {
         let at = self.hop;
         self.hop += 1;
+        self.rest_rose = false;
         let (config, hop_s) = (self.config, self.hop_s);
         let lasted = |hops: u64, seconds: f64| hops as f64 * hop_s >= seconds - 1e-9;
         let Some(level) = level else {
@@ -118,11 +127,20 @@ impl Detector {
                     let (tap, start, hops, quiet, is_drag) = (*tap, at, 1, None, false);
                     let contact = Contact { tap, start, hops, quiet, is_drag, cut };
                     self.state = DetectorState::Contact(contact);
+                    self.blocks.clear();
                 }
                 None
             }
             DetectorState::Contact(contact) => {
                 contact.hops += 1;
+                match self.blocks.last_mut() {
+                    _ if pressed => self.blocks.clear(),
+                    Some((_, mean, hops)) if (*hops as f64) < SMOOTH => {
+                        *hops += 1;
+                        *mean += (level - *mean) / *hops as f64;
+                    }
+                    _ => self.blocks.push((at, level, 1)),
+                }
                 contact.cut |= gap_at.is_some();
                 contact.quiet = (level < config.quiet).then(|| match contact.quiet {
                     Some((end, hops)) => (end, hops + 1),
@@ -146,12 +164,47 @@ impl Detector {
                     }
                     _ if is_drag && lasted(hops, config.longest_drag_s) => {
                         self.state = DetectorState::Quiet { tap: None };
+                        self.rest_rose = true;
                         Some(DetectorEvent::NoiseTimeout)
+                    }
+                    _ if is_drag && config.longest_drag_s.is_finite() => {
+                        let event = self.risen_rest(start)?;
+                        self.state = DetectorState::Quiet { tap: None };
+                        self.rest_rose = true;
+                        Some(match event {
+                            DetectorEvent::End { end, .. } => DetectorEvent::End { end, cut },
+                            other => other,
+                        })
                     }
                     _ => None,
                 }
             }
         }
+    }
+
+    /// The end of a contact that does not fall below `quiet`, since the noise at rest has risen: its last
+    /// second is far below what came before. Where it begins like that too, noise began it.
+    fn risen_rest(&self, start: u64) -> Option<DetectorEvent> {
+        let (_, _, hops) = self.blocks.last()?;
+        if (*hops as f64) < SMOOTH {
+            return None;
+        }
+        let blocks = |seconds: f64| ((seconds / (SMOOTH * self.hop_s)).ceil() as usize).max(3);
+        let lowest = self.blocks.iter().map(|(_, mean, _)| *mean).fold(f64::INFINITY, f64::min);
+        let is_rest = |(_, mean, _): &&(u64, f64, u64)| *mean < self.config.quiet * lowest;
+        let resting = self.blocks.iter().rev().take_while(is_rest).count();
+        let loud = self.blocks.iter().filter(|(_, mean, _)| *mean >= self.config.onset * lowest);
+        if resting < blocks(RISEN_REST_S) || loud.count() < blocks(RISEN_DRAG_S) {
+            return None;
+        }
+        let before = self.blocks.iter().take_while(is_rest).count();
+        let (first, ..) = self.blocks[self.blocks.len() - resting];
+        let noise = before >= blocks(self.config.longest_tap_s) || first <= start;
+        Some(if noise {
+            DetectorEvent::NoiseTimeout
+        } else {
+            DetectorEvent::End { end: first, cut: false }
+        })
     }
 
     /// Ends a drag in progress. Called when the streams have ended or stalled.
@@ -205,6 +258,10 @@ const LONGEST_GAP_S: f64 = 3.0;
 const LEAST_VIBRATION: f64 = 2e-4;
 /// Force above the floor at level 1, as a share of full scale.
 const FORCE: f64 = 5e-3;
+/// Seconds of a level far below the contact's own that are rest, and seconds of a drag before them, where
+/// the noise floor may have risen.
+const RISEN_REST_S: f64 = 1.0;
+const RISEN_DRAG_S: f64 = 0.5;
 /// Cut-off frequency in Hz, but at most a quarter of the rate. Vibration lies above it; tilt and
 /// movements of the hand lie below it.
 const HIGH_PASS_HZ: f64 = 20.0;
@@ -229,7 +286,7 @@ pub enum SensorKind {
 
 #[derive(Debug)]
 pub(super) struct StreamLevel {
-    kind: SensorKind,
+    pub kind: SensorKind,
     channels: usize,
     hop_s: f64,
     /// Factor by which the mean `slow` shrinks at each frame, as in a low-pass at the cut-off.
@@ -249,6 +306,15 @@ pub(super) struct StreamLevel {
     hops: u64,
     smooth: f64,
     blocks: VecDeque<f64>,
+    lowest: f64,
+    /// The lowest smoothed mean square during the contact in progress.
+    held: Option<HeldLevel>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct HeldLevel {
+    hops: u64,
+    smooth: f64,
     lowest: f64,
 }
 
@@ -276,6 +342,7 @@ impl StreamLevel {
             smooth: 0.0,
             blocks: VecDeque::new(),
             lowest: f64::INFINITY,
+            held: None,
         }
     }
 
@@ -356,13 +423,33 @@ impl StreamLevel {
         self.blocks.clear();
     }
 
+    /// Makes the lowest level of the contact that just ended the floor.
+    pub(super) fn adopt_lowest(&mut self) {
+        match self.held.take().filter(|held| held.lowest.is_finite()) {
+            Some(HeldLevel { lowest, .. }) => {
+                self.blocks.clear();
+                (self.smooth, self.lowest) = (lowest, lowest);
+            }
+            None => self.relearn(),
+        }
+    }
+
     fn hops_in(&self, seconds: f64) -> f64 {
         (seconds / self.hop_s).round()
     }
 
     fn learn(&mut self, mean: f64, held: bool) {
         let block = self.hops_in(BLOCK_S).max(1.0) as u64;
-        if !held {
+        if held {
+            let new = HeldLevel { hops: 0, smooth: 0.0, lowest: f64::INFINITY };
+            let held = self.held.get_or_insert(new);
+            held.hops += 1;
+            held.smooth += (mean - held.smooth) / SMOOTH.min(held.hops as f64);
+            if held.hops as f64 >= SMOOTH {
+                held.lowest = held.lowest.min(held.smooth);
+            }
+        } else {
+            self.held = None;
             self.hops += 1;
             // Begins with a plain mean, so that the first hop weighs no more than any other.
             self.smooth += (mean - self.smooth) / SMOOTH.min(self.hops as f64);

@@ -133,7 +133,7 @@ impl DeviceGroup {
                 break;
             }
             let held = self.detector.in_contact();
-            let mut highest: Option<f64> = None;
+            let (mut highest, mut pressed) = (None::<f64>, false);
             for (at, level) in &mut self.channels {
                 let new = match alive(*at).map(|stream| &stream.buffer) {
                     Some(StreamBuffer::Series { history, .. }) => {
@@ -145,6 +145,8 @@ impl DeviceGroup {
                 };
                 highest =
                     new.map_or(highest, |x| Some(highest.map_or(x, |highest| highest.max(x))));
+                let quiet = self.detector.config.quiet;
+                pressed |= level.kind == SensorKind::Force && new.is_some_and(|x| x >= quiet);
             }
             self.next = span.end;
             self.levels.push_back(highest);
@@ -152,9 +154,9 @@ impl DeviceGroup {
                 self.levels.pop_front();
                 self.first += 1;
             }
-            let event = self.detector.hop(highest);
-            if event == Some(DetectorEvent::NoiseTimeout) {
-                self.channels.iter_mut().for_each(|(_, level)| level.relearn());
+            let event = self.detector.hop(highest, pressed);
+            if self.detector.rest_rose {
+                self.channels.iter_mut().for_each(|(_, level)| level.adopt_lowest());
             }
             events.extend(event);
         }

@@ -94,3 +94,9 @@ impl Steps {
         }
     }
 }
+
+/// A rate with this number of digits.
+pub(super) fn rounded(rate_hz: f64, digits: i32) -> f64 {
+    let unit = 10_f64.powi(digits - 1 - rate_hz.max(1e-3).log10().floor() as i32);
+    (rate_hz * unit).round() / unit
+}

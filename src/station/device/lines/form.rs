@@ -3,7 +3,8 @@
 //! Lines without names fit if all that stands between their numbers is alike. Lines with names
 //! (`ax:0.5`) fit by the names alone, in any order; several lines may make one row.
 
-use super::cells::{Cell, Cells, FRACTION, GROUPED, Kind, LEAD, MOST_CELLS, WHOLE};
+use super::cells::{Cell, Cells, Kind, LEAD, MOST_CELLS};
+use super::numbers::{FRACTION, GROUPED, WHOLE};
 
 /// Number of lines after which other lines replace a form that has lasted.
 pub(super) const CHANGED: u32 = 20;

@@ -7,10 +7,10 @@
 //! indexes keep time.
 
 use super::lateness::{Lateness, RowClock};
-use super::parser::{Line, LineParser, header_of};
+use super::layout::{Column, Count, Layout, LinesStream};
+use super::parser::{Line, LineParser, header_of, shown};
 use super::swaps::Swaps;
 use crate::device::serial::{ErrorCounts, LEAST_RESTART_S, gap};
-use crate::scene::SourceId;
 
 /// Seconds of silence, and its least number of rows, from which frames may be missing, if no column
 /// tells their number.
@@ -33,29 +33,6 @@ const CLOCK_WRAPS: [f64; 2] = [65_536.0, 4_294_967_296.0];
 const DECIMAL_WRAPS: [f64; 5] = [100.0, 1000.0, 10_000.0, 99_999.0, 100_000.0];
 /// Highest power of two at which a counter may begin again; an f64 holds all numbers up to it.
 const MOST_BITS: i32 = 53;
-
-/// A column, given by its place (counted from 1) or by its name in the header.
-#[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
-#[serde(untagged)]
-pub enum Column {
-    Place(usize),
-    Name(String),
-}
-
-#[derive(Clone, Debug, PartialEq)]
-pub enum Count {
-    Rows(Column),
-    Micros(Column),
-}
-
-#[derive(Clone, Debug, PartialEq)]
-pub struct LinesStream {
-    pub id: SourceId,
-    /// The columns that are the stream's channels; at least one.
-    pub columns: Vec<Column>,
-    /// Factor that scales the stream's values to about ±1; `None` to measure the factor.
-    pub scale: Option<f64>,
-}
 
 /// Errors in lines and frames, which are counted by these texts.
 pub(super) const GARBAGE: &str = "lines held no numbers";
@@ -96,25 +73,6 @@ impl Examples {
             self.next.push(format!("{why}, for example `{}`", shown(text)));
         }
     }
-}
-
-/// A line as text, cut to what a message can hold.
-pub(super) fn shown(line: &[u8]) -> String {
-    const LONGEST: usize = 120;
-    let text = String::from_utf8_lossy(line);
-    let mut short: String = text.chars().take(LONGEST).collect();
-    if short.len() < text.len() {
-        short.push('…');
-    }
-    short
-}
-
-#[derive(Debug)]
-struct Layout {
-    width: usize,
-    /// For each stream: its columns (counted from 0), and its factor.
-    picks: Vec<(Vec<usize>, f32)>,
-    count: Option<usize>,
 }
 
 /// Rows that are held back, since it is not clear yet how many were lost before them.
@@ -233,10 +191,7 @@ impl LinesIntake {
         // Only a header after a silence is a restart, since some programs repeat their header.
         let restarted = self.rows > 0 && now_s - self.last_s >= RESTART_S;
         self.errors.add(RESTARTS, u64::from(restarted));
-        let count = match &self.count {
-            Some(Count::Rows(column) | Count::Micros(column)) => Some(column),
-            None => None,
-        };
+        let count = self.count.as_ref().map(Count::column);
         let columns = || self.streams.iter().flat_map(|s| &s.columns).chain(count);
         let known = |name: &String| {
             self.names.contains(name)
@@ -381,7 +336,7 @@ impl LinesIntake {
         on: &mut impl FnMut(LinesEvent<'_>),
     ) {
         if self.layout.as_ref().is_none_or(|layout| layout.width != row.len()) {
-            match self.lay_out(row.len()) {
+            match Layout::new(&self.streams, self.count.as_ref(), &self.names, row.len()) {
                 Ok(layout) => {
                     self.errors.add(CHANGES, u64::from(self.layout.is_some()));
                     self.layout = Some(layout);
@@ -502,46 +457,6 @@ impl LinesIntake {
         self.clock.as_ref()?.measured_hz
     }
 
-    fn lay_out(&self, width: usize) -> Result<Layout, String> {
-        let named = self.names.len() == width;
-        let place = |column: &Column| match column {
-            Column::Place(place @ 1..) if *place <= width => Ok(place - 1),
-            Column::Place(place) => Err(format!(
-                "a line has {width} columns, and the configuration wants number {place}"
-            )),
-            Column::Name(name) => {
-                let mut all = (0..self.names.len()).filter(|at| self.names[*at] == *name);
-                let (at, twice) = (all.next(), all.next());
-                if let (true, Some(at), Some(twice)) = (named, at, twice) {
-                    let (one, two) = (at + 1, twice + 1);
-                    return Err(format!(
-                        "columns {one} and {two} are both called {name}; give the place of the one \
-                         that is meant in the configuration"
-                    ));
-                }
-                at.filter(|_| named).ok_or_else(|| {
-                    let known = match named {
-                        true => format!("they are called {}", self.names.join(", ")),
-                        false => "no header has named them; reset the device, or give their \
-                                  places in the configuration"
-                            .into(),
-                    };
-                    format!("no column is called {name}: {known}")
-                })
-            }
-        };
-        let picks = |stream: &LinesStream| {
-            let columns = stream.columns.iter().map(place).collect::<Result<Vec<_>, _>>()?;
-            Ok::<_, String>((columns, stream.scale.unwrap_or(1.0) as f32))
-        };
-        let picks = self.streams.iter().map(picks).collect::<Result<_, _>>()?;
-        let count = match &self.count {
-            Some(Count::Rows(column) | Count::Micros(column)) => Some(place(column)?),
-            None => None,
-        };
-        Ok(Layout { width, picks, count })
-    }
-
     /// The name of a column (counted from 0), or its place.
     fn called(&self, column: usize) -> String {
         match self.names.get(column) {
@@ -570,11 +485,6 @@ impl LinesIntake {
              held; check what the device prints (or has the sensor been turned?)"
         ))
     }
-}
-
-pub(super) fn rounded(rate_hz: f64, digits: i32) -> f64 {
-    let unit = 10_f64.powi(digits - 1 - rate_hz.max(1e-3).log10().floor() as i32);
-    (rate_hz * unit).round() / unit
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! Finds out what an undescribed device sends: its columns, their ranges, the rate, and which
 //! columns count rows, tell the time or never change. Does no I/O and has no clock.
 
-use super::clocks::{FEWEST, MICROS, ROWS, Steps};
-use super::intake::{Column, Count, LinesStream, rounded, shown};
-use super::parser::{Line, LineParser, no_form};
+use super::clocks::{FEWEST, MICROS, ROWS, Steps, rounded};
+use super::layout::{Column, Count, LinesStream};
+use super::parser::{Line, LineParser, no_form, shown};
 use crate::scene::SourceId;
 
 pub const SURVEY_S: f64 = 3.0;

@@ -40,9 +40,10 @@ fn find(
         let frames = &samples[begin(hop)..begin(hop + 1)];
         let x = level.hop(frames, [], detector.in_contact());
         levels.extend(x);
-        let event = detector.hop(x);
-        if event == Some(DetectorEvent::NoiseTimeout) {
-            level.relearn();
+        let pressed = kind == SensorKind::Force && x >= Some(detector.config.quiet);
+        let event = detector.hop(x, pressed);
+        if detector.rest_rose {
+            level.adopt_lowest();
         }
         found.extend(event);
     }
@@ -124,6 +125,56 @@ fn noise_alone_is_nothing_and_a_louder_room_is_learnt() {
 }
 
 #[test]
+fn drags_end_and_are_apart_where_the_noise_at_rest_has_risen() {
+    // Rest of 0.004, drags of 2 s, and rests of 1.5 s that are louder than at the begin, or that follow
+    // constant values.
+    let run = |begin: f32, risen_s: usize| {
+        let seed = &mut 11;
+        let frames = |seconds: usize| seconds * 400;
+        let mut samples = noise(3 * frames(3), begin, seed);
+        samples.extend(noise(3 * frames(risen_s), 0.016, seed));
+        for _ in 0..4 {
+            samples.extend(noise(3 * frames(2), 0.3, seed));
+            samples.extend(noise(3 * 600, 0.016, seed));
+        }
+        find(SensorKind::Vibration, 3, 400.0, &samples).1
+    };
+    let lengths = |found: &[DetectorEvent]| {
+        let (mut lengths, mut start) = (Vec::new(), 0);
+        for event in found {
+            match event {
+                DetectorEvent::Drag { start: at, .. } => start = *at,
+                DetectorEvent::End { end, cut: false } => lengths.push(end - start),
+                _ => lengths.push(0),
+            }
+        }
+        lengths
+    };
+    for (begin, risen_s) in [(0.004, 1), (0.004, 12), (0.0, 0), (0.0, 3), (0.002, 2)] {
+        let found = lengths(&run(begin, risen_s));
+        // At most the first drag is given up, with the noise before it.
+        let (first, rest) = found.split_first().unwrap();
+        let whole = |hops: &u64| (400..=420).contains(hops);
+        assert!((*first == 0 || whole(first)) && rest.len() == 3, "{begin}, {risen_s}: {found:?}");
+        assert!(rest.iter().all(whole), "{begin}, {risen_s}: {found:?}");
+    }
+}
+
+#[test]
+fn a_soft_drag_after_a_bump_or_a_loud_part_is_one_drag() {
+    let level = |hop: u64| match hop {
+        100..=110 => 80.0,
+        111..=300 => 60.0,
+        301..=360 => 9.0,
+        361..=700 => 30.0,
+        _ => 1.0,
+    };
+    let mut detector = detector();
+    let found: Vec<_> = (0..1000).filter_map(|hop| detector.hop(Some(level(hop)), false)).collect();
+    assert_eq!(found, drag(None, 100, 701, false));
+}
+
+#[test]
 fn a_pause_within_the_drag_does_not_end_it_and_a_long_one_does() {
     let level = |hop: u64| match hop {
         100..=109 => 20.0,
@@ -133,7 +184,7 @@ fn a_pause_within_the_drag_does_not_end_it_and_a_long_one_does() {
         _ => 1.0,
     };
     let mut detector = detector();
-    let found: Vec<_> = (0..1000).filter_map(|hop| detector.hop(Some(level(hop)))).collect();
+    let found: Vec<_> = (0..1000).filter_map(|hop| detector.hop(Some(level(hop)), false)).collect();
     assert_eq!(found, drag(Some((100, 110)), 200, 650, false));
 }
 
@@ -143,7 +194,7 @@ fn a_tap_long_ago_belongs_to_no_drag_and_the_last_of_two_taps_does() {
         let mut detector = detector();
         let on = |hop: u64| taps.iter().any(|t| (*t..t + 8).contains(&hop)) || hop >= drag;
         let found: Vec<_> = (0..drag + 100)
-            .filter_map(|hop| detector.hop(Some(if on(hop) { 9.0 } else { 0.0 })))
+            .filter_map(|hop| detector.hop(Some(if on(hop) { 9.0 } else { 0.0 }), false))
             .collect();
         found[0]
     };
@@ -245,7 +296,9 @@ fn slow_streams_at_rest_have_no_drag() {
 fn with_gap(gap: std::ops::Range<u64>) -> Vec<DetectorEvent> {
     let mut detector = detector();
     let level = |hop: u64| if (100..300).contains(&hop) { 9.0 } else { 1.0 };
-    (0..1500).filter_map(|hop| detector.hop((!gap.contains(&hop)).then(|| level(hop)))).collect()
+    (0..1500)
+        .filter_map(|hop| detector.hop((!gap.contains(&hop)).then(|| level(hop)), false))
+        .collect()
 }
 
 #[test]

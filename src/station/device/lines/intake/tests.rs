@@ -1,4 +1,5 @@
 use super::*;
+use crate::scene::SourceId;
 use proptest::prelude::*;
 
 fn stream(id: &str, columns: &[usize]) -> LinesStream {

@@ -1,0 +1,131 @@
+//! Arrays of NumPy.
+
+use std::io::Write;
+
+use crate::common::says;
+use crate::table_forms::import;
+use surfaced::trial::Signal;
+
+fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
+    [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), data]
+        .concat()
+}
+
+/// A ZIP file of stored or deflated members, as NumPy writes it.
+fn npz(members: &[(&str, Vec<u8>)], deflate: bool) -> Vec<u8> {
+    let (mut all, mut directory) = (Vec::new(), Vec::new());
+    for (name, content) in members {
+        let mut packer =
+            flate2::write::DeflateEncoder::new(Vec::new(), flate2::Compression::fast());
+        packer.write_all(content).unwrap();
+        let packed = if deflate { packer.finish().unwrap() } else { content.clone() };
+        let fields = [
+            [20, 0, if deflate { 8 } else { 0 }, 0, 0].map(u16::to_le_bytes).concat(),
+            [0, packed.len() as u32, content.len() as u32].map(u32::to_le_bytes).concat(),
+            [name.len() as u16, 0].map(u16::to_le_bytes).concat(),
+        ]
+        .concat();
+        let offset = all.len() as u32;
+        directory.extend(
+            [b"PK\x01\x02\x14\x00", &fields[..], &[0; 10], &offset.to_le_bytes(), name.as_bytes()]
+                .concat(),
+        );
+        all.extend([b"PK\x03\x04", &fields[..], name.as_bytes(), &packed].concat());
+    }
+    let (start, size, count) = (all.len() as u32, directory.len() as u32, members.len() as u16);
+    all.extend(directory);
+    all.extend(
+        [b"PK\x05\x06\0\0\0\0", &[count, count].map(u16::to_le_bytes).concat()[..]].concat(),
+    );
+    all.extend([size, start].map(u32::to_le_bytes).concat());
+    all.extend([0, 0]);
+    all
+}
+
+#[test]
+fn arrays_of_numpy_are_trials() {
+    // Three trials of two channels of 40 samples.
+    let at = |trial: usize, channel: usize, row: usize| (trial * 1000 + channel * 100 + row) as i16;
+    let numbers: Vec<i16> =
+        (0..3).flat_map(|t| (0..2).flat_map(move |c| (0..40).map(move |r| at(t, c, r)))).collect();
+    let small = numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+    let large = numbers.iter().flat_map(|x| f64::from(*x).to_be_bytes()).collect::<Vec<u8>>();
+    let words = ["oak", "ash", "oak"].map(|word| {
+        (0..4)
+            .flat_map(|at| word.chars().nth(at).map_or(0, u32::from).to_le_bytes())
+            .collect::<Vec<u8>>()
+    });
+    let labels = npy("<U4", "(3,)", &words.concat());
+    let array = npy("<i2", "(3, 2, 40)", &small);
+    let file = |deflate| npz(&[("X.npy", array.clone()), ("y.npy", labels.clone())], deflate);
+    for (name, bytes, args, keys) in [
+        ("oak/1.npy", array.clone(), &[][..], ["oak 1", "oak 2", "oak 3"]),
+        ("oak/1.npy", npy(">f8", "(3, 2, 40)", &large), &[], ["oak 1", "oak 2", "oak 3"]),
+        ("all.npz", file(false), &["--labels", "y"], ["ash 1", "oak 1", "oak 2"]),
+        ("all.npz", file(true), &["--labels", "y", "--variable", "X"], ["ash 1", "oak 1", "oak 2"]),
+    ] {
+        let imported = import(name, &bytes, &[&["--rate", "100"], args].concat());
+        let entries = imported.library().entries;
+        let found: Vec<String> =
+            entries.iter().map(|e| format!("{} {}", e.key.surface, e.key.number)).collect();
+        assert_eq!(found, keys, "{}", imported.said());
+        let trial = entries[2].load().unwrap();
+        let Signal::Series(series) = &trial.signals["sensor"] else { panic!("no series") };
+        let right = (0..40).flat_map(|row| [0, 1].map(|channel| f32::from(at(2, channel, row))));
+        assert_eq!(series.samples(), right.collect::<Vec<_>>(), "{name}");
+    }
+    for (bytes, args, part) in [
+        (array.clone(), &[][..], "--rate HZ"),
+        (
+            npy("<i2", "(3, 40, 2)", &small),
+            &["--rate", "9"],
+            "expected trials × channels × samples",
+        ),
+        (npy("<i2", "(9000, 2, 40)", &small), &["--rate", "9"], "truncated"),
+        (npy("|O", "(3,)", &small), &["--rate", "9"], "its elements are"),
+        (array[..20].to_vec(), &["--rate", "9"], "cut short"),
+    ] {
+        says(&import("oak/1.npy", &bytes, args).said(), &[part]);
+    }
+    let few = import("oak/1.npz", &file(true), &["--rate", "9", "--labels", "X"]);
+    says(&few.said(), &["labels have the shape"]);
+}
+
+proptest::proptest! {
+    #[test]
+    fn no_damaged_file_breaks_the_readers(
+        kind in 0..files::KINDS.len() as u8,
+        at in proptest::prelude::any::<proptest::sample::Index>(),
+        with in proptest::collection::vec(proptest::prelude::any::<u8>(), 0..6),
+        end in proptest::prelude::any::<proptest::sample::Index>(),
+    ) {
+        let mut bytes = match files::KINDS[kind as usize] {
+            "npy" => npy("<f4", "(2, 2, 10)", &[1; 160]),
+            "mat" => crate::mat_forms::sample(),
+            "npz" => npz(&[("X.npy", npy("<f4", "(2, 2, 10)", &[1; 160]))], true),
+            "wav" => {
+                let spec = hound::WavSpec {
+                    channels: 2,
+                    sample_rate: 1000,
+                    bits_per_sample: 16,
+                    sample_format: hound::SampleFormat::Int,
+                };
+                let mut bytes = std::io::Cursor::new(Vec::new());
+                let mut writer = hound::WavWriter::new(&mut bytes, spec).unwrap();
+                (0..20).for_each(|x| writer.write_sample(x).unwrap());
+                writer.finalize().unwrap();
+                bytes.into_inner()
+            }
+            sound @ ("mp3" | "m4a" | "ogg") => {
+                let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/lossy");
+                std::fs::read(folder.join(format!("tone.{sound}"))).unwrap()
+            }
+            _ => "# a\n\"t (s)\";x\n0,1;2\n0,2;4\n0,3;nan\n0,4;5\n".into(),
+        };
+        let start = at.index(bytes.len());
+        bytes.splice(start..(start + with.len()).min(bytes.len()), with);
+        bytes.truncate(1 + end.index(bytes.len()));
+        files::read(&[&[kind], &bytes[..]].concat());
+    }
+}

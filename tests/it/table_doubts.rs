@@ -1,0 +1,223 @@
+//! Tables that have two readings, gaps or mixed units: refused, or said.
+
+use crate::common::{open, says, temp, write_file};
+use crate::plan::{said, surfaced, text};
+use crate::table_forms::{Imported, ROWS, import, table, value};
+use surfaced::library::About;
+
+#[test]
+fn what_has_two_readings_is_refused_and_shows_both() {
+    let t = |row: fn(usize) -> String| (0..50).map(row).collect::<String>();
+    for (text, args, parts) in [
+        (
+            "ax,ay\n".to_string() + &t(|i| format!("{i},5,{i},25\n")),
+            &["--rate", "9"][..],
+            &["decimal marks or"][..],
+        ),
+        ("t;x\n".to_string() + &t(|i| format!("0,{i:03};1.234\n")), &[], &["may be 1.234 or 1234"]),
+        (
+            "time,x\n".to_string() + &t(|i| format!("{},1.5\n", 100 * i)),
+            &[],
+            &["0.01 rows a second in s, 10 in ms"],
+        ),
+        ("time,x\n".to_string() + &t(|i| format!("{i},{i}.5\n")), &[], &["milliseconds or rows"]),
+        (
+            "t,x\n".to_string()
+                + &t(|i| format!("0.{:02},{}\n", i, if i == 7 { "0.5g" } else { "1" })),
+            &[],
+            &["line 9, column `x`: `0.5g`"],
+        ),
+        (
+            "t,x\n".to_string() + &t(|i| format!("0.{i:02},1\n")) + "end\n",
+            &[],
+            &["line 52 has 1 column"],
+        ),
+        (
+            "t,x\n".to_string() + &t(|i| format!("{}.0{},{i}\n", i / 10, i % 10)),
+            &[],
+            &["times", "time"],
+        ),
+        ("PK\u{3}\u{4}".to_string(), &["--rate", "9"], &["Excel workbook"]),
+    ] {
+        let imported = import("oak/1.csv", text.as_bytes(), args);
+        assert_ne!(imported.output.status.code(), Some(0), "{text:.60}: {}", imported.said());
+        assert!(!imported.out.exists());
+        if parts[0] != "times" {
+            says(&imported.said(), parts);
+        }
+    }
+}
+
+#[test]
+fn gaps_are_filled_marked_or_cut() {
+    let form = |bad: fn(usize) -> bool| {
+        table("t,ax\n", move |i, [x, ..]| {
+            format!("{:.2},{}", i as f64 / 100.0, if bad(i) { "" } else { &x })
+        })
+    };
+    let few = import("oak/1.csv", form(|i| (100..105).contains(&i)).as_bytes(), &[]);
+    says(&few.said(), &["filled in by straight lines: 5 values"]);
+    let folder = few.library().entries[0].places()[0].to_path_buf();
+    let about = About::read(&folder).unwrap();
+    assert_eq!(about.interpolated["ax"], "5 of 300: 101-105");
+    let many = form(|i| (100..106).contains(&i));
+    let cut = import("oak/1.csv", many.as_bytes(), &[]);
+    let frames: Vec<usize> =
+        cut.library().entries.iter().map(|e| e.load().unwrap().signals["ax"].frames()).collect();
+    assert_eq!(frames, [100, 194], "{}", cut.said());
+    let refused = import("oak/1.csv", many.as_bytes(), &["--gaps", "error"]);
+    says(&refused.said(), &["gap of more than 5 samples after its row 100"]);
+    // A gap in time, of years by a broken stamp.
+    let pause = table("timestamp,ax\n", |i, [x, ..]| {
+        let ns = 1_700_000_000_000_000_000_u64 + i as u64 * 10_000_000;
+        format!("{},{x}", if i < 20 { i as u64 * 10_000_000 } else { ns })
+    });
+    let cut = import("oak/1.csv", pause.as_bytes(), &[]);
+    let frames: Vec<usize> =
+        cut.library().entries.iter().map(|e| e.load().unwrap().signals["ax"].frames()).collect();
+    assert_eq!(frames, [20, 280], "{}", cut.said());
+}
+
+#[test]
+fn what_would_give_wrong_numbers_without_a_word_is_refused_or_said() {
+    let plain = table("ax,ay,az\n", |_, [x, y, z]| format!("{x},{y},{z}"));
+    let timed = |name: &str, time: fn(usize) -> String| {
+        table(&format!("{name},ax,ay\n"), move |i, [x, y, _]| format!("{},{x},{y}", time(i)))
+    };
+    let two_tables = timed("time", |i| format!("{:.2}", i as f64 / 100.0))
+        + &table("time,ax,ay,az\n", |i, [x, y, z]| {
+            format!("{:.2},{x},{y},{z}", 9.0 + i as f64 / 100.0)
+        });
+    let called = |runs: [&str; 2]| {
+        table("surface,run,ax\n", move |i, [x, ..]| format!("oak,{},{x}", runs[i / 150]))
+    };
+    let labels = &["--surface", "surface", "--trial", "run", "--rate", "100"];
+    let rate = &["--rate", "100"];
+    for (text, args, part) in [
+        (called(["left_1", "right_1"]), &labels[..], "`left_1` and `right_1` end with one number"),
+        (two_tables, &[], "line 2 begins rows of 3 columns"),
+        (timed("Time (ticks)", |i| (16 * i).to_string()), &[], "has the unit `ticks`"),
+        (
+            timed("Unix Time (ms)", |i| format!("{:.2}", 1.7e9 + i as f64 / 100.0)),
+            &[],
+            "since 1970",
+        ),
+        (
+            timed("time", |i| format!("{:.9}", 739_000.5 + i as f64 / 8_640_000.0)),
+            &[],
+            "--time-unit",
+        ),
+        (
+            timed("time", |i| if i == 9 { "x".into() } else { i.to_string() }),
+            &[],
+            "`time` holds `x`",
+        ),
+        (
+            table("ax\tay\n", |i, [x, ..]| {
+                let thousands =
+                    |n: usize| if n < 1000 { n.to_string() } else { format!("1,{:03}", n - 1000) };
+                format!("{}\t{}", thousands(900 + i), x.len())
+            }),
+            rate,
+            "may be 1.000 or 1000",
+        ),
+        (
+            table("", |_, [x, y, _]| {
+                let split = |x: String| x.trim_start_matches('-').replace('.', ",");
+                [x, y].map(split).join(",")
+            }),
+            rate,
+            "decimal marks or separate columns",
+        ),
+        (
+            (0..3).map(|row| format!("{row}{}\n", ",1.5".repeat(299))).collect(),
+            rate,
+            "turn the table",
+        ),
+        (
+            table("time,ax\n", |i, [x, ..]| format!("{},{x}", 10 * (i + i / 9 + i % 7 / 6))),
+            &[],
+            "misses",
+        ),
+    ] {
+        let imported = import("oak/1.csv", text.as_bytes(), args);
+        assert_ne!(imported.output.status.code(), Some(0), "{text:.60}: {}", imported.said());
+        says(&imported.said(), &[part]);
+    }
+    // Read rightly, with a remark where something is left out.
+    let frames = |imported: &Imported| -> Vec<usize> {
+        let of = |entry: &surfaced::library::Entry| {
+            entry.load().unwrap().signals.values().next().unwrap().frames()
+        };
+        imported.library().entries.iter().map(of).collect()
+    };
+    let lines = |text: &str, change: &dyn Fn(usize, &str) -> String| {
+        text.lines().enumerate().map(|(at, line)| change(at, line) + "\n").collect::<String>()
+    };
+    let errors = lines(&plain, &|at, line| match at {
+        100..103 => format!("#DIV/0!,{}", line.split_once(',').unwrap().1),
+        _ => line.into(),
+    });
+    let errors = import("oak/1.csv", errors.as_bytes(), rate);
+    assert_eq!(frames(&errors), [ROWS]);
+    says(&errors.said(), &["filled in by straight lines: 3 values"]);
+    let blank =
+        lines(&plain, &|at, line| if (100..120).contains(&at) { ",,".into() } else { line.into() });
+    assert_eq!(frames(&import("oak/1.csv", blank.as_bytes(), rate)), [99, 181]);
+    assert_eq!(frames(&import("oak/1.csv", plain.repeat(2).as_bytes(), rate)), [ROWS, ROWS]);
+    let nothing = plain.replacen("ax,ay,az\n", "ax,ay,az\nnan,nan,nan\nnan,nan,nan\n", 1);
+    assert_eq!(import("oak/1.csv", nothing.as_bytes(), rate).series("a").frames(), ROWS);
+    let units = timed("ms", |i| (10 * i).to_string()).replacen('\n', "\nms,LSB,LSB\n", 1);
+    assert_eq!(import("oak/1.csv", units.as_bytes(), &[]).series("a").rate_hz(), 100.0);
+    let heat = table("time,ax,T\n", |i, [x, y, _]| format!("{:.2},{x},{y}", i as f64 / 100.0));
+    assert_eq!(import("oak/1.csv", heat.as_bytes(), &[]).series("t").frames(), ROWS);
+    let thousands =
+        table("ax;force\n", |i, [x, ..]| format!("{};1 {:03},5", x.replace('.', ","), i));
+    let thousands = import("oak/1.csv", thousands.as_bytes(), rate);
+    assert_eq!(thousands.series("force").samples()[7], 1007.5);
+    let over =
+        table("ax,force\n", |i, [x, ..]| format!("{x},{}", if i < 20 { "2.5" } else { "OVER" }));
+    let over = import("oak/1.csv", over.as_bytes(), rate);
+    says(&over.said(), &["column `force` is left out", "`OVER`"]);
+    let slow = timed("time_s", |i| format!("{:.2}", 0.08 * i as f64));
+    let slow = import("oak/1.csv", slow.as_bytes(), &[]).series("a");
+    assert_eq!((slow.rate_hz(), slow.samples()[2]), (12.5, value(1, 0) as f32));
+    let zone = timed("time", |i| format!("2024-06-12 12:00:{:06.3}+02:00", i as f64 / 10.0));
+    let zone = import("oak/1.csv", zone.as_bytes(), &[]);
+    let about = About::read(zone.library().entries[0].places()[0]).unwrap();
+    assert_eq!(about.started_at.as_deref(), Some("2024-06-12T10:00:00Z"));
+    let quoted = table("surface,ax\n", |_, [x, ..]| format!("\"3\"\" pipe\",{x}"));
+    let quoted = import("all.csv", quoted.as_bytes(), &["--surface", "surface", "--rate", "9"]);
+    assert_eq!(quoted.library().entries[0].key.surface, "3\" pipe");
+}
+
+#[test]
+fn files_of_one_import_have_the_same_units() {
+    let (_dir, path) = temp();
+    for (number, unit) in [(1, "g"), (2, "m/s^2")] {
+        let above = format!("time,acc_x,acc_y\ns,{unit},{unit}\n");
+        let text = table(&above, |i, [x, y, _]| format!("{:.2},{x},{y}", i as f64 / 100.0));
+        write_file(&path.join(format!("in/oak/{number}.csv")), text.as_bytes());
+    }
+    let (from, out) = (path.join("in"), path.join("out"));
+    let output = surfaced(&["import", "csv", text(&from), "--out", text(&out)]);
+    assert_eq!(output.status.code(), Some(3));
+    says(&said(&output), &["column `acc_x` has m/s^2, but g in the first table"]);
+    assert_eq!(open(&out).unwrap().entries.len(), 1);
+}
+
+#[test]
+fn trials_are_numbered_by_whole_numbers_however_they_are_written() {
+    let text = |third: &str| {
+        (0..60).fold("surface,run,t,ax\n".to_string(), |all, i| {
+            let run = ["1.0", "2.0", third][i / 20];
+            all + &format!("oak,{run},0.{:02},{}\n", i % 20, i * 7 % 11)
+        })
+    };
+    let args = ["--surface", "surface", "--trial", "run"];
+    let three = import("all.csv", text("3").as_bytes(), &args);
+    let numbers: Vec<u32> = three.library().entries.iter().map(|entry| entry.key.number).collect();
+    assert_eq!(numbers, [1, 2, 3]);
+    let bad = import("all.csv", text("1.5").as_bytes(), &args);
+    says(&bad.said(), &["line 42: the trial is `1.5`; expected a whole number"]);
+}
