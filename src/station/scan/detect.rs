@@ -168,7 +168,7 @@ impl Detector {
                         Some(DetectorEvent::NoiseTimeout)
                     }
                     _ if is_drag && config.longest_drag_s.is_finite() => {
-                        let event = self.risen_rest(start)?;
+                        let event = self.risen_rest()?;
                         self.state = DetectorState::Quiet { tap: None };
                         self.rest_rose = true;
                         Some(match event {
@@ -184,7 +184,7 @@ impl Detector {
 
     /// The end of a contact that does not fall below `quiet`, since the noise at rest has risen: its last
     /// second is far below what came before. Where it begins like that too, noise began it.
-    fn risen_rest(&self, start: u64) -> Option<DetectorEvent> {
+    fn risen_rest(&self) -> Option<DetectorEvent> {
         let (_, _, hops) = self.blocks.last()?;
         if (*hops as f64) < SMOOTH {
             return None;
@@ -199,7 +199,7 @@ impl Detector {
         }
         let before = self.blocks.iter().take_while(is_rest).count();
         let (first, ..) = self.blocks[self.blocks.len() - resting];
-        let noise = before >= blocks(self.config.longest_tap_s) || first <= start;
+        let noise = before >= blocks(self.config.longest_tap_s);
         Some(if noise {
             DetectorEvent::NoiseTimeout
         } else {
