@@ -102,7 +102,7 @@ impl SplitArgs {
         let entries = within(library, &scene)?;
         let trials = Splittable::Recordings(data, &entries);
         let (mut split, keys) = (self.split(trials)?, trials.keys());
-        let leaks = leaks(library, &entries);
+        let leaks = Leaks::of(&entries, &say::progress);
         let warning;
         (split.folds, warning) = kept_apart(split.folds, &keys, &leaks);
         warning.iter().for_each(|warning| say!("warning: {warning}"));
@@ -202,11 +202,6 @@ pub(super) fn within(library: &Library, scene: &Scene) -> Done<Vec<Entry>> {
         )));
     }
     Ok(entries)
-}
-
-/// Which trials share samples. Synthetic ones are made one by one, so they share none.
-pub(super) fn leaks(library: &Library, entries: &[Entry]) -> Leaks {
-    if library.synthetic { Leaks::default() } else { Leaks::of(entries, &say::progress) }
 }
 
 /// Takes trials that share samples with a query out of the library of its fold. Also returns a warning

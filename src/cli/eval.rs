@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use super::bad_files;
-use super::choose::{SplitArgs, Splittable, kept_apart, leaks, within};
+use super::choose::{SplitArgs, Splittable, kept_apart, within};
 use super::condition::WhereArgs;
 use super::eval_report::{EvalAnswer, EvalReport, EvalTable, Seeds, write_predictions};
 use super::method::{AnswerArgs, MethodOptions, OneOrAll};
@@ -125,7 +125,7 @@ pub(super) fn run(args: &Args) -> Done {
                 let entries = within(library, &scene)?;
                 let cache = (!args.options.no_cache).then_some(data.as_path());
                 let on = Evaluation { cache, ..Evaluation::new(&scene, &entries, &[]) };
-                let leaks = leaks(library, &entries);
+                let leaks = Leaks::of(&entries, &say::progress);
                 let of = (library.name.as_str(), library.synthetic);
                 let trials = Splittable::Recordings(data, &entries);
                 let (mut reports, keys) = (evaluated(args, of, on, trials, &leaks)?, trials.keys());

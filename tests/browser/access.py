@@ -21,7 +21,7 @@ NAMED = {"button", "link", "textbox", "combobox", "checkbox", "spinbutton", "sli
          "dialog", "region", "alertdialog", "Video", "Audio"}
 # Buttons of the browser's own player and of its fields of dates, below the name of either.
 BROWSERS = {"play", "pause", "mute", "unmute", "show more media controls",
-            "Show local date and time picker Show local date and time picker"}
+            "Show local date and time picker", "Show local date and time picker Show local date and time picker"}
 
 
 def unnamed(browser):

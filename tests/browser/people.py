@@ -58,7 +58,7 @@ def a_name_is_asked_once_a_shift(browser, station, shots):
     browser.run("const held = JSON.parse(localStorage.getItem('surfaced-person')); held.until = Date.now() - 1;"
                 "localStorage.setItem('surfaced-person', JSON.stringify(held))")
     browser.open(station.url + "/")
-    assert seen(browser, "person-form"), "a new shift is asked anew"
+    browser.wait("the name, asked anew in a new shift", lambda: seen(browser, "person-form"))
     browser.type("#person-name", PERSON + ENTER)
     browser.click("#person-change")
     assert browser.run("return document.activeElement.id") == "person-name"

@@ -210,6 +210,39 @@ fn one_trial_a_surface_states_no_probability() {
     assert_eq!((ranking.surface(), ranking.confidence), ("s3", None));
 }
 
+/// White noise under three names, which can be told apart by shared samples alone.
+#[test]
+fn trials_that_share_samples_are_left_out_together() {
+    let scene = Scene::lmt108().only(&[id("mi2")]).unwrap();
+    let noise = |name: String| -> Vec<f32> {
+        let mut rng = seed::rng(1, &[name.as_bytes()]);
+        (0..30_000).map(|_| 0.1 * seed::normal(&mut rng) as f32).collect()
+    };
+    let trial = |surface: &str, number: usize, samples: &[f32]| {
+        let series = Series::new(10_000.0, 1, samples.to_vec()).unwrap();
+        Trial::of_series(TrialKey::new(surface, "expert", number as u32), id("mi2"), series)
+    };
+    let library = |of: &dyn Fn(&str, usize) -> Trial| -> Vec<Trial> {
+        let of_surface = |surface| (1..=12).map(move |number| of(surface, number));
+        ["a", "b", "c"].into_iter().flat_map(of_surface).collect()
+    };
+    let copies = library(&|surface, number| {
+        trial(surface, number, &noise(format!("{surface} {}", number.div_ceil(2)))[..4_000])
+    });
+    let model = trained(&scene, &embedding(&scene), &copies);
+    let accuracy = model.left_out_accuracy();
+    assert_eq!(accuracy.trials(), 36);
+    let whole = accuracy.points().last().unwrap().accuracy;
+    assert!(whole < 0.65, "{whole}");
+    // Excerpts that overlap by half are one recording a surface: nothing can be left out.
+    let excerpts = library(&|surface, number| {
+        trial(surface, number, &noise(surface.into())[2_000 * number..2_000 * number + 4_000])
+    });
+    let model = trained(&scene, &embedding(&scene), &excerpts);
+    assert_eq!(model.left_out_accuracy().trials(), 0);
+    assert_eq!(rank(&model, &excerpts[0]).unwrap().confidence, None);
+}
+
 #[test]
 fn no_probability_is_beyond_what_the_library_can_show() {
     let scene = Scene::lmt108().only(&[id("mi2"), id("ir")]).unwrap();

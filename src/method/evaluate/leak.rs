@@ -1,11 +1,10 @@
 //! Finds trials that share samples, such as excerpts of one recording that overlap, or one file under two
 //! labels. If one of them is in the library, naming the other says nothing of new scans.
 //!
-//! Each trial keeps the fingerprints of some windows, chosen by their content, so that two trials choose
-//! the same windows of what they share (Broder 1997, "On the resemblance and containment of documents").
-//! Equal fingerprints lead to a comparison of the samples themselves. The work is linear in the data.
+//! Equal fingerprints ([`Fingerprints`]) lead to a comparison of the samples themselves. The work is linear
+//! in the data.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
@@ -14,24 +13,10 @@ use super::ProgressFn;
 use super::fold::{Fold, enough, known_only};
 use crate::library::Entry;
 use crate::scene::SourceId;
-use crate::trial::{Series, Signal, TrialKey, is_plain};
+use crate::trial::{Fingerprints, Series, Signal, TrialKey, WINDOW, tells};
 
-/// Frames of a window.
-const WINDOW: usize = 16;
-/// Fewest frames of a window that differ from the one before them.
-const LIVELY: usize = 8;
 /// Most fingerprints of a series: those with the smallest hashes.
 const MOST_PRINTS: usize = 256;
-/// Fewest sizes of steps between samples in a shared run. Sensors that rest have fewer.
-const LEAST_SIZES: usize = 8;
-/// Least information in the steps of a shared run, in bits. Chance does not bring about that much: a
-/// library has fewer than 2^70 pairs of moments.
-const LEAST_BITS: f64 = 120.0;
-/// Steps are compared in this part of their range, so that a ramp has steps of one size.
-const STEP: f32 = 1.0 / 1024.0;
-/// Frames of a run that are looked at for its information.
-const ENOUGH_FRAMES: usize = 4096;
-
 /// Samples that two trials have in common: their longest run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shared {
@@ -154,47 +139,10 @@ fn load(entry: &Entry, source: &SourceId) -> Option<Signal> {
     entry.with_only(source).load().ok()?.signals.remove(source)
 }
 
-/// Hashes of some windows, with the frames where they begin. A picture has one.
+/// The fingerprints of a signal, with the frames where they begin.
 fn fingerprints(signal: &Signal) -> Vec<(u64, usize)> {
-    let series = match signal {
-        Signal::Image(image) if is_plain(image) => return Vec::new(),
-        Signal::Image(_) => return vec![(signal.content_hash(), 0)],
-        Signal::Series(series) => series,
-    };
-    const BASE: u64 = 0x9e37_79b9_7f4a_7c15;
-    let oldest = BASE.wrapping_pow(WINDOW as u32);
-    let of_frame =
-        |frame: &[f32]| frame.iter().fold(0, |hash, x| mixed(hash ^ u64::from(x.to_bits())));
-    let frames: Vec<u64> = series.samples().chunks(series.channels()).map(of_frame).collect();
-    let changes = |at: usize| usize::from(at > 0 && frames[at] != frames[at - 1]);
-    let (mut hash, mut lively) = (0u64, 0);
-    let mut found = Vec::new();
-    for (at, &frame) in frames.iter().enumerate() {
-        hash = hash.wrapping_mul(BASE).wrapping_add(frame);
-        lively += changes(at);
-        if at >= WINDOW {
-            hash = hash.wrapping_sub(frames[at - WINDOW].wrapping_mul(oldest));
-            lively -= changes(at - WINDOW);
-        }
-        if at + 1 >= WINDOW && lively >= LIVELY {
-            found.push((mixed(hash), at + 1 - WINDOW));
-        }
-    }
-    if found.len() > MOST_PRINTS {
-        found.select_nth_unstable(MOST_PRINTS);
-        found.truncate(MOST_PRINTS);
-    }
-    found.sort_unstable();
-    found.dedup_by_key(|(hash, _)| *hash);
-    found
-}
-
-/// Spreads the bits of a number over all others (Steele, Lea and Flood 2014, "SplitMix").
-fn mixed(x: u64) -> u64 {
-    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ (x >> 31)
+    let Fingerprints { whole, windows } = Fingerprints::of(signal, MOST_PRINTS);
+    whole.map(|hash| (hash, 0)).into_iter().chain(windows).collect()
 }
 
 /// A window of the first trial that has it, and the same window of another.
@@ -264,7 +212,7 @@ fn of_pair(
         let known = runs.get(&offset).copied().filter(|(end, _)| at[0] < *end);
         let (end, tells) = known.unwrap_or_else(|| {
             let (begin, frames) = run([a, b], *at);
-            let tells = frames >= WINDOW && tells(a, begin, frames);
+            let tells = frames >= WINDOW.min(a.frames()) && tells(a, begin, frames);
             longest = longest.max(if tells { frames } else { 0 });
             (begin + frames, tells)
         });
@@ -293,30 +241,6 @@ fn run([a, b]: [&Series; 2], at: [usize; 2]) -> (usize, usize) {
     let after = a[at..].iter().zip(&b[other..]).take_while(same).count();
     let (before, after) = (before / channels, after / channels);
     (at / channels - before, before + after)
-}
-
-/// Whether a run could not be equal by chance: the steps of some channel have many sizes, and tell much.
-/// The information of a step is its collision entropy, −log2 Σ p² over the sizes of steps.
-fn tells(series: &Series, begin: usize, frames: usize) -> bool {
-    let channels = series.channels();
-    let until = begin + frames.min(ENOUGH_FRAMES);
-    (0..channels).any(|channel| {
-        let values = (begin..until).map(|frame| series.samples()[frame * channels + channel]);
-        let values: Vec<f32> = values.collect();
-        let (low, high) =
-            values.iter().fold((f32::MAX, f32::MIN), |(l, h), &x| (l.min(x), h.max(x)));
-        let grain = (high - low) * STEP;
-        if !(grain > 0.0 && grain.is_finite()) {
-            return false;
-        }
-        let mut sizes: HashMap<i32, usize> = HashMap::new();
-        for step in values.windows(2) {
-            *sizes.entry(((step[1] - step[0]) / grain).round() as i32).or_default() += 1;
-        }
-        let steps = (values.len() - 1) as f64;
-        let equal: f64 = sizes.values().map(|&count| (count as f64 / steps).powi(2)).sum();
-        sizes.len() >= LEAST_SIZES && -equal.log2() * steps >= LEAST_BITS
-    })
 }
 
 #[cfg(test)]
@@ -412,6 +336,21 @@ mod tests {
         assert!(text.starts_with("2 of 3 trials") && text.ends_with("under two labels"), "{text}");
         let fold = Fold { name: "f".into(), library: vec![1, 2], queries: vec![0] };
         assert_eq!(leaks.apart(&[fold], &keys(&entries)), None, "a has no other trial");
+    }
+
+    #[test]
+    fn copies_of_short_series_are_found_by_all_their_channels() {
+        for (frames, channels) in [(12, 20), (20, 20), (26, 6), (20, 1)] {
+            let of = |name: &str, number| {
+                let samples = noise(&format!("{name} {frames}"), frames * channels);
+                let series = Series::new(RATE_HZ, channels, samples).unwrap();
+                let signals = [(SourceId::new("mi2").unwrap(), Signal::Series(series))].into();
+                Entry::in_memory(Trial { key: TrialKey::new("a", EXPERT, number), signals })
+            };
+            let leaks = leaks(&[of("x", 1), of("x", 2), of("y", 3)]);
+            assert_eq!(leaks.partners, [(0, [1].into()), (1, [0].into())].into());
+            assert!(leaks.shared[&[0, 1]].is_copy);
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use crate::library::Entry;
 use crate::trial::TrialKey;
 
 /// Version of the bytes of [`Prepared::encode`]. Raise it whenever their meaning changes.
-pub(super) const FORMAT: u64 = 11;
+pub(super) const FORMAT: u64 = 12;
 
 /// A trial, prepared for comparison. A clone is cheap.
 #[derive(Clone)]
@@ -69,8 +69,8 @@ impl Prepared {
         let (kind, bytes) = match self {
             Self::Samples(trial) => (SAMPLES, trial.encode()),
             Self::Frames(trial) => {
-                let TrialFrames { digest, copies, sources, .. } = &**trial;
-                (FRAMES, postcard::to_allocvec(&(digest, copies, sources)).ok())
+                let TrialFrames { digest, copies, prints, sources, .. } = &**trial;
+                (FRAMES, postcard::to_allocvec(&(digest, copies, prints, sources)).ok())
             }
             Self::Features(trial) => (FEATURES, postcard::to_allocvec(&trial.sources).ok()),
         };
@@ -85,8 +85,8 @@ impl Prepared {
         Some(match bytes.split_last()? {
             (&SAMPLES, bytes) => Self::Samples(Arc::new(PreparedTrial::decode(entry, bytes)?)),
             (&FRAMES, bytes) => {
-                let (digest, copies, sources) = postcard::from_bytes(bytes).ok()?;
-                Self::Frames(Arc::new(TrialFrames { key, digest, copies, sources }))
+                let (digest, copies, prints, sources) = postcard::from_bytes(bytes).ok()?;
+                Self::Frames(Arc::new(TrialFrames { key, digest, copies, prints, sources }))
             }
             (&FEATURES, bytes) => {
                 let sources = postcard::from_bytes(bytes).ok()?;

@@ -2,12 +2,14 @@
 
 mod channel_flaws;
 mod doubt;
+mod fingerprints;
 mod label;
 mod level;
 mod moment;
 
 pub use channel_flaws::SeriesFlaws;
 pub use doubt::Doubt;
+pub(crate) use fingerprints::{Fingerprints, WINDOW, tells};
 #[doc(hidden)]
 pub use {
     channel_flaws::{flaws_of, is_plain, usual_rests},

@@ -78,7 +78,7 @@ pub fn search(
     let PlanOptions { target, accuracy, protocol } = options;
     let entries = within(&library.entries, &library.scene);
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let leaks = if library.synthetic { Leaks::default() } else { Leaks::of(&entries, progress) };
+    let leaks = Leaks::of(&entries, progress);
     let folds = folds(protocol, &keys)?;
     let folds = leaks.apart(&folds, &keys).unwrap_or(folds);
     // Finds how long scans of these sources must last, by leaving out trials of the library.

@@ -16,6 +16,7 @@ use super::growing::{Growing, Piece};
 use super::packed::PackedFrames;
 use super::places::Places;
 use super::tiles::PictureTiles;
+use super::together::Prints;
 use crate::recognise::error::{RecogniseError, of_known_sources};
 use crate::recognise::features::windowed_frames::{FEWEST, FrameView};
 use crate::recognise::follow::LOOK_S;
@@ -196,6 +197,9 @@ pub struct TrialFrames {
     pub digest: u64,
     /// The copies of the trial, in the order of `SeriesFrames::copies`; a query has none.
     pub copies: Vec<Copy>,
+    /// For each source, what tells whether it shares samples with another trial of the library; a query has
+    /// none.
+    pub prints: BTreeMap<SourceId, Prints>,
     /// The sources of the trial that the scene describes.
     pub sources: BTreeMap<SourceId, SourceFrames>,
 }
@@ -224,6 +228,10 @@ impl TrialFrames {
         // Only copies and the order of a library need it.
         let digest = seed.map_or(0, |_| digest(trial));
         let copies = seed.map_or_else(Vec::new, |seed| copies(digest, seed, shape.trials));
+        let prints = match seed {
+            Some(_) => of_known_sources(key, trial, scene, |_, signal| Prints::of(signal))?,
+            None => BTreeMap::new(),
+        };
         let sources = of_known_sources(key, trial, scene, |spec, signal| match signal {
             Signal::Image(image) => SourceFrames::Picture(PictureTiles::new(image)),
             Signal::Series(series) => {
@@ -236,7 +244,7 @@ impl TrialFrames {
                 }))
             }
         })?;
-        Ok(Self { key: key.clone(), digest, copies, sources })
+        Ok(Self { key: key.clone(), digest, copies, prints, sources })
     }
 
     /// Hash of how the sources of a scene are cut into frames and copied in a library of this shape.

@@ -20,36 +20,43 @@ pub(super) struct Labels {
     pub group: Vec<usize>,
     pub groups: usize,
     pub left_out: LeftOutBy,
+    /// What counts as one observation: the person, the session, or else `together` of each trial.
+    pub unit: Vec<usize>,
+    /// For each trial, the first one with which it shares samples.
+    pub together: Vec<usize>,
 }
 
 impl Labels {
     /// Groups are users if most trials can then be named by the other users' trials; if not, sessions
     /// if they count ([`sessions_count`]); if not, a group takes one trial of each user and surface. If
-    /// there are too many groups, several are joined.
-    pub(super) fn new(keys: &[&TrialKey]) -> Self {
+    /// there are too many groups, several are joined. Trials that share samples are in one group.
+    pub(super) fn new(keys: &[&TrialKey], together: Vec<usize>) -> Self {
         let (surfaces, class) = appearances(keys.iter().map(|key| key.surface.as_str()));
-        let joined = |groups: Vec<usize>| -> Vec<usize> {
-            groups.into_iter().map(|group| group % MOST_GROUPS).collect()
+        let joined = |groups: &[usize]| -> Vec<usize> {
+            together.iter().map(|&first| groups[first] % MOST_GROUPS).collect()
         };
         let tells = |group: &Vec<usize>| {
             group.iter().any(|&other| other != group[0])
                 && known_elsewhere(&class, group) * 2 > keys.len()
         };
-        let by_user = joined(appearances(keys.iter().map(|key| key.user.as_str())).1);
-        let (group, left_out) = if tells(&by_user) {
-            (by_user, LeftOutBy::People)
+        let users = appearances(keys.iter().map(|key| key.user.as_str())).1;
+        let by_user = joined(&users);
+        let (group, left_out, unit) = if tells(&by_user) {
+            (by_user, LeftOutBy::People, users)
         } else if sessions_count(keys.iter().copied()) {
-            let sessions = keys.iter().map(|key| key.of_session());
-            (joined(appearances(sessions).1), LeftOutBy::Sessions)
+            let sessions = appearances(keys.iter().map(|key| key.of_session())).1;
+            (joined(&sessions), LeftOutBy::Sessions, sessions)
         } else {
             let owners = keys.iter().map(|key| (key.user.as_str(), key.surface.as_str()));
             let mut counts = BTreeMap::new();
-            let of_trial = |owner| {
+            let of_trial = |(trial, owner)| {
                 let count: &mut usize = counts.entry(owner).or_default();
-                *count += 1;
-                *count - 1
+                // One that shares samples takes the group of another.
+                *count += usize::from(together[trial] == trial);
+                count.saturating_sub(1)
             };
-            (joined(owners.map(of_trial).collect()), LeftOutBy::Trials)
+            let groups: Vec<usize> = owners.enumerate().map(of_trial).collect();
+            (joined(&groups), LeftOutBy::Trials, together.clone())
         };
         Self {
             classes: surfaces.len(),
@@ -58,6 +65,8 @@ impl Labels {
             groups: group.iter().max().map_or(0, |last| last + 1),
             group,
             left_out,
+            unit,
+            together,
         }
     }
 }
@@ -112,7 +121,7 @@ mod tests {
     use super::*;
 
     fn labels(keys: &[TrialKey]) -> Labels {
-        Labels::new(&keys.iter().collect::<Vec<_>>())
+        Labels::new(&keys.iter().collect::<Vec<_>>(), (0..keys.len()).collect())
     }
 
     fn keys(users: &[(&str, u32)]) -> Vec<TrialKey> {

@@ -1,7 +1,7 @@
 //! Leaves library trials out, group by group. Finds how far from all surfaces a known trial can lie,
 //! and which trials are named right.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use ndarray::ArrayView1;
@@ -168,7 +168,7 @@ impl Trained {
 
 #[derive(Serialize, Deserialize)]
 pub(super) struct LeftOut {
-    /// Number of trials that a model without their group can name.
+    /// Number of people, sessions or else trials that a model without them can name.
     pub held_out: usize,
     /// Median length of the drag, in seconds, of the trials that have all sources; 0 if there are none.
     pub drag_s: f64,
@@ -218,7 +218,8 @@ impl LeftOut {
         let trials = evenly(library.len()).into_par_iter().filter(|&i| is_known(i));
         let trials = trials.filter_map(begun).collect();
         let begun = Begun { looks, trials };
-        let held_out = (0..library.len()).filter(|&i| is_known(i)).count();
+        let known = (0..library.len()).filter(|&i| is_known(i));
+        let held_out = known.map(|i| labels.unit[i]).collect::<BTreeSet<_>>().len();
         trained.iter_mut().for_each(|(present, trained)| {
             trained.measure(training, labels, present, (drag_s, &begun));
         });

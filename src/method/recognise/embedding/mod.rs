@@ -38,6 +38,7 @@ mod quantiles;
 mod series;
 mod temperature;
 mod tiles;
+mod together;
 mod training;
 
 use std::sync::Arc;

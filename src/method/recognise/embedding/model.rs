@@ -15,6 +15,7 @@ use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch, columns};
 use super::labels::Labels;
 use super::left_out::{LeftOut, Trained, evenly};
+use super::together::together;
 use super::training::Training;
 use crate::library::Entry;
 use crate::recognise::decide::conformal::{Rejection, RejectionError};
@@ -79,7 +80,8 @@ impl EmbeddingModel {
         mut library: Vec<Arc<TrialFrames>>,
         seed: u64,
     ) -> Result<Self, RecogniseError> {
-        let labels = Labels::new(&library.iter().map(|trial| &trial.key).collect::<Vec<_>>());
+        let keys: Vec<&TrialKey> = library.iter().map(|trial| &trial.key).collect();
+        let labels = Labels::new(&keys, together(&library));
         let mut joint = JointEmbedder::new(scene, &library);
         for trial in &library {
             joint.check(trial)?;
@@ -289,7 +291,12 @@ impl EmbeddingModel {
         shape: &Arc<LibraryShape>,
     ) -> Option<Self> {
         let stored: Stored = postcard::from_bytes(bytes).ok()?;
-        let labels = Labels::new(&stored.keys.iter().collect::<Vec<_>>());
+        let trials = stored.keys.len();
+        let is_sound = |(trial, first): (usize, &usize)| *first <= trial;
+        if stored.together.len() != trials || !stored.together.iter().enumerate().all(is_sound) {
+            return None;
+        }
+        let labels = Labels::new(&stored.keys.iter().collect::<Vec<_>>(), stored.together);
         let joint = stored.joint;
         let training = stored.training.restored(&labels, joint.dims())?;
         let fits = |trained: &Arc<Trained>| {
@@ -309,10 +316,11 @@ impl EmbeddingModel {
     }
 }
 
-/// The stored part of a model: everything that does not follow from the scene and the trial keys.
+/// The stored part of a model: everything that does not follow from the scene.
 #[derive(Deserialize)]
 struct Stored {
     keys: Vec<TrialKey>,
+    together: Vec<usize>,
     joint: JointEmbedder,
     training: Training,
     left_out: LeftOut,
@@ -423,7 +431,8 @@ impl EmbeddingModel {
     /// The model as bytes for [`Method::restore`](crate::recognise::Method::restore), if possible.
     pub(crate) fn store(&self) -> Option<Vec<u8>> {
         // In the order of `Stored`. Following left-out trials takes a while, unless already done.
-        let stored = (&self.keys, &self.joint, &self.training, &self.left_out, self.followed());
+        let (keys, together) = (&self.keys, &self.labels.together);
+        let stored = (keys, together, &self.joint, &self.training, &self.left_out, self.followed());
         postcard::to_allocvec(&stored).ok()
     }
 }
@@ -450,11 +459,11 @@ impl QueryVector {
     }
 }
 
-/// Probabilities, mixed with equal shares so that none is above (m + ½)/(m + 1). With m = `trials`
-/// left-out trials no more can be shown, even if all are named right.
-fn held_back(mut probabilities: Vec<f64>, trials: usize) -> Vec<f64> {
+/// Probabilities, mixed with equal shares so that none is above (m + ½)/(m + 1). With m = `held_out`
+/// people, sessions or trials that are left out no more can be shown, even if all are named right.
+fn held_back(mut probabilities: Vec<f64>, held_out: usize) -> Vec<f64> {
     let classes = probabilities.len() as f64;
-    let doubt = 0.5 / (trials as f64 + 1.0);
+    let doubt = 0.5 / (held_out as f64 + 1.0);
     let shared = (doubt / (1.0 - 1.0 / classes)).min(1.0);
     probabilities.iter_mut().for_each(|p| *p = (1.0 - shared) * *p + shared / classes);
     probabilities

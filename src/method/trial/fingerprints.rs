@@ -1,0 +1,119 @@
+//! Fingerprints by which recordings that share samples are found: excerpts that overlap, and copies.
+//!
+//! Of each series, some windows are taken, chosen by their content, so that two recordings choose the
+//! same windows of what they share (Broder 1997, "On the resemblance and containment of documents").
+
+use std::collections::HashMap;
+
+use super::{Series, Signal, is_plain};
+
+/// Frames of a window.
+pub(crate) const WINDOW: usize = 16;
+/// Fewest frames of a window that differ from the one before them.
+const LIVELY: usize = 8;
+/// Fewest sizes of steps between samples in a shared run. Sensors that rest have fewer.
+const LEAST_SIZES: usize = 8;
+/// Least information in the steps of a shared run, in bits. Chance does not bring about that much: a
+/// library has fewer than 2^70 pairs of moments.
+const LEAST_BITS: f64 = 120.0;
+/// The same in series that are equal from begin to end: a library has fewer than 2^35 pairs of series.
+const LEAST_BITS_OF_ALL: f64 = 60.0;
+/// Steps are compared in this part of their range, so that a ramp has steps of one size.
+const STEP: f32 = 1.0 / 1024.0;
+/// Frames of a run that are looked at for its information.
+const ENOUGH_FRAMES: usize = 4096;
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Fingerprints {
+    /// Hash of the whole signal; `None` if signals can be equal by chance.
+    pub whole: Option<u64>,
+    /// Hashes of windows, with the frames where they begin: the smallest ones, sorted. A picture has none.
+    pub windows: Vec<(u64, usize)>,
+}
+
+impl Fingerprints {
+    /// Takes the windows with the smallest hashes, at most this many.
+    pub(crate) fn of(signal: &Signal, most: usize) -> Self {
+        match signal {
+            Signal::Image(image) => {
+                let whole = (!is_plain(image)).then(|| signal.content_hash());
+                Self { whole, windows: Vec::new() }
+            }
+            Signal::Series(series) => {
+                let tells = tells(series, 0, series.frames());
+                let whole = tells.then(|| signal.content_hash());
+                Self { whole, windows: windows(series, most) }
+            }
+        }
+    }
+}
+
+fn windows(series: &Series, most: usize) -> Vec<(u64, usize)> {
+    const BASE: u64 = 0x9e37_79b9_7f4a_7c15;
+    let oldest = BASE.wrapping_pow(WINDOW as u32);
+    let of_frame =
+        |frame: &[f32]| frame.iter().fold(0, |hash, x| mixed(hash ^ u64::from(x.to_bits())));
+    let frames: Vec<u64> = series.samples().chunks(series.channels()).map(of_frame).collect();
+    let changes = |at: usize| usize::from(at > 0 && frames[at] != frames[at - 1]);
+    let (mut hash, mut lively) = (0u64, 0);
+    let mut found = Vec::new();
+    for (at, &frame) in frames.iter().enumerate() {
+        hash = hash.wrapping_mul(BASE).wrapping_add(frame);
+        lively += changes(at);
+        if at >= WINDOW {
+            hash = hash.wrapping_sub(frames[at - WINDOW].wrapping_mul(oldest));
+            lively -= changes(at - WINDOW);
+        }
+        if at + 1 >= WINDOW && lively >= LIVELY {
+            found.push((mixed(hash), at + 1 - WINDOW));
+        }
+    }
+    if found.len() > most {
+        found.select_nth_unstable(most);
+        found.truncate(most);
+    }
+    found.sort_unstable();
+    found.dedup_by_key(|(hash, _)| *hash);
+    found
+}
+
+/// Spreads the bits of a number over all others (Steele, Lea and Flood 2014, "SplitMix").
+fn mixed(x: u64) -> u64 {
+    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+/// Whether a run could not be equal by chance: the steps of some channel have many sizes, and tell much.
+/// The information of a step is its collision entropy, −log2 Σ p² over the sizes of steps. Short series
+/// that are equal from begin to end may tell enough by all their channels only.
+pub(crate) fn tells(series: &Series, begin: usize, frames: usize) -> bool {
+    let channels = series.channels();
+    let until = begin + frames.min(ENOUGH_FRAMES);
+    let bits = |channel: usize| {
+        let values = (begin..until).map(|frame| series.samples()[frame * channels + channel]);
+        let values: Vec<f32> = values.collect();
+        let (low, high) =
+            values.iter().fold((f32::MAX, f32::MIN), |(l, h), &x| (l.min(x), h.max(x)));
+        let grain = (high - low) * STEP;
+        if !(grain > 0.0 && grain.is_finite()) {
+            return 0.0;
+        }
+        let mut sizes: HashMap<i32, usize> = HashMap::new();
+        for step in values.windows(2) {
+            *sizes.entry(((step[1] - step[0]) / grain).round() as i32).or_default() += 1;
+        }
+        let steps = (values.len() - 1) as f64;
+        let equal: f64 = sizes.values().map(|&count| (count as f64 / steps).powi(2)).sum();
+        if sizes.len() >= LEAST_SIZES { -equal.log2() * steps } else { 0.0 }
+    };
+    if frames < series.frames() {
+        return (0..channels).any(|channel| bits(channel) >= LEAST_BITS);
+    }
+    let mut sum = 0.0;
+    (0..channels).any(|channel| {
+        sum += bits(channel);
+        sum >= LEAST_BITS_OF_ALL
+    })
+}
