@@ -20,8 +20,6 @@ pub(super) struct Labels {
     pub group: Vec<usize>,
     pub groups: usize,
     pub left_out: LeftOutBy,
-    /// What counts as one observation: the person, the session, or else `together` of each trial.
-    pub unit: Vec<usize>,
     /// For each trial, the first one with which it shares samples.
     pub together: Vec<usize>,
 }
@@ -39,13 +37,12 @@ impl Labels {
             group.iter().any(|&other| other != group[0])
                 && known_elsewhere(&class, group) * 2 > keys.len()
         };
-        let users = appearances(keys.iter().map(|key| key.user.as_str())).1;
-        let by_user = joined(&users);
-        let (group, left_out, unit) = if tells(&by_user) {
-            (by_user, LeftOutBy::People, users)
+        let by_user = joined(&appearances(keys.iter().map(|key| key.user.as_str())).1);
+        let (group, left_out) = if tells(&by_user) {
+            (by_user, LeftOutBy::People)
         } else if sessions_count(keys.iter().copied()) {
-            let sessions = appearances(keys.iter().map(|key| key.of_session())).1;
-            (joined(&sessions), LeftOutBy::Sessions, sessions)
+            let sessions = keys.iter().map(|key| key.of_session());
+            (joined(&appearances(sessions).1), LeftOutBy::Sessions)
         } else {
             let owners = keys.iter().map(|key| (key.user.as_str(), key.surface.as_str()));
             let mut counts = BTreeMap::new();
@@ -56,7 +53,7 @@ impl Labels {
                 count.saturating_sub(1)
             };
             let groups: Vec<usize> = owners.enumerate().map(of_trial).collect();
-            (joined(&groups), LeftOutBy::Trials, together.clone())
+            (joined(&groups), LeftOutBy::Trials)
         };
         Self {
             classes: surfaces.len(),
@@ -65,7 +62,6 @@ impl Labels {
             groups: group.iter().max().map_or(0, |last| last + 1),
             group,
             left_out,
-            unit,
             together,
         }
     }

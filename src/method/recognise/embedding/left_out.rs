@@ -168,7 +168,7 @@ impl Trained {
 
 #[derive(Serialize, Deserialize)]
 pub(super) struct LeftOut {
-    /// Number of people, sessions or else trials that a model without them can name.
+    /// Number of trials that a model without their group can name. Those that share samples count once.
     pub held_out: usize,
     /// Median length of the drag, in seconds, of the trials that have all sources; 0 if there are none.
     pub drag_s: f64,
@@ -219,7 +219,7 @@ impl LeftOut {
         let trials = trials.filter_map(begun).collect();
         let begun = Begun { looks, trials };
         let known = (0..library.len()).filter(|&i| is_known(i));
-        let held_out = known.map(|i| labels.unit[i]).collect::<BTreeSet<_>>().len();
+        let held_out = known.map(|i| labels.together[i]).collect::<BTreeSet<_>>().len();
         trained.iter_mut().for_each(|(present, trained)| {
             trained.measure(training, labels, present, (drag_s, &begun));
         });

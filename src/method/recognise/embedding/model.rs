@@ -460,7 +460,7 @@ impl QueryVector {
 }
 
 /// Probabilities, mixed with equal shares so that none is above (m + ½)/(m + 1). With m = `held_out`
-/// people, sessions or trials that are left out no more can be shown, even if all are named right.
+/// left-out trials no more can be shown, even if all are named right.
 fn held_back(mut probabilities: Vec<f64>, held_out: usize) -> Vec<f64> {
     let classes = probabilities.len() as f64;
     let doubt = 0.5 / (held_out as f64 + 1.0);
