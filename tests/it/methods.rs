@@ -144,7 +144,7 @@ fn made(surface: usize, number: u32, seconds: f64) -> Trial {
     let flat = Signal::Series(Series::new(1e4, 1, vec![0.0; (1e4 * seconds) as usize]).unwrap());
     let signals = [
         ("ac", noise(10_000.0, 3)),
-        ("ca1", picture(surface as u32)),
+        ("ca1", picture(100 * number + surface as u32)),
         ("fr", noise(10_000.0, 2)),
         ("ir", noise(10_000.0, 1)),
         ("me", flat),
