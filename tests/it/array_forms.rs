@@ -1,9 +1,10 @@
 //! Arrays of NumPy.
 
 use std::io::Write;
+use std::path::Path;
 
 use crate::common::says;
-use crate::table_forms::import;
+use crate::table_forms::{files, import};
 use surfaced::trial::Signal;
 
 fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {

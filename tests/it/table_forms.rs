@@ -2,7 +2,7 @@
 //! rate, the sources and their channels.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Output;
 
 use crate::common::{open, temp, write_file};
@@ -67,7 +67,7 @@ impl Imported {
         open(&self.out).unwrap_or_else(|error| panic!("{error}\n{}", self.said()))
     }
 
-    fn series(&self, source: &str) -> Series {
+    pub(crate) fn series(&self, source: &str) -> Series {
         let trial = self.library().entries[0].load().unwrap();
         let Some(Signal::Series(series)) = trial.signals.get(source) else {
             panic!("no source `{source}`: {}", self.said())
