@@ -166,6 +166,15 @@ fn the_oldest_signals_make_room_and_their_answers_stay() {
     assert_eq!(kept(), [&ids[9]]);
     history.lock().let_go(1 << 20).unwrap();
     assert_eq!((kept().len(), scans(&history).len()), (0, 10));
+    // Signals that find no room at all are a problem, which is told.
+    let answer = answer(11, Some("oak"));
+    history.answered(&answer).unwrap();
+    let folder = dir.path().join(SCANS).join(&answer.id);
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join("ir.wav"), vec![0; 90_000]).unwrap();
+    history.note(history.kept(&answer.id));
+    let problem = history.extent().problem.unwrap();
+    assert!(!folder.exists() && problem.starts_with("there is no room"), "{problem}");
 }
 
 #[test]
