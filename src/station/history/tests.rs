@@ -222,6 +222,17 @@ fn answers_are_read_from_the_old_log_if_a_shorter_one_cannot_take_its_place() {
 }
 
 #[test]
+fn numbers_are_read_to_their_last_digit() {
+    let history = History::default();
+    for scan in 1..=500 {
+        let margin = f64::from(scan).sqrt() / 7.0;
+        let answer = Answer { margin, ..answer(scan, Some("oak")) };
+        history.answered(&answer).unwrap();
+        assert_eq!(history.answer(&answer.id).unwrap().others["margin"], margin);
+    }
+}
+
+#[test]
 fn a_history_in_memory_remembers_a_thousand_answers() {
     let history = History::default();
     (1..=1200).for_each(|scan| history.answered(&answer(scan, None)).unwrap());
