@@ -313,7 +313,7 @@ mod tests {
     fn two_senders_at_one_port_are_seen_and_one_with_a_new_port_is_not() {
         let mut port = listen("127.0.0.1:0").unwrap();
         let [one, two, three] = [1, 2, 3].map(|port| SocketAddr::from(([127, 0, 0, 1], port)));
-        [one, one, two, two, three].map(|from| port.note(from));
+        [one, one, two, two, three].into_iter().for_each(|from| port.note(from));
         assert_eq!(port.mixed.get(), None);
         port.note(two);
         assert_eq!(port.mixed.get(), Some([two, three]));
