@@ -220,8 +220,8 @@ impl Journey {
                 samples: samples.to_vec(),
             };
             let fresh = self.part(heard_s, until_s).map(fresh).collect();
-            let (number, scan_s, truth_key, images, gap) = (1, until_s, None, Vec::new(), false);
-            let progress = Progress { number, truth: truth_key, scan_s, fresh, images, gap };
+            let (number, scan_s) = (1, until_s);
+            let progress = Progress { number, scan_s, fresh, ..Progress::default() };
             let before = processor_s();
             let heard = naming.hear(&progress, by);
             measured.processor_s += processor_s() - before;

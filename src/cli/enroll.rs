@@ -7,7 +7,7 @@ use super::{Done, Failure, show};
 use crate::record::check_writable;
 use crate::station::config::StationConfig;
 use crate::station::{Keep, assemble};
-use crate::trial::{EXPERT, UNLABELLED};
+use crate::trial::{EXPERT, UNLABELLED, checked_label};
 
 /// Add trials of a surface to a library, scan by scan
 ///
@@ -48,10 +48,7 @@ pub(super) struct RecordArgs {
 }
 
 fn name(text: &str) -> Result<String, String> {
-    match text.trim() {
-        "" => Err("expected a name".into()),
-        name => Ok(name.to_string()),
-    }
+    checked_label(text).map_err(|problem| format!("the name {problem}"))
 }
 
 pub(super) fn enroll(args: &EnrollArgs) -> Done {

@@ -276,6 +276,10 @@ pub(super) fn verdict(totals: &Totals) -> Done {
     if let Some((name, error)) = totals.failed.first() {
         return Err(Failure::Damaged(format!("{name}: {error}")));
     }
+    if totals.lost_trials > 0 {
+        let trials = counted(totals.lost_trials as usize, "trial");
+        return Err(Failure::Damaged(format!("{trials} could not be written and are lost")));
+    }
     match totals.lost() {
         0 => Ok(()),
         lost => Err(Failure::Damaged(format!(
@@ -356,25 +360,28 @@ fn kept_beside(model: &Path) -> PathBuf {
     name.into()
 }
 
-/// The library that is named; made, if the user wants that.
-fn existing_library(args: &Args, config: &StationConfig) -> Done<PathBuf> {
-    let library = library_of(config)?;
-    if !library.is_dir() {
-        if !args.create && !is_agreed(&library) {
-            return Err(Failure::Failed(format!(
-                "{}: no such folder; record a library first, with `surfaced enroll LABEL --library \
-                 {0}` for each surface, or make an empty one with --create, or name another one",
-                library.display()
-            )));
-        }
-        make_library(&library, &config.scene)?;
-        say!("{} is made; enroll surfaces on the page (--serve)", library.display());
+/// Whether a library is yet to be made. Fails if it is not there, and the user does not want it made.
+fn is_to_be_made(args: &Args, library: &Path) -> Done<bool> {
+    if library.is_dir() {
+        return Ok(false);
     }
-    Ok(library)
+    if !args.create && !is_agreed(library) {
+        return Err(Failure::Failed(format!(
+            "{}: no such folder; record a library first, with `surfaced enroll LABEL --library \
+             {0}` for each surface, or make an empty one with --create, or name another one",
+            library.display()
+        )));
+    }
+    Ok(true)
 }
 
 pub(super) fn run(args: &Args) -> Done {
     let how = args.comparing.resolve(None)?;
+    // Before a sensor is learnt, which takes seconds.
+    let makes = match &args.station.library {
+        Some(library) if args.model.is_none() => Some(is_to_be_made(args, library)?),
+        _ => None,
+    };
     let mut config = args.station.config()?;
     if let Some(plan) = &how.plan {
         config = config.only(&plan.sources);
@@ -394,7 +401,11 @@ pub(super) fn run(args: &Args) -> Done {
             (Work::ByModel(Arc::new(ready.by)), kept_beside(path), file.query_s)
         }
         None => {
-            let library = existing_library(args, &config)?;
+            let library = library_of(&config)?;
+            if makes.map_or_else(|| is_to_be_made(args, &library), Ok)? {
+                make_library(&library, &config.scene)?;
+                say!("{} is made; enroll surfaces on the page (--serve)", library.display());
+            }
             let check = naming::check(&library, &how);
             let load = naming::load(&library, &config.scene, &how, answering, Some(given));
             let load = if config.is_continuous { naming::with_scan_time(load) } else { load };

@@ -38,6 +38,8 @@ use crate::trial::Doubt;
 
 /// How many answers may wait between the station and an outbox.
 const QUEUE: usize = 256;
+/// Begins the name of the outbox of an alert; the alert's name follows.
+const ALERT: &str = "alert-";
 /// How long the program, at its end, waits for answers that are being sent.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -46,6 +48,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 pub struct OutputView {
     /// The address that answers go to.
     pub output: String,
+    /// The name of the alert that is sent there; `None` for all answers.
+    pub alert: Option<String>,
     /// Number of answers that have not arrived yet.
     pub waiting: u64,
     /// Number of failed attempts and refused answers.
@@ -68,8 +72,9 @@ struct OutputState {
 }
 
 impl OutputHealth {
-    fn new(output: String) -> Self {
-        let view = OutputView { output, waiting: 0, failures: 0, dropped: 0, problem: None };
+    fn new(output: String, alert: Option<&str>) -> Self {
+        let (alert, problem) = (alert.map(String::from), None);
+        let view = OutputView { output, alert, waiting: 0, failures: 0, dropped: 0, problem };
         Self(Arc::new(Mutex::new(OutputState { view, not_taken: 0 })))
     }
 
@@ -165,7 +170,7 @@ impl Pending {
     /// Opens the outbox for an output (its name and address) in a station's folder.
     fn open(folder: &Path, output: (&str, String), station: &str) -> Result<Self, HistoryError> {
         let outbox = Outbox::open(folder, output.0)?;
-        let health = OutputHealth::new(output.1);
+        let health = OutputHealth::new(output.1, output.0.strip_prefix(ALERT));
         health.holds(&outbox);
         Ok(Self { station: station.into(), outbox, health })
     }
@@ -231,12 +236,13 @@ impl Output {
         }
         for rule in alerts {
             if let Some(address) = &rule.http {
-                let name = format!("alert-{}", rule.name);
+                let name = format!("{ALERT}{}", rule.name);
                 let (place, output) = ((&*folder, &**station), (&*name, address));
                 outputs.push(Self::posting(place, output, Wants::alert(rule), history)?);
             }
             if let Some(coil) = rule.coil.clone() {
-                let (health, hold) = (OutputHealth::new(coil.to_string()), rule.hold);
+                let health = OutputHealth::new(coil.to_string(), Some(&rule.name));
+                let hold = rule.hold;
                 let own = health.clone();
                 let switch = move |alerts| alert::switch_all(own, coil, hold, alerts);
                 outputs.push(Self::new(health, Wants::alert(rule), history, switch)?);
@@ -434,7 +440,7 @@ mod tests {
     fn answers_that_the_outbox_never_got_stay_counted() {
         let dir = tempfile::tempdir().unwrap();
         let outbox = Outbox::open(dir.path(), "http").unwrap();
-        let health = OutputHealth::new("http://here".into());
+        let health = OutputHealth::new("http://here".into(), None);
         health.not_taken();
         health.not_taken();
         health.holds(&outbox);

@@ -11,12 +11,13 @@ use serde_json::{Value, json};
 
 use super::hub::{CheckView, Hub, Shared};
 use super::request::{Problem, Reply, Said, aside, body, label};
+use super::review::NOTE;
 use super::roles::By;
 use super::state::unix_ms;
 use super::subscribers::EventKind;
 use crate::history::{Actor, AuditRecord};
 use crate::library::LibraryError;
-use crate::record::edit::{self, Editor, Step};
+use crate::record::edit::{self, Editor, Move, Step};
 use crate::station::Command;
 
 const MOST: usize = 1000;
@@ -114,7 +115,11 @@ async fn edited(
     let step = aside(move || {
         let step = edit(&mut Editor::open(&library.folder, &library.scene)?)?;
         // If the moves cannot be recorded now, moved trials are found later by their notes.
-        let _ = history.relocated(&step.moves, by.person.as_deref());
+        let scan_of = |one: &Move| {
+            let notes = edit::notes_of(&library.folder, &one.to)?;
+            notes.strip_prefix(NOTE).map(String::from)
+        };
+        let _ = history.relocated(&step.moves, scan_of, by.person.as_deref());
         let moves = step.moves.iter();
         history.note_changes(moves.map(|one| moved(&by, action, [Some(&one.from), Some(&one.to)])));
         Ok(step)

@@ -111,8 +111,11 @@ impl HubState {
             ("surfaced_output_waiting", "gauge", "Answers that wait for an output."),
         ];
         let outputs = outputs.iter().map(|output| {
-            let OutputView { output, waiting, failures, dropped, .. } = output;
-            (vec![("output", output.as_str())], [*failures, *dropped, *waiting])
+            let OutputView { output, alert, waiting, failures, dropped, .. } = output;
+            // Several alerts may share one address.
+            let alert = alert.as_deref().map(|alert| ("alert", alert));
+            let labels = [("output", output.as_str())].into_iter().chain(alert);
+            (labels.collect(), [*failures, *dropped, *waiting])
         });
         page.family(heads, outputs);
         let help = "Scans of which somebody said what they were.";
@@ -217,8 +220,11 @@ mod tests {
             hub.latency_s.observe(latency);
         }
         let _readers = [(); 3].map(|()| hub.subscribers.subscribe(EventFilter::ALL, Bytes::new()));
-        let output = "http://example/".into();
-        let outputs = [OutputView { output, waiting: 7, failures: 2, dropped: 1, problem: None }];
+        let of = |alert: Option<&str>, waiting| {
+            let (output, alert, problem) = ("http://example/".into(), alert.map(Into::into), None);
+            OutputView { output, alert, waiting, failures: 2, dropped: 1, problem }
+        };
+        let outputs = [of(None, 7), of(Some("wrong"), 8), of(Some("worn"), 9)];
         let text = hub.metrics(&outputs, (&[], &Drift::default()), &Traffic::default(), 5);
         for line in [
             "surfaced_device_streaming{device=\"a \\\"b\\\"\\\\\\n\\\\u{202e}\"} 1",
@@ -231,6 +237,8 @@ mod tests {
             "surfaced_output_failures_total{output=\"http://example/\"} 2",
             "surfaced_output_dropped_total{output=\"http://example/\"} 1",
             "surfaced_output_waiting{output=\"http://example/\"} 7",
+            "surfaced_output_waiting{output=\"http://example/\",alert=\"wrong\"} 8",
+            "surfaced_output_waiting{output=\"http://example/\",alert=\"worn\"} 9",
             "surfaced_scans_total{answer=\"named\"} 0",
         ] {
             assert!(text.lines().any(|l| l == line), "{line}\n{text}");

@@ -1,5 +1,6 @@
 //! Reviews of past scans: what each truly was, for one scan or many, and scans that become trials.
 
+use std::cell::LazyCell;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -140,15 +141,16 @@ fn correct_all(
     let _reviewing = history.reviewing();
     let correction = truth.map(|truth| Correction { truth, person: by.person.clone() });
     let found: Vec<Corrected> = ids.iter().map(|id| find(history, id)).collect();
-    let kept: Vec<_> = found.iter().flatten().filter(|scan| scan.became.is_some()).collect();
+    let trials = library.map(|library| trials_of(library, found.iter().flatten()));
+    let trials = trials.unwrap_or_default();
     let label = correction.as_ref().and_then(Correction::surface);
-    let moves = library.map(|library| move_trials(library, &kept, label)).transpose();
+    let moves = library.map(|library| move_trials(library, &trials, label)).transpose();
     let is_moved = matches!(&moves, Ok(Some(moves)) if !moves.is_empty());
     let correct = |scan: HistoryRow| {
         let id = &scan.head.id;
         let mut records = Vec::new();
         match &moves {
-            _ if scan.became.is_none() => {}
+            _ if scan.became.is_none() && !trials.contains_key(id) => {}
             Err(error) => return Err(Problem::Failed(error.to_string())),
             Ok(None) => {}
             Ok(Some(moves)) => {
@@ -180,23 +182,39 @@ fn find(history: &History, id: &str) -> Corrected {
     })
 }
 
-/// The note in the `trial.toml` of a trial that was made of this scan.
+/// Begins the note in the `trial.toml` of a trial that was made of a scan; the scan's id follows.
+pub(super) const NOTE: &str = "scan ";
+
 fn notes(scan: &HistoryRow) -> String {
-    format!("scan {}", scan.head.id)
+    format!("{NOTE}{}", scan.head.id)
 }
 
-/// Moves the trials that were made of scans to another label, or removes them if `label` is `None`.
-/// Returns the old and the new name of each, by the id of its scan. Trials that are gone are left out.
-fn move_trials(
+/// The trials of a library that were made of these scans, by the scan's id. The history may not know of
+/// a trial that another program removed and restored, but its notes say where it is from.
+fn trials_of<'a>(
     library: &LibraryFolder,
-    scans: &[&HistoryRow],
-    label: Option<&str>,
-) -> Result<BTreeMap<String, (String, Option<String>)>, LibraryError> {
-    let trial = |scan: &&HistoryRow| {
-        let trial = edit::trial_of_note(&library.folder, &notes(scan), scan.became.as_deref());
+    scans: impl Iterator<Item = &'a HistoryRow>,
+) -> BTreeMap<String, String> {
+    let folder = &library.folder;
+    let by_note = LazyCell::new(|| edit::trials_by_note(folder));
+    let trial = |scan: &HistoryRow| {
+        let notes = notes(scan);
+        let trial = match scan.became.as_deref() {
+            Some(became) => edit::trial_of_note(folder, &notes, Some(became)),
+            None => by_note.get(&notes).cloned(),
+        };
         Some((scan.head.id.clone(), trial?))
     };
-    let trials: BTreeMap<String, String> = scans.iter().filter_map(trial).collect();
+    scans.filter_map(trial).collect()
+}
+
+/// Moves trials that were made of scans to another label, or removes them if `label` is `None`.
+/// Returns the old and the new name of each, by the id of its scan.
+fn move_trials(
+    library: &LibraryFolder,
+    trials: &BTreeMap<String, String>,
+    label: Option<&str>,
+) -> Result<BTreeMap<String, (String, Option<String>)>, LibraryError> {
     if trials.is_empty() {
         return Ok(BTreeMap::new());
     }
@@ -204,14 +222,16 @@ fn move_trials(
     let mut editor = Editor::open(&library.folder, &library.scene)?;
     let Some(label) = label else {
         editor.remove(&names)?;
-        return Ok(trials.into_iter().map(|(id, from)| (id, (from, None))).collect());
+        let gone = |(id, from): (&String, &String)| (id.clone(), (from.clone(), None));
+        return Ok(trials.iter().map(gone).collect());
     };
     let moves = editor.move_to(&names, label)?.moves;
     // A trial that has this label already stays where it is.
     let to = |from: &String| moves.iter().find(|one| one.from == *from).map(|one| one.to.clone());
-    let named =
-        |(id, from): (String, String)| (id, (from.clone(), Some(to(&from).unwrap_or(from))));
-    Ok(trials.into_iter().map(named).collect())
+    let named = |(id, from): (&String, &String)| {
+        (id.clone(), (from.clone(), Some(to(from).unwrap_or_else(|| from.clone()))))
+    };
+    Ok(trials.iter().map(named).collect())
 }
 
 #[derive(Deserialize)]

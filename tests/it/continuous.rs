@@ -16,7 +16,7 @@ use surfaced::station::{
     Answer, AnswerState, Change, Continuous, ContinuousNaming, LibraryState, Listener, Recogniser,
     Station, StationEvent,
 };
-use surfaced::trial::{Series, Signal, Trial, TrialKey};
+use surfaced::trial::{Doubt, Series, Signal, Trial, TrialKey};
 
 const RATE_HZ: f64 = 1_000.0;
 const WINDOW_S: f64 = 1.0;
@@ -132,7 +132,8 @@ fn heard(samples: &[f32], gap: std::ops::Range<usize>, says_gap: bool) -> (Vec<C
         let fresh = Fresh { source, rate_hz, channels, start: start as u64, samples };
         let (scan_s, gap) = ((start + hop) as f64 / RATE_HZ, missing && says_gap);
         let fresh = vec![fresh];
-        let progress = Progress { number: 1, scan_s, fresh, gap, ..Progress::default() };
+        let lost = if gap { hop as u64 } else { 0 };
+        let progress = Progress { number: 1, scan_s, fresh, gap, lost, ..Progress::default() };
         changes.extend(naming.hear(&progress, &by).change);
     }
     (changes, Answer::clone(&naming.end().unwrap().answer))
@@ -150,6 +151,9 @@ fn a_gap_makes_no_change_but_repeated_frames_would() {
     let (changes, answer) = heard(&all, gap.clone(), true);
     assert_eq!(changes.len(), 1, "{changes:#?}");
     assert_eq!((answer.surface.as_deref(), answer.begin_s), (Some("ash"), Some(0.0)));
+    let lost = gap.len() as u64;
+    assert_eq!(answer.lost_samples, lost);
+    assert!(answer.doubts.contains(&Doubt::LostSamples { samples: lost }), "{:?}", answer.doubts);
     let (changes, _) = heard(&all, gap, false);
     assert!(changes.len() > 1, "the repeated frames are like no ash");
 }

@@ -169,6 +169,9 @@ impl Listener for Became {
         {
             self.1.lock().unwrap().push(*scan);
         }
+        if let (StationEvent::Finished(totals), EnrolledOutcome::Lost) = (event, self.0) {
+            assert_eq!(totals.lost_trials as usize, self.1.lock().unwrap().len());
+        }
     }
 }
 

@@ -250,7 +250,8 @@ fn a_station_whose_devices_have_no_source_of_the_library_says_so_at_its_start() 
 fn a_configuration_or_a_library_that_cannot_be_is_reported() {
     let bench = Bench::new();
     let said = |args: &[&str]| {
-        let output = Command::new(env!("CARGO_BIN_EXE_surfaced")).args(args).output().unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_surfaced"));
+        let output = command.args(args).stdin(Stdio::null()).output().unwrap();
         assert!(output.stdout.is_empty());
         (output.status.code(), String::from_utf8(output.stderr).unwrap())
     };
@@ -264,7 +265,17 @@ fn a_configuration_or_a_library_that_cannot_be_is_reported() {
     let (code, text) = said(&["run", "--config", wrong.to_str().unwrap(), "--library", "/"]);
     assert!(code == Some(2) && text.contains("line 3") && text.contains("prot"), "{text}");
     let (code, text) = said(&["enroll", " ", "--library", "/"]);
-    assert!(code == Some(2) && text.contains("expected a name"), "{text}");
+    assert!(code == Some(2) && text.contains("the name is empty"), "{text}");
+    // What cannot be is said before a sensor is learnt.
+    let file = wrong.to_str().unwrap();
+    let (code, text) = said(&["run", "--library", "/no/such/folder", "--lines", file]);
+    assert!(code == Some(1) && text.starts_with("error: /no/such/folder"), "{text}");
+    let (code, text) = said(&["enroll", "../oak", "--library", "/", "--lines", file]);
+    assert!(code == Some(2) && text.contains("begins with a dot"), "{text}");
+    let (code, text) = said(&["devices", "--watch", file]);
+    assert!(code == Some(1) && text.contains("is no serial port"), "{text}");
+    let (code, text) = said(&["enroll", "oak", "--library", "/", "--lines", "-"]);
+    assert!(code == Some(1) && text.contains("standard input is empty"), "{text}");
 }
 
 #[test]

@@ -9,6 +9,7 @@ use crate::common::id;
 use serde_json::{Value, json};
 use surfaced::device::camera::{FlashState, Viewfinder};
 use surfaced::history::{History, Keeper};
+use surfaced::record::edit::Editor;
 use surfaced::record::{TrialOptions, write_trial};
 use surfaced::scan::Scan;
 use surfaced::scene::Scene;
@@ -150,6 +151,14 @@ fn correcting_a_scan_that_was_kept_takes_its_trial_along() {
     assert_eq!(correct(r#"{"surface": "yew"}"#)["became"], "yew/expert-01");
     assert_eq!(correct(r#"{"unknown": true}"#)["became"], Value::Null);
     assert_eq!(trials(&served), ["oak/anna-01"]);
+    // And after the trial has come back, here or by another program.
+    served.post("/api/v1/library/undo", "");
+    assert_eq!(served.get("/api/v1/scans/1").json()["became"], "yew/expert-01");
+    assert_eq!(correct(r#"{"bad": true}"#)["became"], Value::Null);
+    Editor::open(&dir.path().join("library"), &Scene::lmt108()).unwrap().undo().unwrap();
+    assert_eq!(correct(r#"{"surface": "fir"}"#)["became"], "fir/expert-01");
+    assert_eq!(trials(&served), ["fir/expert-01", "oak/anna-01"]);
+    correct("{}");
     correct(r#"{"surface": "oak"}"#);
     assert_eq!(served.post("/api/v1/scans/1/keep", "").status, 200);
 }

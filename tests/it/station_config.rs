@@ -143,6 +143,26 @@ fn mistakes_are_refused_with_their_line() {
 }
 
 #[test]
+fn a_port_has_one_sensor_whatever_it_is_called() {
+    let dir = tempfile::tempdir().unwrap();
+    let (port, link) = (dir.path().join("port"), dir.path().join("link"));
+    std::fs::write(&port, "").unwrap();
+    std::os::unix::fs::symlink(&port, &link).unwrap();
+    let of = |ports: [&str; 2]| {
+        let block =
+            |(port, id)| format!("[[lines]]\nport = \"{port}\"\nsources = {{ {id} = [1] }}\n");
+        let blocks: String = ports.into_iter().zip(["a", "b"]).map(block).collect();
+        parse(&format!("format = 1\n{blocks}"))
+    };
+    let (port, link) = (port.to_str().unwrap(), link.to_str().unwrap());
+    assert!(of([port, "/dev/ttyOTHER"]).is_ok());
+    for twice in [[port, &format!("{port}@9600")], [port, link], ["tcp://here:5", "tcp://here:5"]] {
+        let refused = of(twice).unwrap_err();
+        assert!(refused.contains("line 6: another [[lines]] has this port"), "{refused}");
+    }
+}
+
+#[test]
 fn addresses_are_taken_apart_and_others_refused() {
     let http: HttpAddress = "http://example:9000/a/b?c=d".parse().unwrap();
     assert_eq!((http.host, http.path.as_str()), (("example".into(), 9000), "/a/b?c=d"));

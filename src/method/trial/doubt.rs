@@ -42,6 +42,8 @@ pub enum Doubt {
     EndedEarly,
     /// The scan begins or ends in a gap of the data.
     Cut,
+    /// A source comes at another rate than the scan states, so its frequencies are wrong.
+    WrongRate { source: SourceId, seen_hz: f64, rate_hz: f64 },
     /// Samples and pictures were lost, in gaps that were bridged.
     LostSamples { samples: u64 },
 
@@ -93,6 +95,7 @@ impl Doubt {
             | Self::Missing { source, .. }
             | Self::PictureLost { source }
             | Self::Unusable { source, .. }
+            | Self::WrongRate { source, .. }
             | Self::FewIndependent { source, .. }
             | Self::SourceMissing { source }
             | Self::LevelDrift { source, .. }
@@ -113,11 +116,11 @@ impl Doubt {
         self.is_sensor_fault() || matches!(self, Self::TooShort { .. })
     }
 
-    /// Whether data are missing, so that the whole scan should not be trusted.
+    /// Whether data are missing or wrong, so that the whole scan should not be trusted.
     pub fn spoils(&self) -> bool {
         use Doubt::*;
         let of_source = matches!(self, Gap { .. } | Missing { .. } | PictureLost { .. });
-        of_source || matches!(self, Unusable { .. } | NoData | EndedEarly | Cut)
+        of_source || matches!(self, Unusable { .. } | WrongRate { .. } | NoData | EndedEarly | Cut)
     }
 
     /// How bad a fault of a sensor is: whether the sensor is dead (not clipped), and the share of time.
@@ -163,6 +166,10 @@ impl Doubt {
             Self::NoData => "no source of the scene has any data in this scan".into(),
             Self::EndedEarly => "its data stopped before it was over".into(),
             Self::Cut => "a gap in its data hides a part of it".into(),
+            Self::WrongRate { seen_hz, rate_hz, .. } => format!(
+                "its rate is {seen_hz} Hz, but {rate_hz} Hz are expected; set rate_hz in its [[lines]] of \
+                 the configuration"
+            ),
             Self::LostSamples { samples } => format!("{samples} samples were lost in it"),
             Self::TooShort { scan_s, needed_s, .. } => {
                 // A scan that is too short by less than a tenth must not look long enough.

@@ -32,7 +32,9 @@ export const damageOf = (answer) => (answer.damage ? doubtLines(answer.damage) :
 // The kinds of doubts that are faults of a sensor, and of those that say that data are missing. Both
 // are damage.
 const FAULTS = ["stuck", "at_zero", "clipped", "one_colour"];
-const LOSSES = ["gap", "missing", "picture_lost", "unusable", "no_data", "ended_early", "cut"];
+const LOSSES = [
+  "gap", "missing", "picture_lost", "unusable", "wrong_rate", "no_data", "ended_early", "cut",
+];
 
 const has = (answer, kinds) => (answer.doubts ?? []).some(({ kind }) => kinds.includes(kind));
 

@@ -13,6 +13,7 @@ mod intake;
 mod lateness;
 mod layout;
 mod numbers;
+mod pace;
 mod parser;
 mod survey;
 mod swaps;
@@ -30,7 +31,7 @@ use super::{
 };
 use crate::ring::Sink;
 
-use address::{Drops, OpenLine, put_back};
+use address::{Drops, Mixed, OpenLine, put_back};
 
 pub use address::LinesAddress;
 pub use intake::{LinesEvent, LinesIntake};
@@ -38,17 +39,13 @@ pub use layout::{Column, Count, LinesStream};
 pub use survey::{ColumnSurvey, SURVEY_S, Survey};
 
 use intake::GARBAGE;
+use pace::{Arrived, Pace};
 
 /// Pause after a read that did not fill half of the buffer, so that one read takes many lines, even if
 /// each line is sent by itself.
 const GATHER: Duration = Duration::from_millis(4);
 /// Rate in Hz for which a device's ring is sized while the device's rate is not known.
 const UNKNOWN_HZ: f64 = 20_000.0;
-/// Seconds between two checks of the rate, and the least relative error that is reported.
-const PACE_S: f64 = 10.0;
-const PACE: f64 = 0.01;
-/// Fewest rows by which a rate that is counted within [`PACE_S`] must differ.
-const PACE_ROWS: f64 = 3.0;
 /// Time between two looks at what the system has dropped.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 const DROPPED: &str = "datagrams were dropped by the system, since they came too fast";
@@ -77,10 +74,11 @@ struct Work<'a> {
     sinks: &'a mut [Sink],
     link: &'a DeviceLink,
     begin: Instant,
-    /// Number of frames before the last check of the rate, and the time of that check.
-    pace: (u64, Instant),
-    off_pace: bool,
+    pace: Pace,
     drops: Option<Drops>,
+    mixed: Mixed,
+    /// Whether it was said that two senders are mixed.
+    is_mixed: bool,
 }
 
 impl Lines {
@@ -118,11 +116,12 @@ impl Device for Lines {
             intake.decimal_comma(*decimal_comma)
         };
         let intake = rate_hz.filter(|_| scaled).map(intake);
-        let (pace, off_pace) = ((0, begin), false);
-        let mut work = Work { config, intake, sinks, link, begin, pace, off_pace, drops: None };
+        let pace = Pace::default();
+        let (drops, mixed, is_mixed) = (None, Mixed::default(), false);
+        let mut work = Work { config, intake, sinks, link, begin, pace, drops, mixed, is_mixed };
         keep_connected(link, RETRY, || {
-            let OpenLine { mut line, path, drops } = address.open()?;
-            work.drops = drops;
+            let OpenLine { mut line, path, drops, mixed } = address.open()?;
+            (work.drops, work.mixed) = (drops, mixed);
             link.state(DeviceState::Opening, path.clone());
             match work.follow(&mut line) {
                 // The device ends with its pipe, which cannot be reopened.
@@ -200,8 +199,11 @@ pub fn survey_of(address: &LinesAddress, patience: Duration) -> Result<Survey, S
         let (now, serial) = (Instant::now(), matches!(address, LinesAddress::Serial(..)));
         !survey.has_rows() && now >= until || serial && survey.is_noise() && now >= noisy
     };
-    let (survey, bytes) = survey(&mut line, (address.begins_half(), None), stopped)
-        .map_err(|why| format!("{path}: {why}"))?;
+    let (survey, bytes) =
+        survey(&mut line, (address.begins_half(), None), stopped).map_err(|why| match address {
+            LinesAddress::Stdin => "standard input is empty; pipe lines of numbers into it".into(),
+            _ => format!("{path}: {why}"),
+        })?;
     if *address == LinesAddress::Stdin {
         put_back(bytes);
     }
@@ -278,9 +280,11 @@ impl Work<'_> {
     fn take_all(&mut self, line: &mut dyn Read) -> Result<(), String> {
         let mut buffer = vec![0; BUFFER + 1];
         let waits = self.config.address == LinesAddress::Stdin;
+        // A file is read as fast as its rows are taken.
+        let is_paced = !(waits && system::stdin_is_a_file());
         let (mut rows_at, mut reported_at) = (Instant::now(), Instant::now());
         let mut looked_at = rows_at;
-        self.measure_from(rows_at);
+        self.pace.restart(self.seconds(rows_at));
         while !self.link.stopped() {
             let n = read_some(line, &mut buffer)?;
             let now = Instant::now();
@@ -288,14 +292,16 @@ impl Work<'_> {
                 looked_at = now;
                 self.look_at_drops();
             }
-            if self.take(&buffer[..n], (now - self.begin).as_secs_f64(), waits) {
+            if self.take(&buffer[..n], self.seconds(now), waits) {
                 rows_at = now;
+                if is_paced {
+                    self.look_at_pace(self.seconds(now));
+                }
                 self.link.state(DeviceState::Streaming, "");
             } else if now - rows_at >= STALLED {
-                self.measure_from(now);
+                self.pace.restart(self.seconds(now));
                 self.link.state(DeviceState::Stalled, self.why_silent());
             }
-            self.look_at_pace(now);
             if now - reported_at >= REPORT_EVERY {
                 self.report();
                 reported_at = now;
@@ -339,8 +345,8 @@ impl Work<'_> {
         });
     }
 
-    fn measure_from(&mut self, now: Instant) {
-        self.pace = (self.intake.as_ref().map_or(0, |intake| intake.frames), now);
+    fn seconds(&self, now: Instant) -> f64 {
+        (now - self.begin).as_secs_f64()
     }
 
     fn why_silent(&self) -> String {
@@ -353,30 +359,22 @@ impl Work<'_> {
 
     /// Warns if the rate of the lines differs from the configured or first measured one. Small
     /// differences are clock drift, which the scan's clock follows, and need no warning.
-    fn look_at_pace(&mut self, now: Instant) {
-        let (Some(intake), (frames, since)) = (&self.intake, self.pace) else { return };
-        let passed_s = (now - since).as_secs_f64();
-        if passed_s < PACE_S {
+    fn look_at_pace(&mut self, now_s: f64) {
+        let Some(intake) = &self.intake else { return };
+        let (frames, rate_hz, unsettled) = (intake.frames, intake.rate_hz, intake.is_unsettled());
+        let clock_hz = intake.clock_hz();
+        if !self.pace.rows(Arrived { now_s, frames, rate_hz, unsettled, clock_hz }) {
             return;
         }
-        // Frames that are missing count, too: they were sampled, but not received.
-        let counted_hz = intake.frames.saturating_sub(frames) as f64 / passed_s;
-        let (seen_hz, least_hz) = match intake.clock_hz() {
-            Some(clock_hz) => (clock_hz, 0.0),
-            None => (counted_hz, PACE_ROWS / passed_s),
-        };
-        let rate_hz = intake.rate_hz;
-        let off = (seen_hz - rate_hz).abs() > (PACE * rate_hz).max(least_hz);
-        self.measure_from(now);
-        if off && !self.off_pace {
-            let seen_hz = clocks::rounded(seen_hz, 3);
+        let seen_hz = self.pace.off_hz.map(|seen_hz| clocks::rounded(seen_hz, 3));
+        self.link.off_pace(seen_hz);
+        if let Some(seen_hz) = seen_hz {
             let text = format!(
-                "its rate is {seen_hz} Hz, but {rate_hz} Hz are expected, so scans are recorded at a \
-                 wrong rate; say rate_hz = {seen_hz} in its [[lines]] of the configuration"
+                "its rate is {seen_hz} Hz, but {rate_hz} Hz are expected, so scans have a wrong \
+                 rate, and their answers are unsure; say rate_hz = {seen_hz} in its [[lines]] of the configuration"
             );
             self.link.warn(WarningKind::OffPace, text);
         }
-        self.off_pace = off;
     }
 
     fn report(&mut self) {
@@ -387,6 +385,13 @@ impl Work<'_> {
             if let Some(swapped) = intake.swapped() {
                 self.link.warn(WarningKind::Swapped, swapped);
             }
+        }
+        if let (Some([one, other]), false) = (self.mixed.take(), self.is_mixed) {
+            self.is_mixed = true;
+            let text = format!(
+                "{one} and {other} both send to it, and their lines are mixed; give each a port of its own"
+            );
+            self.link.warn(WarningKind::Damaged, text);
         }
     }
 }

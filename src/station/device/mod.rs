@@ -22,7 +22,7 @@ mod warning;
 pub use replay::{Replay, Speed};
 pub use warning::{Warning, WarningKind};
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::fmt;
 use std::time::{Duration, Instant};
 
@@ -116,6 +116,9 @@ pub enum DeviceReportKind {
     Mark(Mark),
     /// The rate in Hz measured for all streams of the device; sent before the first frame.
     Rate(f64),
+    /// The rate in Hz at which the device's lines come, if it is not the expected one; `None` once it
+    /// is again.
+    OffPace(Option<f64>),
     Warning(Warning),
     /// The result of the device's thread, which has ended; sent by the session.
     Ended(Result<(), DeviceError>),
@@ -127,11 +130,13 @@ pub struct DeviceLink {
     stop: Stop,
     reports: Sender<DeviceReport>,
     last: RefCell<Option<(DeviceState, String)>>,
+    /// Whether the device was lost as soon as it was opened, so that opening it again is no news.
+    flaps: Cell<bool>,
 }
 
 impl DeviceLink {
     pub fn new(device: usize, stop: Stop, reports: Sender<DeviceReport>) -> Self {
-        Self { device, stop, reports, last: RefCell::new(None) }
+        Self { device, stop, reports, last: RefCell::new(None), flaps: Cell::new(false) }
     }
 
     pub fn stopped(&self) -> bool {
@@ -157,6 +162,10 @@ impl DeviceLink {
 
     /// Reports a state, unless the last report had the same state and detail.
     pub fn state(&self, state: DeviceState, detail: impl Into<String>) {
+        if state == DeviceState::Opening && self.flaps.get() {
+            return;
+        }
+        self.flaps.set(self.flaps.get() && state == DeviceState::Lost);
         let detail = detail.into();
         let now = Some((state, detail.clone()));
         if self.last.replace(now.clone()) != now {
@@ -176,6 +185,10 @@ impl DeviceLink {
 
     pub fn rate(&self, rate_hz: f64) {
         self.send(DeviceReportKind::Rate(rate_hz));
+    }
+
+    pub fn off_pace(&self, seen_hz: Option<f64>) {
+        self.send(DeviceReportKind::OffPace(seen_hz));
     }
 
     /// Reports the result of the device's thread, also after a stop.
@@ -299,7 +312,8 @@ enum Disconnected {
 }
 
 /// Calls `connect`, which opens hardware and works with it, again and again until a stop. Waits
-/// longer after each failure to open, up to `longest`. Fails if another attempt is useless.
+/// longer after each failure to open, up to `longest`, and also if the hardware is lost again as soon as it
+/// is open. Fails if another attempt is useless.
 fn keep_connected(
     link: &DeviceLink,
     longest: Duration,
@@ -310,9 +324,13 @@ fn keep_connected(
         match connect() {
             Ok(()) => break,
             Err(Disconnected::Lost(why)) => {
-                (was_there, reported, wait) = (true, None, RETRY);
+                let at_once = link.flaps.get()
+                    || matches!(*link.last.borrow(), Some((DeviceState::Opening, _)));
+                (was_there, reported) = (true, None);
+                wait = if at_once { longer(wait, LONGEST_RETRY) } else { RETRY };
+                link.flaps.set(at_once);
                 link.state(DeviceState::Lost, why);
-                link.sleep_until(Instant::now() + RETRY);
+                link.sleep_until(Instant::now() + wait);
             }
             Err(Disconnected::NotOpened(error @ OpenError::Unfit(_))) => {
                 return Err(DeviceError::Failed(error.to_string()));
@@ -376,6 +394,28 @@ mod tests {
         };
         assert_eq!(waits(LONGEST_RETRY), [300, 600, 1200, 2400, 4800, 5000]);
         assert_eq!(waits(RETRY), [300; 6]);
+    }
+
+    #[test]
+    fn a_peer_that_hangs_up_at_once_is_told_once_and_asked_more_rarely() {
+        let (send, reports) = crossbeam_channel::unbounded();
+        let stop = Stop::default();
+        let link = DeviceLink::new(0, stop.clone(), send);
+        let (mut attempts, begin) = (0, Instant::now());
+        let connect = || {
+            attempts += 1;
+            link.state(DeviceState::Opening, "it");
+            if attempts == 3 {
+                stop.request();
+            }
+            Err(Disconnected::Lost("it hung up".into()))
+        };
+        keep_connected(&link, RETRY, connect).unwrap();
+        assert_eq!((attempts, reports.try_iter().count()), (3, 2));
+        assert!(begin.elapsed() >= 5 * RETRY);
+        link.state(DeviceState::Streaming, "");
+        link.state(DeviceState::Opening, "it");
+        assert_eq!(reports.try_iter().count(), 2, "data came, so a new connection is news");
     }
 
     #[test]

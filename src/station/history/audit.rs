@@ -87,7 +87,7 @@ pub(super) struct AuditLog {
     in_memory: VecDeque<Row>,
     /// Number of the records that were in memory so far, by which those have their ids.
     count: u64,
-    /// Lines that could not be written to disk. They are tried again with the next record.
+    /// Lines that could not be written to disk yet.
     unwritten: VecDeque<String>,
 }
 
@@ -98,18 +98,24 @@ impl AuditLog {
 
     fn add(&mut self, record: &AuditRecord) -> Result<(), HistoryError> {
         let text = json_text(record);
-        let Some(log) = &mut self.log else {
+        if self.log.is_none() {
             self.in_memory.extend(row(text.as_bytes(), self.count));
             self.count += 1;
             if self.in_memory.len() > MOST_IN_MEMORY {
                 self.in_memory.pop_front();
             }
             return Ok(());
-        };
+        }
         self.unwritten.push_back(text);
         if self.unwritten.len() > MOST_IN_MEMORY {
             self.unwritten.pop_front();
         }
+        self.write()
+    }
+
+    /// Writes the lines that are not on disk yet.
+    fn write(&mut self) -> Result<(), HistoryError> {
+        let Some(log) = &mut self.log else { return Ok(()) };
         while let Some(line) = self.unwritten.front() {
             log.append(line)?;
             self.unwritten.pop_front();
@@ -117,11 +123,24 @@ impl AuditLog {
         Ok(())
     }
 
+    /// The records that are not on disk yet, the oldest first. Each has the id that it will have there.
+    fn waiting(&self) -> Vec<Row> {
+        let mut at = self.log.as_ref().map_or(0, |log| log.bytes);
+        let mut rows = Vec::new();
+        for line in &self.unwritten {
+            rows.extend(row(line.as_bytes(), at));
+            at += line.len() as u64 + 1;
+        }
+        rows
+    }
+
     fn newest(&self, before: u64, most: usize) -> Result<Vec<Row>, HistoryError> {
         let Some(log) = &self.log else {
             let older = self.in_memory.iter().rev().filter(|row| row["id"].as_u64() < Some(before));
             return Ok(older.take(most).cloned().collect());
         };
+        let mut waiting = self.waiting();
+        waiting.retain(|row| row["id"].as_u64() < Some(before));
         let end = before.min(log.bytes);
         let mut span = USUAL_LINE.saturating_mul(most as u64);
         loop {
@@ -132,6 +151,7 @@ impl AuditLog {
                 Ok(())
             })?;
             if rows.len() >= most || begin == 0 {
+                rows.append(&mut waiting);
                 return Ok(rows.into_iter().rev().take(most).collect());
             }
             span = span.saturating_mul(4);
@@ -153,7 +173,7 @@ impl History {
     }
 
     /// Adds records of changes that were made. A record that cannot be written to disk is tried again
-    /// with the next one.
+    /// with the next one, and by [`Self::write_waiting_changes`].
     pub fn note_changes(&self, records: impl IntoIterator<Item = AuditRecord>) {
         let mut log = self.audit();
         for record in records {
@@ -161,6 +181,11 @@ impl History {
                 tracing::warn!("a change is not yet in the audit log: {error}");
             }
         }
+    }
+
+    pub(super) fn write_waiting_changes(&self) {
+        // That they wait was said when they were made.
+        let _ = self.audit().write();
     }
 
     /// At most `most` records of changes, the newest first. With `before`, all are older than the
@@ -171,18 +196,19 @@ impl History {
 
     /// Writes all records of changes, the oldest first, with a line of JSON for each.
     pub fn write_changes(&self, mut out: impl Write) -> io::Result<()> {
-        let (log, in_memory) = {
+        let (log, others) = {
             let audit = self.audit();
-            (audit.log.as_ref().map(Log::share).transpose()?, audit.in_memory.clone())
+            let others = audit.in_memory.iter().cloned().chain(audit.waiting());
+            (audit.log.as_ref().map(Log::share).transpose()?, others.collect::<Vec<_>>())
         };
-        for row in in_memory {
-            writeln!(out, "{}", json_text(&row))?;
-        }
         if let Some(log) = log {
             log.each(0..log.bytes, |line, at| match row(line, at.offset) {
                 Some(row) => writeln!(out, "{}", json_text(&row)),
                 None => Ok(()),
             })?;
+        }
+        for row in others {
+            writeln!(out, "{}", json_text(&row))?;
         }
         out.flush()
     }
@@ -225,6 +251,22 @@ mod tests {
         let text = String::from_utf8(text).unwrap();
         let all: Vec<Row> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
         assert_eq!(subjects(&all), ["a", "b", "c"]);
+    }
+
+    #[test]
+    fn a_change_that_a_full_disk_refused_is_listed_and_written_once_there_is_room() {
+        let dir = tempfile::tempdir().unwrap();
+        let history = History::open(dir.path(), 1 << 20).unwrap();
+        note(&history, "a");
+        let refused = |subject: &str| format!("{{\"subject\": \"{subject}\"}}");
+        history.audit().unwritten = ["b", "c"].map(refused).into();
+        let waiting = history.changes(None, 2).unwrap();
+        assert_eq!(subjects(&waiting), ["c", "b"]);
+        let older = history.changes(waiting[1]["id"].as_u64(), 2).unwrap();
+        assert_eq!(subjects(&older), ["a"]);
+        history.write_waiting_changes();
+        assert!(history.audit().unwritten.is_empty());
+        assert_eq!(history.changes(None, 2).unwrap(), waiting);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, UNIX_EPOCH};
 
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use serde::Serialize;
 
 use super::view::TrialView;
@@ -21,6 +21,8 @@ use crate::trial::{Signal, Trial, TrialKey, lines, utc};
 
 /// How many scans may wait in the queue of each thread. Scans of ten seconds then take some 50 MB.
 const QUEUE: usize = 16;
+/// Time after which changes that could not be written are tried again.
+const RETRY: Duration = Duration::from_secs(2);
 
 #[derive(Debug)]
 pub struct Keeper {
@@ -137,7 +139,17 @@ impl Work {
     }
 
     fn write_all(&self, scans: &Receiver<Arc<AnsweredScan>>, notes: &Sender<Written>) {
-        for scan in scans {
+        loop {
+            let scan = match scans.recv_timeout(RETRY) {
+                Ok(scan) => scan,
+                Err(ended) => {
+                    self.history.write_waiting_changes();
+                    match ended {
+                        RecvTimeoutError::Timeout => continue,
+                        RecvTimeoutError::Disconnected => return,
+                    }
+                }
+            };
             let written = self.history.answered(&scan.answer).and_then(|()| self.write(&scan));
             let Ok(Some(folder)) = written else {
                 self.history.note(written.map(drop));

@@ -193,7 +193,9 @@ impl History {
             return Ok(());
         };
         inner.change(LogLine::Signals { id: id.into(), bytes: Some(bytes) })?;
-        inner.make_room()
+        inner.make_room()?;
+        let is_gone = inner.find(id).is_ok_and(|entry| entry.signals.is_none());
+        if is_gone { Err(HistoryError::NoRoom) } else { Ok(()) }
     }
 
     /// Sets the reference surfaces, each with the moment from which its scans count, in milliseconds
@@ -239,13 +241,19 @@ impl History {
         inner.change(LogLine::Trial { id: id.into(), trial, person })
     }
 
-    /// Updates the scans that became trials, after a person moved or removed trials of the library.
-    pub fn relocated(&self, moves: &[Move], person: Option<&str>) -> Result<(), HistoryError> {
+    /// Updates the scans that became trials, after a person moved, removed or restored trials of the
+    /// library. `scan_of` gives the id of the scan that a trial was made of.
+    pub fn relocated(
+        &self,
+        moves: &[Move],
+        scan_of: impl Fn(&Move) -> Option<String>,
+        person: Option<&str>,
+    ) -> Result<(), HistoryError> {
         let inner = &mut *self.lock();
-        let went: BTreeMap<&str, &str> =
-            moves.iter().map(|one| (one.from.as_str(), one.to.as_str())).collect();
+        let went: BTreeMap<String, &str> =
+            moves.iter().filter_map(|one| Some((scan_of(one)?, one.to.as_str()))).collect();
         let of = |entry: &HistoryEntry| {
-            let to = *went.get(entry.became.as_deref()?)?;
+            let to = *went.get(&entry.head.id)?;
             let trial = (!to.starts_with('.')).then(|| to.to_string());
             let person = person.map(String::from);
             Some(LogLine::Trial { id: entry.head.id.clone(), trial, person })
@@ -433,6 +441,11 @@ pub enum HistoryError {
     InUse(PathBuf),
     #[error("there is no scan {0}")]
     NoScan(String),
+    #[error(
+        "there is no room for their signals; make room on the disk, of which a tenth or 1 GB stays free \
+         for trials, or raise keep_mb of [history]"
+    )]
+    NoRoom,
     #[error("the signals of scan {0} are no longer kept")]
     NoSignals(String),
     #[error(transparent)]

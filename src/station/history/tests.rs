@@ -166,6 +166,15 @@ fn the_oldest_signals_make_room_and_their_answers_stay() {
     assert_eq!(kept(), [&ids[9]]);
     history.lock().let_go(1 << 20).unwrap();
     assert_eq!((kept().len(), scans(&history).len()), (0, 10));
+    // Signals that find no room at all are a problem, which is told.
+    let answer = answer(11, Some("oak"));
+    history.answered(&answer).unwrap();
+    let folder = dir.path().join(SCANS).join(&answer.id);
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join("ir.wav"), vec![0; 90_000]).unwrap();
+    history.note(history.kept(&answer.id));
+    let problem = history.extent().problem.unwrap();
+    assert!(!folder.exists() && problem.starts_with("there is no room"), "{problem}");
 }
 
 #[test]
@@ -209,6 +218,17 @@ fn answers_are_read_from_the_old_log_if_a_shorter_one_cannot_take_its_place() {
     assert_eq!(written.skip_while(Result::is_ok).take(3).count(), 3, "the log was never too long");
     for row in history.newest(None, 1000, &Wanted::default()).unwrap() {
         assert_eq!(row.others["link"], format!("/#scan={}", row.head.id));
+    }
+}
+
+#[test]
+fn numbers_are_read_to_their_last_digit() {
+    let history = History::default();
+    for scan in 1..=500 {
+        let margin = f64::from(scan).sqrt() / 7.0;
+        let answer = Answer { margin, ..answer(scan, Some("oak")) };
+        history.answered(&answer).unwrap();
+        assert_eq!(history.answer(&answer.id).unwrap().others["margin"], margin);
     }
 }
 

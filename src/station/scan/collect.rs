@@ -123,6 +123,10 @@ impl Collector {
                 let series = own.filter(|stream| stream.rate_hz > 0.0);
                 series.for_each(|stream| stream.set_rate(rate_hz));
             }
+            DeviceReportKind::OffPace(seen_hz) => {
+                let own = self.streams.iter_mut().filter(|stream| stream.device == device);
+                own.for_each(|stream| stream.off_pace_hz = seen_hz);
+            }
             DeviceReportKind::Mark(mark) => self.mark(device, &name, mark),
             DeviceReportKind::Ended(result) => {
                 self.devices[device].1 = true;

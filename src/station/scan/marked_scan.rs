@@ -59,6 +59,12 @@ impl SourceSpan {
         self.end.is_some_and(|end| stream.end() >= end || stream.exhausted())
     }
 
+    fn off_pace(&self, source: &SourceId, streams: &[Stream]) -> Option<Doubt> {
+        let (source, rate_hz) = (source.clone(), self.rate_hz);
+        let seen_hz = streams[self.stream].off_pace_hz?;
+        Some(Doubt::WrongRate { source, seen_hz, rate_hz })
+    }
+
     /// Index after the last frame of the source's first `seconds`, rounded up.
     fn until(&self, seconds: f64) -> u64 {
         self.start + (seconds * self.rate_hz).ceil() as u64
@@ -144,6 +150,7 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
         };
         lost_samples += lost;
         spoiled.extend(why);
+        spoiled.extend(cut.off_pace(source, streams));
         signals.extend(signal.map(|signal| (source.clone(), signal)));
     }
     if signals.is_empty() {
@@ -226,12 +233,18 @@ pub struct Progress {
     pub images: Vec<(SourceId, Arc<Image>)>,
     /// Whether new frames are missing for longer than can be bridged, so that repeated ones fill a gap.
     pub gap: bool,
+    /// Number of new frames that are missing, over all sources.
+    pub lost: u64,
+    /// The sources whose rate is known to be wrong now.
+    pub off_pace: Vec<Doubt>,
 }
 
 impl Progress {
     pub(crate) fn append(&mut self, later: Self) {
         (self.scan_s, self.truth) = (later.scan_s, later.truth);
         self.gap |= later.gap;
+        self.lost += later.lost;
+        self.off_pace = later.off_pace;
         for fresh in later.fresh {
             match self.fresh.iter_mut().find(|own| own.source == fresh.source) {
                 Some(own) => own.samples.extend(fresh.samples),
@@ -291,6 +304,7 @@ pub(super) fn next_snapshot(
     let mut progress = Progress { number, truth, scan_s, ..Progress::default() };
     let mut sent: Vec<u64> = marked.cuts.values().map(|cut| cut.sent).collect();
     for ((source, cut), sent) in marked.cuts.iter().zip(&mut sent) {
+        progress.off_pace.extend(cut.off_pace(source, streams));
         match &streams[cut.stream].buffer {
             StreamBuffer::Series { history, .. } => {
                 let until = match cut.phase {
@@ -298,8 +312,10 @@ pub(super) fn next_snapshot(
                     _ => cut.available(streams),
                 };
                 let (first, samples) = history.frames(cut.start + cut.sent..until);
-                let mut gaps = history.missing_in(first..until);
-                progress.gap |= gaps.any(|gap| is_long(&gap, cut.rate_hz));
+                for gap in history.missing_in(first..until) {
+                    progress.gap |= is_long(&gap, cut.rate_hz);
+                    progress.lost += gap.end - gap.start;
+                }
                 if !samples.is_empty() {
                     *sent += (samples.len() / history.channels) as u64;
                     progress.fresh.push(Fresh {
@@ -389,10 +405,16 @@ mod tests {
         marked.follow(Mark::Open(Open { cut, start: 0, rate_hz }), &streams).unwrap();
         let mut gaps = Vec::new();
         while let Some((step, sent, snapshot)) = next_snapshot(&marked, &streams, 0.1, true) {
-            gaps.push(snapshot.gap);
+            gaps.push((snapshot.gap, snapshot.lost));
             marked.steps = step;
             marked.cuts.values_mut().zip(sent).for_each(|(cut, sent)| cut.sent = sent);
         }
-        assert_eq!(gaps, [false, true, false]);
+        assert_eq!(gaps, [(false, 0), (true, 5), (false, 0)]);
+        streams[0].off_pace_hz = Some(112.0);
+        marked.ended = Some((Instant::now(), Instant::now()));
+        let scan = super::cut(marked, &streams).unwrap();
+        let source = SourceId::new("ac").unwrap();
+        let off_pace = Doubt::WrongRate { source, seen_hz: 112.0, rate_hz };
+        assert!(off_pace.spoils() && scan.spoiled.contains(&off_pace), "{:?}", scan.spoiled);
     }
 }

@@ -99,6 +99,8 @@ pub struct Totals {
     /// Devices that did not stop in time and were abandoned.
     pub abandoned: Vec<String>,
     pub warnings: u32,
+    /// Trials that could not be written to disk, and are lost. Counted by the station.
+    pub lost_trials: u32,
     /// Events that were dropped because their reader was too slow or gone.
     pub dropped_events: u64,
 }

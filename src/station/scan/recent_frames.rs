@@ -30,6 +30,8 @@ pub(super) struct Stream {
     /// Channels of a frame; 3 for pictures.
     pub channels: usize,
     pub buffer: StreamBuffer,
+    /// The rate in Hz at which frames come, while that is known to be another than `rate_hz`.
+    pub off_pace_hz: Option<f64>,
     /// Index after the last frame that was sent in a trace.
     pub traced: u64,
     /// Tells when each frame was sampled, on the time base of the scan detector.
@@ -69,7 +71,10 @@ impl Stream {
             }
         };
         let (id, clock, observed) = (spec.id.clone(), Clock::new(rate_hz), (0, f64::NEG_INFINITY));
-        (sink, Self { id, device, rate_hz, channels, buffer, traced: 0, clock, observed })
+        let (off_pace_hz, traced) = (None, 0);
+        let stream =
+            Self { id, device, rate_hz, channels, buffer, off_pace_hz, traced, clock, observed };
+        (sink, stream)
     }
 
     /// Takes over a rate that the device has measured, before its first frame.

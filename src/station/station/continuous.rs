@@ -75,6 +75,8 @@ struct MovingScan {
     whole_from_s: f64,
     /// Scan time up to which data have counted as evidence, in seconds.
     counted_s: f64,
+    /// Numbers of lost frames, each with the scan time at which the loss was heard of.
+    lost: Vec<(f64, u64)>,
     smoothed: Option<Smoothed>,
     stretch: Option<Stretch>,
 }
@@ -144,8 +146,9 @@ impl ContinuousNaming {
 
     /// Ends the scan, and so its last stretch; `None` if no surface was found.
     pub fn end(&mut self) -> Option<AnsweredScan> {
-        let scan = self.scan.take()?;
-        let stretch = scan.stretch?;
+        let mut scan = self.scan.take()?;
+        let mut stretch = scan.stretch.take()?;
+        stretch.window.scan.lost_samples = lost_before(&mut scan.lost, scan.heard_s);
         let smoothed = scan.smoothed.as_ref()?;
         Some(stretch.ended(scan.heard_s, smoothed, &scan.by, Instant::now()))
     }
@@ -167,6 +170,7 @@ impl MovingScan {
             heard_s: begin_s,
             whole_from_s: begin_s,
             counted_s: begin_s,
+            lost: Vec::new(),
             smoothed: None,
             stretch: None,
         }
@@ -175,7 +179,7 @@ impl MovingScan {
     /// Adds new data, and names the window that ends with them; `None` if there is no whole window, it has
     /// a gap, or it cannot be named.
     fn next_window(&mut self, progress: &Progress, how: Continuous) -> Option<Window> {
-        let Progress { scan_s, truth, fresh, gap, .. } = progress;
+        let Progress { scan_s, truth, fresh, gap, lost, .. } = progress;
         let dragged = fresh.iter().filter(|fresh| self.by.scene.is_dragged(&fresh.source));
         for fresh in dragged {
             let recent = self.recent.entry(fresh.source.clone());
@@ -188,6 +192,9 @@ impl MovingScan {
             filter.pass((step(*scan_s) - step(self.heard_s)) as u32);
         }
         self.heard_s = *scan_s;
+        if *lost > 0 {
+            self.lost.push((*scan_s, *lost));
+        }
         if *gap {
             self.whole_from_s = *scan_s;
         }
@@ -202,6 +209,7 @@ impl MovingScan {
             truth: truth.clone(),
             synthetic: self.by.library.synthetic,
             scan_s: self.window_s,
+            spoiled: progress.off_pace.clone(),
             ..Scan::of_signals(self.number, whole.collect())
         };
         let ranking = self.by.rank(&scan).ok()?;
@@ -233,9 +241,17 @@ impl MovingScan {
         let (mut change, mut ended) = (None, None);
         match &mut self.stretch {
             Some(stretch) if stretch.state == state || !is_found => {
+                // What is known against a part of the stretch holds for its answer.
+                let mut spoiled = std::mem::take(&mut stretch.window.scan.spoiled);
+                for doubt in &window.scan.spoiled {
+                    if !spoiled.iter().any(|other| other.source() == doubt.source()) {
+                        spoiled.push(doubt.clone());
+                    }
+                }
                 if window.says == stretch.state {
                     stretch.window = window;
                 }
+                stretch.window.scan.spoiled = spoiled;
             }
             None if !is_found => return (None, None),
             _ => {
@@ -256,9 +272,10 @@ impl MovingScan {
                     to: found(state),
                     confidence: smoothed.shares().get(state).copied(),
                 });
-                ended = before
-                    .filter(|stretch| stretch.begin_s < begin_s)
-                    .map(|stretch| stretch.ended(begin_s, smoothed, &self.by, from));
+                ended = before.filter(|stretch| stretch.begin_s < begin_s).map(|mut stretch| {
+                    stretch.window.scan.lost_samples = lost_before(&mut self.lost, begin_s);
+                    stretch.ended(begin_s, smoothed, &self.by, from)
+                });
                 let (sums, truths) = (vec![0.0; smoothed.surfaces.len()], BTreeMap::new());
                 self.stretch = Some(Stretch { state, begin_s, looks: 0, sums, truths, window });
             }
@@ -312,6 +329,11 @@ impl RecentFrames {
             is_whole.then(|| Series::new(self.rate_hz, self.channels, self.samples.clone()));
         series?.ok().map(Signal::Series)
     }
+}
+
+/// Takes out the losses up to a scan time, and returns their sum.
+fn lost_before(lost: &mut Vec<(f64, u64)>, scan_s: f64) -> u64 {
+    lost.extract_if(.., |(heard_s, _)| *heard_s <= scan_s).map(|(_, frames)| frames).sum()
 }
 
 /// The first of the most probable states.

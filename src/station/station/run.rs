@@ -67,6 +67,7 @@ struct StationRun<'a> {
     /// Trials that the worker is to find the nearest surface of, in the order of their jobs.
     kept: VecDeque<(Enrolment, Enrolled)>,
     orders: Orders,
+    lost_trials: u32,
     /// The order for the next scan, as it was last reported.
     enrolling: Option<Enrolling>,
     quit_at: Option<Instant>,
@@ -148,6 +149,7 @@ impl<'a> StationRun<'a> {
             in_hand: VecDeque::new(),
             kept: VecDeque::new(),
             orders: Orders::default(),
+            lost_trials: 0,
             enrolling: None,
             quit_at: None,
             listeners,
@@ -222,8 +224,8 @@ impl<'a> StationRun<'a> {
         let until = self.quit_at.map(|quit_at| quit_at + WRITTEN);
         let written = self.recording.take().into_iter().flat_map(|thread| thread.finish(until));
         written.for_each(|stored| self.enrolled(&stored.enrolment, stored.enrolled));
-        let Self { session, mut listeners, .. } = self;
-        let totals = session.wait()?;
+        let Self { session, mut listeners, lost_trials, .. } = self;
+        let totals = Totals { lost_trials, ..session.wait()? };
         let event = StationEvent::Finished(Arc::new(totals.clone()));
         listeners.iter_mut().for_each(|listener| listener.on_event(&event));
         Ok(totals)
@@ -270,6 +272,7 @@ impl<'a> StationRun<'a> {
             EnrolledOutcome::Lost => Some("could not be written and is lost"),
             EnrolledOutcome::Kept | EnrolledOutcome::Refused => None,
         };
+        self.lost_trials += u32::from(enrolled.outcome == EnrolledOutcome::Lost);
         let text = what.map(|what| format!("scan {} {what}: {why}", enrolled.scan));
         self.emit(StationEvent::Enrolled(enrolled));
         text.into_iter().for_each(|text| self.warn(WarningKind::TrialUnwritten, text));

@@ -3,7 +3,7 @@
 //! A scan that cannot be written (the disk is full, a permission is missing) stays in memory and is
 //! tried again until it is written or the station ends.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::convert::Infallible;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -144,6 +144,8 @@ struct StoreWriter {
     store: ScanStore,
     waiting: VecDeque<WaitingScan>,
     refused: Option<WaitingScan>,
+    /// The sources that any scan of this session has had.
+    seen: BTreeSet<SourceId>,
     /// The next free trial numbers, read from the library and raised by the trials written since.
     next: BTreeMap<(String, String), u32>,
     /// Whether `next` was read from the library for the current scan.
@@ -156,7 +158,8 @@ struct StoreWriter {
 impl StoreWriter {
     fn new(store: ScanStore, send: Sender<StoredScan>, ending: Receiver<Infallible>) -> Self {
         let (waiting, refused, next) = (VecDeque::new(), None, BTreeMap::new());
-        Self { store, waiting, refused, next, current: false, send, ending }
+        let seen = BTreeSet::new();
+        Self { store, waiting, refused, seen, next, current: false, send, ending }
     }
 
     /// Stores scans until the channel closes, then tries a last time to write the waiting scans.
@@ -186,12 +189,22 @@ impl StoreWriter {
     }
 
     fn accept(&mut self, mut new: WaitingScan) {
-        let ScanStore { scene, by_t_star, .. } = &self.store;
+        let ScanStore { scene, by_t_star, devices, .. } = &self.store;
         new.doubts = faults(&new.scan, scene, by_t_star, new.by.as_deref());
+        let has = &new.scan.trial.signals;
+        self.seen.extend(has.keys().cloned());
+        let expected = devices.keys().filter_map(|id| SourceId::new(id).ok());
+        let lacks = |id: &SourceId| scene.is_dragged(id) && !has.contains_key(id);
+        // A sensor that was never there may be left out on purpose.
+        let (lost, absent): (Vec<_>, Vec<_>) =
+            expected.filter(lacks).partition(|id| self.seen.contains(id));
+        let missing = |source| Doubt::SourceMissing { source };
+        new.doubts.extend(lost.into_iter().map(missing));
         if new.enrolment.keep.good_only && !new.doubts.is_empty() {
             self.report(&new, EnrolledOutcome::Refused);
             self.refused = Some(new);
         } else {
+            new.doubts.extend(absent.into_iter().map(missing));
             self.keep(new);
         }
     }

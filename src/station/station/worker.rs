@@ -190,6 +190,7 @@ impl Followed {
         {
             news.doubts = by.flaws_so_far(follower);
         }
+        news.doubts.extend(progress.off_pace.iter().cloned());
         news.needed_s = by.and_then(|by| by.needed_s);
         let supported = self.follower.as_ref().is_some_and(|(_, f)| f.settling().shown);
         self.need.judge(&mut news, progress, trial, supported);

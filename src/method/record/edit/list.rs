@@ -125,13 +125,28 @@ pub fn numbers_after(
 
 /// The name `SURFACE/TRIAL` of the trial whose `trial.toml` has these notes. Tries `likely` first.
 pub fn trial_of_note(library: &Path, notes: &str, likely: Option<&str>) -> Option<String> {
-    let likely = likely.and_then(|name| name.split_once('/'));
-    let likely = likely.map(|(surface, trial)| (surface.to_string(), trial.to_string()));
-    let is = |(surface, trial): &(String, String)| {
-        let about = About::read(&library.join(surface).join(trial)).ok();
-        about.and_then(|about| about.notes).is_some_and(|found| found == notes)
+    let is = |name: &&str| {
+        let place =
+            name.split_once('/').filter(|(surface, trial)| is_plain(surface) && is_plain(trial));
+        place.is_some() && notes_of(library, name).is_some_and(|found| found == notes)
     };
-    let likely = likely.filter(|(surface, trial)| is_plain(surface) && is_plain(trial));
-    let found = likely.filter(is).or_else(|| places(library).into_iter().find(is));
-    found.map(|(surface, trial)| format!("{surface}/{trial}"))
+    let likely = likely.filter(is).map(String::from);
+    likely.or_else(|| trials_by_note(library).remove(notes))
+}
+
+/// The names of all trials that have notes, by these notes.
+pub fn trials_by_note(library: &Path) -> BTreeMap<String, String> {
+    let mut trials = BTreeMap::new();
+    for (surface, trial) in places(library) {
+        let name = format!("{surface}/{trial}");
+        if let Some(notes) = notes_of(library, &name) {
+            trials.entry(notes).or_insert(name);
+        }
+    }
+    trials
+}
+
+/// The notes of the trial of this name, also of one among the removed trials.
+pub fn notes_of(library: &Path, name: &str) -> Option<String> {
+    About::read(&library.join(name)).ok()?.notes
 }

@@ -13,7 +13,7 @@ mod steps;
 
 pub use list::{ListedTrial, list, list_removed};
 #[doc(hidden)]
-pub use list::{numbers_after, trial_name, trial_of_note};
+pub use list::{notes_of, numbers_after, trial_name, trial_of_note, trials_by_note};
 pub use steps::{Move, Step, last_step};
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};

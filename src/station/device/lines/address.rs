@@ -1,8 +1,10 @@
 //! The sources of text lines: serial ports, TCP or UDP addresses, standard input.
 
+use std::cell::Cell;
 use std::collections::VecDeque;
 use std::io::{self, Read};
-use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
+use std::net::{SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
+use std::rc::Rc;
 use std::str::FromStr;
 use std::sync::Mutex;
 use std::time::Duration;
@@ -95,11 +97,11 @@ impl LinesAddress {
 
     /// Opens the address. A read times out after a moment.
     pub fn open(&self) -> Result<OpenLine, OpenError> {
-        let mut drops = None;
+        let (mut drops, mut mixed) = (None, Mixed::default());
         let line: Box<dyn Read> = match self {
             Self::Serial(port, baud) => {
                 let (port, path) = port.open_at(*baud)?;
-                return Ok(OpenLine { line: port as Box<dyn Read>, path, drops });
+                return Ok(OpenLine { line: port as Box<dyn Read>, path, drops, mixed });
             }
             Self::Tcp(host) => Box::new(connect(host).map_err(|error| {
                 let what = "start the program that sends there, or correct the address";
@@ -112,11 +114,12 @@ impl LinesAddress {
                     OpenError::Failed(format!("udp://{host}: {error}; {what}"))
                 })?;
                 drops = Drops::of(&datagrams.socket);
+                mixed = datagrams.mixed.clone();
                 Box::new(datagrams)
             }
             Self::Stdin => Box::new(StandardInput),
         };
-        Ok(OpenLine { line, path: self.to_string(), drops })
+        Ok(OpenLine { line, path: self.to_string(), drops, mixed })
     }
 }
 
@@ -126,7 +129,11 @@ pub struct OpenLine {
     pub path: String,
     /// `None` where nobody counts what is dropped before it is read.
     pub drops: Option<Drops>,
+    pub mixed: Mixed,
 }
+
+/// Two senders whose datagrams come to one port by turns, once there are two.
+pub(super) type Mixed = Rc<Cell<Option<[SocketAddr; 2]>>>;
 
 /// The number of datagrams that the system has dropped at a socket, since nobody read them in time.
 pub struct Drops {
@@ -171,20 +178,36 @@ struct Datagrams {
     /// The latest datagram and its line end, of which `kept` bytes are not read yet.
     datagram: Vec<u8>,
     kept: usize,
+    /// The sender of the latest datagram, and the sender before that one.
+    senders: [Option<SocketAddr>; 2],
+    mixed: Mixed,
 }
 
 fn listen(host: &str) -> io::Result<Datagrams> {
     let socket = UdpSocket::bind(host)?;
     socket.set_read_timeout(Some(WAIT))?;
-    Ok(Datagrams { socket, datagram: vec![0; DATAGRAM + 1], kept: 0 })
+    let (datagram, senders, mixed) = (vec![0; DATAGRAM + 1], [None; 2], Mixed::default());
+    Ok(Datagrams { socket, datagram, kept: 0, senders, mixed })
 }
 
 impl Datagrams {
     fn receive(&mut self) -> io::Result<()> {
-        let n = self.socket.recv(&mut self.datagram[..DATAGRAM])?;
+        let (n, from) = self.socket.recv_from(&mut self.datagram[..DATAGRAM])?;
+        self.note(from);
         self.datagram[n] = b'\n';
         self.kept = n + 1;
         Ok(())
+    }
+
+    /// A sender may get another port, as by a restart, but then its first port does not come again.
+    fn note(&mut self, from: SocketAddr) {
+        let [last, before] = self.senders;
+        if last != Some(from) {
+            if let (Some(last), true) = (last, before == Some(from)) {
+                self.mixed.set(Some([from, last]));
+            }
+            self.senders = [Some(from), last];
+        }
     }
 }
 
@@ -284,6 +307,16 @@ mod tests {
             text.extend_from_slice(&buffer[..n]);
         }
         assert_eq!(text, b"1,2\n3,4\n\n");
+    }
+
+    #[test]
+    fn two_senders_at_one_port_are_seen_and_one_with_a_new_port_is_not() {
+        let mut port = listen("127.0.0.1:0").unwrap();
+        let [one, two, three] = [1, 2, 3].map(|port| SocketAddr::from(([127, 0, 0, 1], port)));
+        [one, one, two, two, three].into_iter().for_each(|from| port.note(from));
+        assert_eq!(port.mixed.get(), None);
+        port.note(two);
+        assert_eq!(port.mixed.get(), Some([two, three]));
     }
 
     #[cfg(target_os = "linux")]

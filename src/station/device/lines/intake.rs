@@ -6,11 +6,13 @@
 //! late, so they are held back until this shows. An unusable row also counts as missing, so that
 //! indexes keep time.
 
+mod count;
+
 use super::lateness::{Lateness, RowClock};
 use super::layout::{Column, Count, Layout, LinesStream};
 use super::parser::{Line, LineParser, header_of, shown};
 use super::swaps::Swaps;
-use crate::device::serial::{ErrorCounts, LEAST_RESTART_S, gap};
+use crate::device::serial::{ErrorCounts, LEAST_RESTART_S};
 
 /// Seconds of silence, and its least number of rows, from which frames may be missing, if no column
 /// tells their number.
@@ -27,12 +29,6 @@ const LATE: f64 = 0.02;
 const LOOKBACK_S: f64 = 1.0;
 /// Seconds without rows before a header that shows a restart.
 const RESTART_S: f64 = 0.5;
-/// Values at which clocks of 16 and 32 bits start again from 0.
-const CLOCK_WRAPS: [f64; 2] = [65_536.0, 4_294_967_296.0];
-/// Numbers of values, other than powers of two, after which counters begin again.
-const DECIMAL_WRAPS: [f64; 5] = [100.0, 1000.0, 10_000.0, 99_999.0, 100_000.0];
-/// Highest power of two at which a counter may begin again; an f64 holds all numbers up to it.
-const MOST_BITS: i32 = 53;
 
 /// Errors in lines and frames, which are counted by these texts.
 pub(super) const GARBAGE: &str = "lines held no numbers";
@@ -46,6 +42,7 @@ const CHANGES: &str = "changes of the columns";
 const GAPS: &str = "gaps in the lines";
 const LONGEST_GAP: &str = "lines are missing in the longest gap";
 const RESTARTS: &str = "restarts of the device";
+const OUT_OF_ORDER: &str = "lines came twice or out of order";
 
 #[derive(Debug, PartialEq)]
 pub enum LinesEvent<'a> {
@@ -128,6 +125,8 @@ pub struct LinesIntake {
     reopened: bool,
     /// Number of frames so far, missing ones included.
     pub frames: u64,
+    /// Number of rows that came twice or out of order since the last row that did not.
+    out_of_order: u32,
     /// The number of values of the column of row numbers, once it has begun again.
     wrap: Option<f64>,
     clock: Option<RowClock>,
@@ -357,6 +356,11 @@ impl LinesIntake {
             return self.unusable(NOT_NUMBERS, text, on);
         }
         self.dead = None;
+        if layout.count.is_some_and(|column| self.is_out_of_order(row[column], now_s)) {
+            self.out_of_order += 1;
+            return self.errors.add(OUT_OF_ORDER, 1);
+        }
+        self.out_of_order = 0;
         self.swaps.add(wanted.map(|&column| row[column]), now_s);
         let counted = layout.count.map(|column| row[column]);
         let (missing, restarted, unknown) = self.missing_before(counted, now_s);
@@ -377,79 +381,16 @@ impl LinesIntake {
         }
     }
 
-    /// Number of frames that are known to be missing before a row, and whether the row's counter
-    /// restarted. After a silence, the number may be unknown; it is then a number plus any multiple of
-    /// a unit.
-    fn missing_before(
-        &mut self,
-        counted: Option<f64>,
-        now_s: f64,
-    ) -> (u64, bool, Option<(u64, f64)>) {
-        let Some(value) = counted else { return (0, false, Some((0, 1.0))) };
-        let before = std::mem::replace(&mut self.last, value);
-        if self.rows == 0 {
-            return (0, false, None);
-        }
-        let silent_s = now_s - self.last_s;
-        let by_time = matches!(self.count, Some(Count::Micros(_)));
-        // The row before has index 0, so a row that follows it directly has index 1.
-        let index = match by_time {
-            true => self.index_by_clock(value, before, silent_s),
-            false => self.index_by_counter(value, before, silent_s),
-        };
-        let is_silent = self.is_after_silence(now_s);
-        let wrap = self.wrap.filter(|wrap| !by_time && *wrap < MOST_HELD_S * self.rate_hz);
-        if let (Some(wrap), true, 1..) = (wrap, is_silent, index) {
-            return (0, false, Some((index - 1, wrap)));
-        }
-        let (missing, restarted) = gap(Some(1), index, 1, silent_s, self.rate_hz, self.reopened);
-        if restarted {
-            self.wrap = None;
-            self.clock.iter_mut().for_each(RowClock::restart);
-        }
-        (missing, restarted, None)
-    }
-
-    /// Index of a row after the one `before`, by a counter that may have begun again; 0 if it restarted.
-    fn index_by_counter(&mut self, value: f64, before: f64, silent_s: f64) -> u64 {
-        if value > before {
-            return (value - before).round() as u64;
-        }
-        let most = (silent_s + 1.0) * self.rate_hz + 1.0;
-        let binary = (1..=MOST_BITS).map(|bits| f64::from(bits).exp2());
-        let known = self.wrap.into_iter();
-        let mut wraps: Vec<f64> = DECIMAL_WRAPS.into_iter().chain(binary).collect();
-        wraps.sort_unstable_by(f64::total_cmp);
-        // A counter that begins with 1 ends with the number of its values.
-        let fits = |wrap: &f64| (1.0..=most).contains(&(value + wrap - before).round());
-        let Some(wrap) = known.chain(wraps).filter(|wrap| before <= *wrap).find(fits) else {
-            return 0;
-        };
-        let index = (value + wrap - before).round() as u64;
-        if index == 1 {
-            self.wrap = Some(wrap);
-        }
-        index
-    }
-
-    /// Index of a row after the one `before`, by a column of microseconds; 0 if its clock restarted.
-    fn index_by_clock(&mut self, value: f64, before: f64, silent_s: f64) -> u64 {
-        let most_us = 1e6 * (silent_s + 1.0);
-        // A clock may stand still for a row that comes at the same moment.
-        let wraps = CLOCK_WRAPS.into_iter().filter(|wrap| before < *wrap);
-        let step_us = match value >= before {
-            true => Some(value - before),
-            false => wraps.map(|wrap| value + wrap - before).find(|step| *step <= most_us),
-        };
-        let clock = self.clock.get_or_insert_with(|| RowClock::new(self.rate_hz));
-        step_us.map_or(0, |step_us| 1 + clock.missing(step_us))
-    }
-
     /// Notes that the system has dropped this many rows just now.
     pub(super) fn dropped(&mut self, rows: u64, mut on: impl FnMut(LinesEvent<'_>)) {
         if rows > 0 && self.count.is_none() && self.rows > 0 && self.held.is_none() {
             self.gap(rows, &mut on);
         }
+    }
+
+    /// Whether rows are held back, since it is not known yet how many frames a silence lacked.
+    pub(super) fn is_unsettled(&self) -> bool {
+        self.held.is_some()
     }
 
     /// The rate in Hz by the column of microseconds; `None` if there is none, or too few rows.

@@ -120,6 +120,9 @@ impl std::fmt::Display for Selector {
     }
 }
 
+/// What the system says of a file that cannot have a rate in baud.
+const NO_TERMINAL: &str = "Not a typewriter";
+
 /// Explains an error of `serialport`, which reports a locked port as `NoDevice`.
 fn failed(path: &str, error: &serialport::Error) -> OpenError {
     let node = Path::new(path);
@@ -139,6 +142,10 @@ fn failed(path: &str, error: &serialport::Error) -> OpenError {
         ErrorKind::NoDevice | ErrorKind::Io(std::io::ErrorKind::NotFound) => {
             OpenError::Absent(device)
         }
+        _ if error.description == NO_TERMINAL => OpenError::Unfit(format!(
+            "{path} is no serial port; for lines from a file or a pipe, name `-` and give it as standard \
+             input (`< {path}`)"
+        )),
         _ => OpenError::Failed(format!("{path}: {error}")),
     }
 }

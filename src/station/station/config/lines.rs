@@ -1,5 +1,7 @@
 //! `[[lines]]`: sensors that send lines of numbers as text.
 
+use std::path::PathBuf;
+
 use toml::Spanned;
 
 use super::LinesConfig;
@@ -7,6 +9,7 @@ use super::file::{
     LinesBlock, Mistake, StationFile, mistake, no_stray, parsed, positive, source_of,
 };
 use crate::device::lines::{Column, Count, LinesAddress, LinesStream, Survey};
+use crate::device::serial::Selector;
 use crate::scene::{Scene, SourceId};
 
 /// Adds a description for each source of a `[[lines]]` block that has none. A source has one
@@ -53,6 +56,27 @@ pub(super) fn lines(block: &LinesBlock, scene: &Scene) -> Result<LinesConfig, Mi
         streams.push(LinesStream { id, columns: columns.get_ref().clone(), scale });
     }
     Ok(LinesConfig { address, rate_hz, count, decimal_comma, streams })
+}
+
+/// Refuses two sensors at one port, since each would get a part of its lines. A port may have several
+/// names, which are links.
+pub(super) fn no_shared_port(blocks: &[LinesBlock], lines: &[LinesConfig]) -> Result<(), Mistake> {
+    let real = |address: &LinesAddress| match address {
+        LinesAddress::Serial(Selector::Path(path), _) => {
+            let path: PathBuf = path.canonicalize().unwrap_or_else(|_| path.clone());
+            LinesAddress::Serial(Selector::Path(path), 0)
+        }
+        LinesAddress::Serial(port, _) => LinesAddress::Serial(port.clone(), 0),
+        other => other.clone(),
+    };
+    let ports: Vec<LinesAddress> = lines.iter().map(|lines| real(&lines.address)).collect();
+    match (0..ports.len()).find(|at| ports[..*at].contains(&ports[*at])) {
+        Some(at) => {
+            let problem = "another [[lines]] has this port; name all of its columns in one of them";
+            mistake(&blocks[at].port, problem)
+        }
+        None => Ok(()),
+    }
 }
 
 const NO_COLUMN: &str = "column 0; columns are counted from 1";

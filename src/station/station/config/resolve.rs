@@ -72,6 +72,7 @@ fn station(file: StationFile, scene: Scene, path: &Path) -> Result<StationConfig
     let stylus = stylus(file.stylus, &scene)?;
     let lines = file.lines.iter().map(|block| lines::lines(block, &scene));
     let lines = lines.collect::<Result<Vec<_>, _>>()?;
+    lines::no_shared_port(&file.lines, &lines)?;
     let microphone = microphone(file.microphone)?;
     let camera = camera(file.camera, &scene)?;
     let of_lines = lines.iter().flat_map(|lines| lines.streams.iter().map(|stream| &stream.id));

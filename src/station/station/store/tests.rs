@@ -160,3 +160,28 @@ fn what_the_disk_has_not_taken_by_the_end_is_reported_as_lost() {
     assert_eq!(last.len(), 1);
     assert_eq!((last[0].enrolled.scan, last[0].enrolled.outcome), (1, EnrolledOutcome::Lost));
 }
+
+#[test]
+fn a_trial_without_a_sensor_is_refused_once_the_sensor_was_there_and_says_so_before() {
+    let dir = tempfile::tempdir().unwrap();
+    let devices = ["ir", "fr", "ac"].map(|id| (id.to_string(), "stylus".to_string())).into();
+    let store = ScanStore::new(dir.path().to_path_buf(), Scene::lmt108());
+    let mut thread = RecordingThread::start(ScanStore { devices, ..store }).unwrap();
+    let long = |without: Option<&str>, number| {
+        let mut scan = scan(number);
+        scan.scan_s = 2.0;
+        without.map(|id| scan.trial.signals.remove(id));
+        scan
+    };
+    let strict = Enrolment { order: 0, keep: Keep { good_only: true, ..enrolment().keep } };
+    let stored = thread.stored.clone();
+    let mut outcome = |scan| {
+        thread.store(scan, strict.clone(), None);
+        let enrolled = stored.recv().unwrap().enrolled;
+        (enrolled.outcome, enrolled.doubts)
+    };
+    let lacks = vec![Doubt::SourceMissing { source: SourceId::new("fr").unwrap() }];
+    assert_eq!(outcome(long(Some("fr"), 1)), (EnrolledOutcome::Kept, lacks.clone()));
+    assert_eq!(outcome(long(None, 2)), (EnrolledOutcome::Kept, vec![]));
+    assert_eq!(outcome(long(Some("fr"), 3)), (EnrolledOutcome::Refused, lacks));
+}

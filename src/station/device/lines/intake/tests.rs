@@ -109,6 +109,22 @@ fn a_counter_shows_losses_exactly_even_where_it_begins_again() {
 }
 
 #[test]
+fn rows_that_come_twice_or_out_of_order_are_dropped_and_are_no_restart() {
+    let of = |numbers: &[u32]| {
+        let texts: Vec<String> = numbers.iter().map(|number| format!("{number}\n")).collect();
+        let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
+        let (samples, counts) = alone(Some(Count::Rows(Column::Place(1))), &texts);
+        (samples.len(), missing(&samples), counts.0[OUT_OF_ORDER], counts.0[RESTARTS])
+    };
+    assert_eq!(of(&[7, 8, 8, 9, 11, 10, 12]), (6, 1, 2, 0));
+    let back: Vec<u32> = (0..6).chain(3..40).collect();
+    assert_eq!(of(&back), (40, 0, 3, 0));
+    // The row with the number 255 comes after the counter has begun again.
+    let wraps: Vec<u32> = (0..256).chain(0..255).chain([0, 255, 1]).collect();
+    assert_eq!(of(&wraps), (514, 1, 1, 0));
+}
+
+#[test]
 fn microseconds_show_losses_whatever_their_jitter() {
     let micros = Some(Count::Micros(Column::Place(2)));
     // One row per 1000 µs: two rows are lost, and the counter of 32 bits starts again.
