@@ -3,7 +3,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::finding::{FaultKind, Finding, Inspected, Measured, median, usual};
+use super::finding::{FaultKind, Finding, Inspected, Measured};
+use super::usual::{median, usual};
 use super::{Audited, Suspects};
 use crate::evaluate::outcome::Prediction;
 use crate::scene::SourceId;
@@ -133,6 +134,7 @@ mod tests {
         let of = |key: TrialKey| Prediction {
             surface: if wrong(&key) { other(&key).into() } else { key.surface.clone() },
             margin: 1.0,
+            confidence: Some(0.95),
             ..Prediction::none(key, 0)
         };
         keys.map(of).collect()
