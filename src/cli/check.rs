@@ -77,12 +77,17 @@ fn print(report: &CheckReport) {
         let over = show::over(interval.over);
         result!("cross-validated accuracy: {accuracy} (95 % interval {low} to {high} {over})");
         result!("{}", report.left_out);
+        let missed = report.not_asked.iter().map(|(surface, n)| format!("{surface} ({n})"));
+        let missed = show::listed(missed);
+        if !missed.is_empty() {
+            result!("not counted, since no library without them has their surface: {missed}");
+        }
     }
     result!();
     let rows = report.surfaces.iter().map(|surface| {
-        let right = format!("{}/{}", surface.share.right, surface.share.of);
-        let is_tested = surface.share.of > 0;
-        let interval = if is_tested { show::interval(surface.share) } else { "-".into() };
+        let (share, interval) = surface.share;
+        let right = format!("{}/{}", share.right, share.of);
+        let interval = interval.map_or("-".into(), |one| show::ends((one.low, one.high)));
         let taken = surface.taken_for.iter().map(|(other, count)| format!("{other} {count}"));
         let trials = surface.trials.to_string();
         vec![surface.surface.clone(), trials, right, interval, show::listed(taken)]

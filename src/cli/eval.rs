@@ -250,13 +250,14 @@ fn measured(
     let run = on.prepare(&*method)?;
     run.library.remarks.iter().for_each(|remark| say!("{remark}"));
     let AnswerArgs { settle_loss, false_rejections: rate } = args.answers;
-    let settled = args.settle.then(|| SettledOutcome::of(&run, settle_loss)).transpose()?;
+    let settled =
+        args.settle.then(|| SettledOutcome::of(&run, settle_loss, split.over)).transpose()?;
     let unknown = args.leave_surfaces_out.map(|groups| UnknownOutcome::of(&run, groups, rate));
     let unknown = unknown.transpose()?;
     let measured = run.measure()?;
     let mut warnings = show::left_out(&measured.left_out);
     if args.method.is_empty() && spec.name() == MethodName::Embedding {
-        warnings.extend(better_plain(on, &measured.predictions));
+        warnings.extend(better_plain(on, &measured.predictions, split.over));
     }
     warnings.iter().for_each(|line| say!("warning: {line}"));
     let enrolled = || EnrolmentOutcome::of(&run, &measured, before, args.enrolled);

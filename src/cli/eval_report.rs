@@ -6,7 +6,7 @@ use std::path::Path;
 use super::show::{self, listed};
 use super::{Done, Failure, say};
 use crate::evaluate::{
-    EnrolmentOutcome, Interval, Named, Outcome, Over, Paired, Prediction, SettledOutcome,
+    EnrolmentOutcome, Interval, Named, Outcome, Over, Paired, Prediction, SettledOutcome, Share,
     UnknownOutcome, paired,
 };
 use crate::record::replace_file;
@@ -234,7 +234,11 @@ impl EvalReport {
         let mark = if self.synthetic { ", on synthetic data" } else { "" };
         result!();
         let (accuracy, right, of) = (percent(share.value()), share.right, share.of);
-        result!("accuracy   {accuracy} ({right} of {of} queries)");
+        let among = match self.outcome.candidates {
+            [least, most] if least == most => most.to_string(),
+            [least, most] => format!("{least} to {most}"),
+        };
+        result!("accuracy   {accuracy} ({right} of {of} queries, each among {among} surfaces)");
         let Interval { low, high, over } = self.outcome.interval;
         let folds = self.outcome.folds.len();
         let over = over_words(over, folds);
@@ -250,7 +254,12 @@ impl EvalReport {
         }
         self.print_seeds();
         self.print_stated();
-        self.enrolled.iter().for_each(print_enrolled);
+        // Intervals over queries would contradict one over people.
+        let is_over_queries = self.outcome.interval.over == Over::Queries;
+        let interval = |share: Share| {
+            Some(format!("95 % interval {}", show::interval(share))).filter(|_| is_over_queries)
+        };
+        self.enrolled.iter().for_each(|enrolled| print_enrolled(enrolled, interval));
         let surfaces = show::counted(*classes, "surface");
         let trials = show::counted(*library_trials, "library trial");
         result!("           {surfaces} against {trials}");
@@ -270,7 +279,7 @@ impl EvalReport {
             result!("           {count} × {truth} taken for {answer}");
         }
         self.settled.iter().for_each(print_settled);
-        self.unknown.iter().for_each(print_unknown);
+        self.unknown.iter().for_each(|unknown| print_unknown(unknown, interval));
     }
 
     fn named(&self) -> Named<'_> {
@@ -314,12 +323,12 @@ impl EvalReport {
     }
 }
 
-fn print_enrolled(e: &EnrolmentOutcome) {
+fn print_enrolled(e: &EnrolmentOutcome, interval: impl Fn(Share) -> Option<String>) {
     let (trials, points) = (show::counted(e.trials, "trial"), 100.0 * e.gain);
-    let (without, interval) = (show::percent(e.without.value()), show::interval(e.without));
+    let (without, interval) = (show::percent(e.without.value()), in_brackets(interval(e.without)));
     result!(
         "enrolled   {trials} of each surface by the user: {points:+.1} points; without, {without} of \
-         the same queries ({interval})"
+         the same queries{interval}"
     );
 }
 
@@ -327,7 +336,7 @@ fn print_settled(s: &SettledOutcome) {
     let SettledOutcome { lost, gained, scan_s_mean, scan_s_p50, whole_s_mean, .. } = s;
     let [share, whole, loss] =
         [s.share.value(), s.accuracy_whole, s.stated_loss].map(show::percent);
-    let interval = show::interval(s.share);
+    let interval = show::ends((s.interval.low, s.interval.high));
     result!(
         "settled    {share} (95 % interval {interval}) against {whole} by whole scans: {lost} lost, \
          {gained} gained"
@@ -348,23 +357,26 @@ fn print_settled(s: &SettledOutcome) {
     }
 }
 
-fn print_unknown(u: &UnknownOutcome) {
-    let (caught, interval) = (show::percent(u.unknown.value()), show::interval(u.unknown));
-    let of = u.unknown.of;
+fn print_unknown(u: &UnknownOutcome, interval: impl Fn(Share) -> Option<String>) {
+    let [caught, rejected] = [u.unknown, u.known].map(|share| show::percent(share.value()));
+    let [of_caught, of_rejected] = [u.unknown, u.known].map(|share| in_brackets(interval(share)));
+    let (unknown, known, trials) = (u.unknown.of, u.known.of, u.stated.trials);
+    result!("unknown    {caught} of {unknown} queries of left-out surfaces caught{of_caught}");
+    let ends = u.stated.rate_low.zip(u.stated.rate_high);
+    let ends = ends.map_or(String::new(), |ends| format!("{}, ", show::ends(ends)));
     result!(
-        "unknown    {caught} of {of} queries of left-out surfaces caught (95 % interval {interval})"
+        "           {rejected} of {known} queries of known ones rejected{of_rejected}; stated {} \
+         ({ends}by {trials} left-out trials)",
+        show::percent(u.stated.rate)
     );
-    let (rejected, interval) = (show::percent(u.known.value()), show::interval(u.known));
-    let (of, trials) = (u.known.of, u.stated.trials);
-    let [rate, low, high] =
-        [u.stated.rate, u.stated.rate_low, u.stated.rate_high].map(show::percent);
-    result!(
-        "           {rejected} of {of} queries of known ones rejected ({interval}); stated {rate} \
-         ({low} to {high}, by {trials} left-out trials)"
-    );
-    result!(
-        "           in {} of {} folds the share rejected lies in the interval stated there",
-        u.folds_as_stated,
-        u.folds
-    );
+    if let Some(as_stated) = u.folds_as_stated {
+        result!(
+            "           in {as_stated} of {} folds the share rejected lies in the interval stated there",
+            u.folds
+        );
+    }
+}
+
+fn in_brackets(text: Option<String>) -> String {
+    text.map_or(String::new(), |text| format!(" ({text})"))
 }

@@ -278,16 +278,20 @@ impl AnswerArgs {
 
 fn on_unknown(rejections: &[Rejection]) -> Option<String> {
     let least = rejections.iter().min_by_key(|rejection| rejection.trials)?;
-    let [rate, low, high] = [least.rate, least.rate_low, least.rate_high].map(show::percent);
-    let of_whom = match least.left_out {
-        LeftOutBy::People => "",
-        LeftOutBy::Sessions => "; for the people in the library",
-        LeftOutBy::Trials => "; within one session",
+    let from = match (least.left_out, least.rate_low.zip(least.rate_high)) {
+        (LeftOutBy::Trials, Some(ends)) => {
+            let (ends, trials) = (show::ends(ends), least.trials);
+            format!("95 % interval {ends}, from {trials} left-out trials; within one session")
+        }
+        (by, _) => {
+            let group = if by == LeftOutBy::People { "person" } else { "session of its people" };
+            format!("from {} trials, each {group} left out in turn", least.trials)
+        }
     };
     Some(format!(
-        "unknown surfaces are detected; at most {rate} of scans of known surfaces are called unknown \
-         by mistake (95 % interval {low} to {high}, from {} left-out trials{of_whom})",
-        least.trials
+        "unknown surfaces are detected; on average, at most {} of scans of known surfaces are called \
+         unknown by mistake ({from})",
+        show::percent(least.rate)
     ))
 }
 
@@ -310,4 +314,22 @@ fn on_settling(found: &[Settling]) -> Option<String> {
          {}{unproven}",
         show::percent(first.stated_loss)
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_of_unknown_is_an_average_and_has_an_interval_within_one_session_alone() {
+        let said = |by| on_unknown(&[Rejection::usual(24, by).unwrap()]).unwrap();
+        let of_trials = said(LeftOutBy::Trials);
+        assert!(of_trials.contains("on average, at most 4.0 %"), "{of_trials}");
+        assert!(of_trials.contains("0.0 % to 11.7 %, from 24 left-out trials"), "{of_trials}");
+        let of_people = said(LeftOutBy::People);
+        assert!(
+            of_people.ends_with("(from 24 trials, each person left out in turn)"),
+            "{of_people}"
+        );
+    }
 }

@@ -77,20 +77,33 @@ pub(super) fn run(args: &Args) -> Done {
         }
         None => show::next(&format!("surfaced plan {lib} --out plan.toml keeps this plan")),
     }
-    let Expected { reached, target, accuracy, .. } = planned.plan.expected;
-    if reached {
+    let expected = &planned.plan.expected;
+    if expected.reached {
         return Ok(());
     }
-    let [target, accuracy] = [target, accuracy].map(show::percent);
+    let target = show::percent(expected.target);
+    let wanted = match args.target {
+        Some(_) => format!("{target} of both"),
+        None => format!("{target}, and at most one point less at the scan time"),
+    };
     Err(Failure::Failed(format!(
-        "no plan reaches {target}; the best one is at {accuracy}: enrol more trials, add a sensor, or \
-         lower --target"
+        "no plan reaches its target: {} (wanted: {wanted}): enrol more trials, add a sensor, or lower \
+         --target",
+        at_both(expected)
     )))
+}
+
+/// The accuracies of whole scans and at the scan time.
+fn at_both(expected: &Expected) -> String {
+    let at = format!("{} of scans of {:.1} s", show::percent(expected.accuracy), expected.scan_s);
+    let whole =
+        expected.accuracy_whole.map(|whole| format!("{} of whole scans", show::percent(whole)));
+    whole.into_iter().chain([at]).collect::<Vec<_>>().join(", ")
 }
 
 fn print(planned: &Planned) {
     let Plan { method, sources, expected, .. } = &planned.plan;
-    let Expected { queries, surfaces, protocol, scan_s, .. } = expected;
+    let Expected { queries, surfaces, protocol, scan_s, accuracy_whole, .. } = expected;
     let mark = if planned.plan.synthetic { " (synthetic)" } else { "" };
     let (names, method) = (show::joined(sources, " + "), method.name().as_str());
     result!("plan: {names} by {method}, {scan_s:.1} s of scan");
@@ -100,6 +113,15 @@ fn print(planned: &Planned) {
         "expected accuracy {accuracy} of {queries} queries of {surfaces} surfaces, {protocol} (95 % \
          interval {low} to {high}){mark}"
     );
+    if let Some(whole) = accuracy_whole.filter(|_| planned.plan.scan_s.is_some()) {
+        result!("of whole scans: {}", show::percent(whole));
+    }
+    if planned.sources.len() > 1 {
+        result!(
+            "these queries also chose the sources, so expect less of new scans than this; it is not \
+             known how much"
+        );
+    }
     expected.doubt().iter().for_each(|doubt| result!("{doubt}"));
     if !say::is_verbose() {
         return;

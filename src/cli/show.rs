@@ -129,7 +129,10 @@ pub(super) fn percent(fraction: f64) -> String {
 
 /// The 95 % interval of a share, such as `93.6 % to 98.6 %`.
 pub(super) fn interval(share: Share) -> String {
-    let (low, high) = share.interval();
+    ends(share.interval())
+}
+
+pub(super) fn ends((low, high): (f64, f64)) -> String {
     format!("{} to {}", percent(low), percent(high))
 }
 

@@ -111,12 +111,15 @@ impl Tally {
         let what = if is_continuous { "stretches of one surface" } else { "scans" };
         result!();
         if right.of > 0 {
-            result!(
-                "accuracy {} of {} {what} (95 % interval {}){mark}",
-                show::percent(right.value()),
-                right.of,
-                show::interval(right)
-            );
+            // Scans of one person or session are alike, so over several the interval would be too narrow.
+            let sittings: BTreeSet<_> =
+                known().map(|(answer, _)| (&answer.user, &answer.session)).collect();
+            let interval = match sittings.len() {
+                1 => format!(" (95 % interval {})", show::interval(right)),
+                _ => String::new(),
+            };
+            let accuracy = show::percent(right.value());
+            result!("accuracy {accuracy} of {} {what}{interval}{mark}", right.of);
         }
         if say::is_verbose() {
             let median = percentile(self.answers.iter().map(|a| a.latency_ms).collect(), 0.5);
@@ -146,7 +149,7 @@ impl Tally {
         }
         if rejected > 0 {
             let scans = show::counted(rejected, "scan");
-            result!("unknown  {scans} of known surfaces, by mistake");
+            result!("unknown  {scans} of known surfaces, by mistake: unknown counts as wrong here");
         }
         let mut left_out: BTreeMap<&SourceId, usize> = BTreeMap::new();
         for answer in &self.answers {

@@ -8,7 +8,7 @@ use crate::common::{id, real_sounds};
 use assert_cmd::Command;
 use serde_json::Value;
 use surfaced::dataset::synth;
-use surfaced::evaluate::{Evaluation, SettledOutcome, UnknownOutcome};
+use surfaced::evaluate::{Evaluation, Over, SettledOutcome, UnknownOutcome};
 use surfaced::library::Entry;
 use surfaced::recognise::{
     Embedding, EmbeddingModel, EmbeddingOptions, FollowOptions, Follower, FreshFrames, GuessSoFar,
@@ -220,7 +220,7 @@ fn settled_answers_on_real_sounds_take_half_the_scan_and_lose_little() {
     let Some((scene, entries, folds)) = real_sounds(2) else { return };
     let method = embedding(&scene);
     let prepared = Evaluation::new(&scene, &entries, &folds).prepare(&method).unwrap();
-    let run = || SettledOutcome::of(&prepared, 0.01).unwrap();
+    let run = || SettledOutcome::of(&prepared, 0.01, Over::Queries).unwrap();
     let outcome = run();
     assert!(outcome.scan_s_mean <= 0.5 * outcome.whole_s_mean, "{outcome:?}");
     assert!(outcome.share.value() >= outcome.accuracy_whole - 0.05, "{outcome:?}");

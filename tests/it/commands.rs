@@ -110,9 +110,12 @@ fn an_evaluation_chooses_a_protocol_and_says_which() {
     assert!(said.contains("protocol: all-vs-one-user (each person left out in turn)"), "{said}");
     assert!(said.contains("next: surfaced chart "), "{said}");
     let shown = String::from_utf8(output.stdout).unwrap();
-    assert!(shown.contains(" of 12 queries)"), "{shown}");
+    assert!(shown.contains(" of 12 queries, each among 3 surfaces)"), "{shown}");
     assert!(shown.contains(" for other people, by 3"), "{shown}");
     assert!(shown.contains("mean over 3 users: "), "{shown}");
+    let replayed = surfaced(&["replay", &path(&dir), "--method", "knn", "--sources", "mi2"]);
+    let shown = String::from_utf8(replayed.stdout).unwrap();
+    assert!(shown.contains(" of 12 scans") && !shown.contains("interval"), "{shown}");
     let knn = ["eval", &path(&dir), "--method", "knn", "--enrolled", "2"];
     refused(&knn, 1, &["no user has more than 2 trial(s)"]);
     let within = [&knn[..], &["--protocol", "leave-one-trial-out"]].concat();

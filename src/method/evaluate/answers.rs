@@ -6,7 +6,8 @@ use std::collections::BTreeSet;
 use serde::Serializer;
 
 use super::evaluation::Run;
-use super::{EvaluateError, Share, percentile};
+use super::outcome::value;
+use super::{EvaluateError, FoldAccuracy, Interval, Over, Share, percentile};
 use crate::recognise::{
     FollowOptions, Follower, FreshFrames, GuessSoFar, LOOK_S, RecogniseError, Rejection,
     RejectionError, Settling, if_enough,
@@ -20,8 +21,10 @@ use crate::trial::{Signal, Trial};
 pub struct SettledOutcome {
     pub stated_loss: f64,
     /// How many of all queries the stop rule names correctly.
-    #[serde(flatten)]
+    #[serde(rename = "accuracy", serialize_with = "value")]
     pub share: Share,
+    #[serde(flatten)]
+    pub interval: Interval,
     /// Share of queries that the whole scan names correctly.
     pub accuracy_whole: f64,
     /// Number of queries that the whole scan names correctly and the stop rule does not.
@@ -42,15 +45,16 @@ pub struct SettledOutcome {
 }
 
 impl SettledOutcome {
-    /// Follows every query, with a stop rule that may lose a share `loss` of accuracy. As in a live
-    /// scan, frames arrive in blocks of `LOOK_S` = 0.1 s, each followed by a guess.
+    /// Follows every query, with a stop rule that may lose a share `loss` of accuracy; the interval is
+    /// `over` what the folds leave out. As in a live scan, frames arrive in blocks of `LOOK_S` = 0.1 s, each followed by a guess.
     ///
     /// # Errors
     /// If a trial cannot be read or compared, or if the method cannot follow scans.
-    pub fn of(run: &Run<'_, '_>, loss: f64) -> Result<Self, EvaluateError> {
+    pub fn of(run: &Run<'_, '_>, loss: f64, over: Over) -> Result<Self, EvaluateError> {
         let (scene, folds) = (run.on.scene, run.on.folds);
         let total: usize = folds.iter().map(|fold| fold.queries.len()).sum();
         let (mut by_rule, mut by_whole) = (Share::default(), Share::default());
+        let mut of_folds = Vec::new();
         let (mut lost, mut gained, mut settled) = (0, 0, 0);
         let (mut used_s, mut whole_s) = (Vec::with_capacity(total), 0.0);
         let (mut rules, mut busy_s) = (Vec::new(), Some(0.0));
@@ -60,6 +64,7 @@ impl SettledOutcome {
                 .ok_or(EvaluateError::Follow { method: run.method.name() })?;
             let mut follower = embedding.follow(&FollowOptions { loss, rejection: None });
             rules.push(follower.settling().clone());
+            let mut of_fold = Share::default();
             for &query in &fold.queries {
                 let trial = run.recording(query)?;
                 let truth = &run.on.trials.key(query).surface;
@@ -78,7 +83,7 @@ impl SettledOutcome {
                     }
                     None => (whole_is_right, scan_s),
                 };
-                by_rule.add(is_right);
+                of_fold.add(is_right);
                 by_whole.add(whole_is_right);
                 lost += usize::from(whole_is_right && !is_right);
                 gained += usize::from(is_right && !whole_is_right);
@@ -86,11 +91,14 @@ impl SettledOutcome {
                 whole_s += scan_s;
                 (run.on.progress)("following queries", used_s.len(), total);
             }
+            by_rule.join(of_fold);
+            of_folds.push(FoldAccuracy { name: fold.name.clone(), share: of_fold });
         }
         let n = used_s.len().max(1) as f64;
         Ok(Self {
             stated_loss: loss,
             share: by_rule,
+            interval: Interval::of(&of_folds, over),
             accuracy_whole: by_whole.value(),
             lost,
             gained,
@@ -138,7 +146,7 @@ fn follow(
 }
 
 /// How many queries were called unknown, for surfaces left out of the library and for those in it.
-/// Shares are fractions from 0 to 1, with 95 % Wilson intervals.
+/// Shares are fractions from 0 to 1, with 95 % Wilson intervals over queries.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct UnknownOutcome {
     /// The stated rate of known surfaces called unknown, and its interval for the smallest library.
@@ -152,8 +160,11 @@ pub struct UnknownOutcome {
     #[serde(flatten, serialize_with = "rejected")]
     pub known: Share,
     pub folds: usize,
-    /// Number of folds in which the share of false rejections lies in the interval stated for the fold.
-    pub folds_as_stated: usize,
+    /// Number of folds in which the share of false rejections lies in the interval stated for the fold;
+    /// `None` if none is stated.
+    pub folds_as_stated: Option<usize>,
+    /// What the intervals of the shares are over.
+    pub interval_over: Over,
 }
 
 fn caught<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
@@ -182,7 +193,7 @@ impl UnknownOutcome {
         // The search finds every surface, since the surfaces of queries are also in a library.
         let group = |i: usize| surfaces.binary_search(&surface(i)).unwrap_or(0) % groups.max(1);
         let (mut unknown, mut known) = (Share::default(), Share::default());
-        let mut folds_as_stated = 0;
+        let mut as_stated = Some(0);
         let mut stated: Option<Rejection> = None;
         for (index, fold) in folds.iter().enumerate() {
             let mut queries = Vec::new();
@@ -205,7 +216,7 @@ impl UnknownOutcome {
                     let count = if group(*i) == left_out { &mut unknown } else { &mut of_fold };
                     count.add(p_value.is_some_and(|p| rejection.rejects(p)));
                 }
-                in_fold.get_or_insert(rejection.rate_low..=rejection.rate_high);
+                in_fold = in_fold.or(rejection.rate_low.zip(rejection.rate_high));
                 if stated.as_ref().is_none_or(|stated| rejection.trials < stated.trials) {
                     stated = Some(rejection);
                 }
@@ -213,11 +224,14 @@ impl UnknownOutcome {
                 (run.on.progress)("leaving surfaces out", done, folds.len() * groups);
             }
             known.join(of_fold);
-            folds_as_stated += usize::from(in_fold.is_some_and(|it| it.contains(&of_fold.value())));
+            let is_in = |(low, high)| (low..=high).contains(&of_fold.value());
+            as_stated =
+                as_stated.zip(in_fold).map(|(count, ends)| count + usize::from(is_in(ends)));
         }
         // At least one fold has at least two surfaces, so there is a model.
         let stated = stated.expect("at least one model");
         let folds = folds.len();
-        Ok(Self { stated, groups, unknown, known, folds, folds_as_stated })
+        let (folds_as_stated, interval_over) = (as_stated, Over::Queries);
+        Ok(Self { stated, groups, unknown, known, folds, folds_as_stated, interval_over })
     }
 }

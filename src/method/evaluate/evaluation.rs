@@ -252,15 +252,24 @@ impl Run<'_, '_> {
         Ok((prediction, remarks))
     }
 
-    fn sum_up(&self, folds: &[Fold], predictions: &[Prediction]) -> Outcome {
+    /// The outcome of some folds and the predictions for their queries, which are some.
+    pub(crate) fn sum_up(&self, folds: &[Fold], predictions: &[Prediction]) -> Outcome {
         let names: Vec<String> = folds.iter().map(|fold| fold.name.clone()).collect();
         let labels: BTreeSet<&String> =
             in_libraries(folds).into_iter().map(|i| &self.on.trials.key(i).surface).collect();
         let labels = labels.into_iter().cloned().collect();
         let largest = folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0);
-        Outcome::new(predictions, &names, labels, largest, self.method.name())
+        let surfaces = |fold: &Fold| {
+            let of = |&i: &usize| &self.on.trials.key(i).surface;
+            fold.library.iter().map(of).collect::<BTreeSet<_>>().len()
+        };
+        let counts: Vec<usize> = folds.iter().map(surfaces).collect();
+        let candidates =
+            [counts.iter().min(), counts.iter().max()].map(|n| n.copied().unwrap_or(0));
+        let outcome = Outcome::new(predictions, &names, labels, largest, self.method.name())
             // Every fold has queries, so there is a prediction.
-            .expect("every fold has queries")
+            .expect("every fold has queries");
+        Outcome { candidates, ..outcome }
     }
 }
 

@@ -156,6 +156,8 @@ pub struct Outcome {
     /// 1e-6; `None` if the method gives no probabilities.
     pub log_loss: Option<f64>,
     pub classes: usize,
+    /// The fewest and the most surfaces in the library of a fold, among which its queries are named.
+    pub candidates: [usize; 2],
     /// Surfaces that could be the answer, but have no query.
     pub never_queried: Vec<String>,
     pub queries: usize,
@@ -219,6 +221,7 @@ impl Outcome {
             precision_mean: precisions.sum::<f64>() / surfaces.len() as f64,
             log_loss: log_loss(predictions, confusion.labels.len()),
             classes: confusion.labels.len(),
+            candidates: [confusion.labels.len(); 2],
             never_queried: never_queried.cloned().collect(),
             queries: predictions.len(),
             library_trials,
@@ -359,7 +362,7 @@ impl Interval {
     }
 }
 
-fn value<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
+pub(super) fn value<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
     to.serialize_f64(share.value())
 }
 

@@ -69,23 +69,34 @@ fn holm(all: &mut [Paired]) {
 }
 
 /// Names the queries of an evaluation by `svm`, and compares with `predictions` by the default
-/// method. Returns advice if `svm` is significantly better; `None` if not, or if `svm` fails.
-pub fn better_plain(evaluation: Evaluation<'_>, predictions: &[Prediction]) -> Option<String> {
+/// method, over what the folds leave out ([`paired`]). Returns advice if `svm` is significantly better;
+/// `None` if not, or if `svm` fails.
+pub fn better_plain(
+    evaluation: Evaluation<'_>,
+    predictions: &[Prediction],
+    over: Over,
+) -> Option<String> {
     let plain = MethodName::Svm;
     let method = MethodSpec::from(plain).build(evaluation.scene);
     let by_plain = evaluation.prepare(&*method).ok()?.measure().ok()?.predictions;
-    let named = |predictions: &[Prediction]| -> Named<'_> {
-        predictions.iter().map(|p| ("", p.is_correct())).collect()
+    let fold = |p: &Prediction| evaluation.folds[p.fold].name.as_str();
+    let named = |predictions: &[Prediction]| -> Vec<(&str, bool)> {
+        predictions.iter().map(|p| (fold(p), p.is_correct())).collect()
     };
     let both = [("", named(&by_plain)), ("", named(predictions))];
-    let Paired { only_right: [gained, lost], p_value, .. } = paired(&both, Over::Queries).pop()?;
+    let Paired { only_right: [gained, lost], test_over, p_value, .. } =
+        paired(&both, over).pop()?;
+    let test = match test_over {
+        Over::Queries => "McNemar's test".into(),
+        over => format!("sign test over {}", over.plural()),
+    };
     (gained > lost && p_value < SIGNIFICANT).then(|| {
         let name = plain.as_str();
         let percent = |named: &Named<'_>| 100.0 * Share::count(named.iter().map(|n| n.1)).value();
         let [by_plain, by_default] = [&both[0].1, &both[1].1].map(percent);
         format!(
             "`{name}` names {by_plain:.1} % of the same queries, where this method names \
-             {by_default:.1} % (McNemar's test: p = {p_value:.2e}); compare with --method {name}"
+             {by_default:.1} % ({test}: p = {p_value:.2e}); compare with --method {name}"
         )
     })
 }
@@ -167,10 +178,12 @@ mod tests {
         let svm = MethodSpec::from(MethodName::Svm).build(&scene);
         let same = evaluation.prepare(&*svm).unwrap().measure().unwrap().predictions;
         assert!(same.iter().all(Prediction::is_correct), "{same:?}");
-        assert_eq!(better_plain(evaluation, &same), None);
+        assert_eq!(better_plain(evaluation, &same, Over::Queries), None);
         let mut worse = same;
         worse.iter_mut().take(7).for_each(|p| p.surface = "none".into());
-        let line = better_plain(evaluation, &worse).unwrap();
+        let line = better_plain(evaluation, &worse, Over::Queries).unwrap();
         assert!(line.contains("100.0 %") && line.contains("53.3 %"), "{line}");
+        // Even if `svm` is better in each of five groups, p is 2 / 2^5.
+        assert_eq!(better_plain(evaluation, &worse, Over::People), None);
     }
 }

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::Audited;
+use super::usual::{FEWEST, levels, usual};
 use crate::evaluate::ProgressFn;
 use crate::evaluate::leak::{Leaks, Shared};
 use crate::evaluate::loudness::{edge_hz, level_of};
@@ -16,13 +17,10 @@ use crate::printable::quoted;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, TrialKey, is_plain, usual_rests};
 
-/// A trial is too loud or quiet if ln of its loudness is this far from its surface's median: 20 dB.
-const LOUD: f64 = std::f64::consts::LN_10;
 /// A trial is silent if ln of its loudness is this far below its source's median: 40 dB.
 const SILENT: f64 = 2.0 * std::f64::consts::LN_10;
 /// A trial is too short if its length is below this share of the source's median length.
 const SHORT: f64 = 1.0 / 3.0;
-const FEWEST: usize = 3;
 /// Most trials that a finding names.
 const SHOWN: usize = 3;
 
@@ -47,7 +45,7 @@ pub enum FaultKind {
     Mislabelled,
     /// Many trials of one person or session were clearly named other surfaces.
     Session,
-    /// A series is 20 dB above or below the other trials of its surface.
+    /// A series is 20 dB or more above or below the other trials of its surface, and outside their spread.
     Level,
     /// A part of a series is also in another trial.
     Shared,
@@ -232,7 +230,17 @@ pub(super) fn of_signals(inspected: &[Inspected], leaks: &Leaks, audited: &Audit
         usual(inspected.iter(), id, surface, of)
     };
     let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
-    let of_source = |id| (id, (usual(id, None, |m| m.seconds), usual(id, None, |m| m.level)));
+    let is_flawed =
+        |one: &Inspected, id: &SourceId| one.doubts.iter().any(|doubt| doubt.source() == Some(id));
+    // Where a constant series is usual, a level says nothing.
+    let has_level = |id: &SourceId| {
+        let rests = |one: &Inspected| one.series.get(id).is_some_and(|of| of.is_constant);
+        !inspected.iter().any(|one| rests(one) && !is_flawed(one, id))
+    };
+    let of_source = |id| {
+        let level = usual(id, None, |m| m.level).filter(|_| has_level(id));
+        (id, (usual(id, None, |m| m.seconds), level))
+    };
     let of_sources: BTreeMap<&SourceId, _> = sources.into_iter().map(of_source).collect();
     for one in inspected {
         let surface = &*one.entry.key.surface;
@@ -242,18 +250,17 @@ pub(super) fn of_signals(inspected: &[Inspected], leaks: &Leaks, audited: &Audit
             faults.push(Fault { kind, source, what, trial, detail });
         };
         for (id, of) in &one.series {
-            let below = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level < u - by);
-            let above = |usual: Option<f64>, by: f64| usual.is_some_and(|u| of.level > u + by);
-            let is_flawed = one.doubts.iter().any(|doubt| doubt.source() == Some(id));
             let (usual_s, usual_level) = of_sources[id];
-            let of_surface = usual(id, Some(surface), |m| m.level);
-            if (of.is_constant && is_flawed) || below(usual_level, SILENT) {
+            let is_silent = usual_level.is_some_and(|usual| of.level < usual - SILENT);
+            let of_surface = usual_level.and_then(|_| levels(inspected, id, surface));
+            let [low, middle, high] = of_surface.unwrap_or([of.level; 3]);
+            if (of.is_constant && is_flawed(one, id)) || is_silent {
                 add(FaultKind::Silent, id, "is silent", String::new());
             } else if let Some(usual_s) = usual_s.filter(|usual_s| of.seconds < SHORT * usual_s) {
                 let detail = format!("{:.1} s, usually {usual_s:.1} s", of.seconds);
                 add(FaultKind::Short, id, "is far shorter than usual", detail);
-            } else if above(of_surface, LOUD) || below(of_surface, LOUD) {
-                let db = 20.0 / std::f64::consts::LN_10 * (of.level - of_surface.unwrap_or(0.0));
+            } else if !(low..=high).contains(&of.level) {
+                let db = 20.0 / std::f64::consts::LN_10 * (of.level - middle);
                 let detail = format!("{db:+.0} dB");
                 add(FaultKind::Level, id, "is too loud or too quiet for its surface", detail);
             }
@@ -392,27 +399,49 @@ fn forget_usual(inspected: &mut [Inspected]) {
     }
 }
 
-/// The median of a measurement of a source, over the trials of one surface if one is given.
-pub(super) fn usual<'i>(
-    trials: impl Iterator<Item = &'i Inspected>,
-    id: &SourceId,
-    surface: Option<&str>,
-    of: fn(&Measured) -> f64,
-) -> Option<f64> {
-    let those = trials.filter(|one| surface.is_none_or(|name| one.entry.key.surface == name));
-    median(those.filter_map(|one| one.series.get(id).map(of)).collect())
-}
-
-/// The median; `None` if there are fewer than [`FEWEST`] values.
-pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    (values.len() >= FEWEST).then(|| values[values.len() / 2])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::recognise::{MethodName, MethodSpec};
+
+    /// What is said of the levels of trials `a/1`, `a/2` and so on.
+    fn said(levels: &[f64], is_constant: impl Fn(usize) -> bool) -> Vec<String> {
+        let scene = Scene::lmt108();
+        let method = &*MethodSpec::from(MethodName::Knn).build(&scene);
+        let root = std::path::Path::new("lib");
+        let audited = Audited { root, editable: true, scene: &scene, method, cache: None };
+        let one = |(at, &level): (usize, &f64)| {
+            let key = TrialKey::new("a", "anna", at as u32 + 1);
+            let signals = BTreeMap::new();
+            let is_constant = is_constant(at);
+            let measured = Measured {
+                seconds: 1.0,
+                level,
+                rate_hz: 1e3,
+                edge_hz: 9.0,
+                is_constant,
+                rests: vec![],
+            };
+            Inspected {
+                entry: Entry::in_memory(Trial { key, signals }),
+                doubts: Vec::new(),
+                series: [(SourceId::new("vel").unwrap(), measured)].into(),
+            }
+        };
+        let all: Vec<Inspected> = levels.iter().enumerate().map(one).collect();
+        let (findings, advice) = of_signals(&all, &Leaks::default(), &audited);
+        findings.into_iter().map(|finding| finding.text).chain(advice).collect()
+    }
+
+    #[test]
+    fn a_level_is_judged_by_the_spread_of_its_surface_and_not_where_constancy_is_usual() {
+        let (usual, low, silence) = (0.0, -3.0, -27.0);
+        let one = said(&[usual, low, usual, usual, usual], |_| false);
+        assert!(one.len() == 1 && one[0].contains("too loud or too quiet"), "{one:?}");
+        let spread = [usual, low, usual, usual, low, usual, low, usual];
+        assert_eq!(said(&spread, |_| false), [""; 0]);
+        assert_eq!(said(&[usual, silence, usual, usual, usual], |at| at == 1), [""; 0]);
+    }
 
     #[test]
     fn half_of_the_trials_blame_a_sensor_but_copies_are_to_be_removed_however_many() {

@@ -3,6 +3,8 @@
 
 mod finding;
 mod session;
+mod suspect;
+mod usual;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -11,10 +13,11 @@ use serde::ser::{SerializeMap, Serializer};
 
 pub use self::finding::Finding;
 use self::finding::{FaultKind, Inspected, inspect};
+use self::suspect::{Suspects, suspects};
 use super::evaluation::{Evaluation, Measured, ProgressFn};
 use super::fold::{Fold, Protocol, folds};
 use super::leak::Leaks;
-use super::outcome::{Confusion, Interval, Over, Prediction, Share};
+use super::outcome::{Confusion, FoldAccuracy, Interval, Over, Prediction, Share};
 use super::paired::better_plain;
 use crate::library::{Entry, Opened};
 use crate::recognise::{Method, MethodName};
@@ -37,8 +40,11 @@ pub struct CheckReport {
     pub share: Option<(Share, Interval)>,
     /// Which trials are left out, and what that leaves untold.
     pub left_out: String,
+    /// How many trials of each surface the accuracy does not count, since no library without them has their
+    /// surface.
+    pub not_asked: BTreeMap<String, usize>,
     pub surfaces: Vec<SurfaceCheck>,
-    /// Confusion matrix of the left-out trials: truth against answer.
+    /// Confusion matrix of the trials that the accuracy counts: truth against answer.
     pub confusion: Option<Confusion>,
     pub each: Vec<TrialCheck>,
     /// Accuracy, a fraction, without the damaged trials; `None` if there are none.
@@ -56,8 +62,10 @@ pub struct SurfaceCheck {
     pub surface: String,
     pub trials: usize,
     pub users: usize,
+    /// How many of its trials were named correctly, with the interval; `None` if too few people or sessions
+    /// were left out.
     #[serde(flatten, serialize_with = "share_of_surface")]
-    pub share: Share,
+    pub share: (Share, Option<Interval>),
     /// The wrong names of the surface's trials, and how often each occurred, the most frequent first.
     pub taken_for: Vec<(String, u32)>,
 }
@@ -81,7 +89,7 @@ pub struct TrialCheck {
     pub named: Option<String>,
     /// ln of the ratio of the second-best surface's score to the answer's score.
     pub margin: Option<f64>,
-    /// Whether the trial was named another surface, and more clearly than most trials of that surface.
+    /// Whether the trial was named another surface so surely that its label looks wrong.
     pub mislabelled: bool,
     /// The faults of its sensors as lines, and as data.
     pub flaws: Vec<String>,
@@ -99,13 +107,15 @@ fn left_out_share<S: Serializer>(named: &Named, to: S) -> Result<S::Ok, S::Error
     map.end()
 }
 
-fn share_of_surface<S: Serializer>(share: &Share, to: S) -> Result<S::Ok, S::Error> {
-    let (low, high) = share.interval();
+fn share_of_surface<S: Serializer>(
+    (share, interval): &(Share, Option<Interval>),
+    to: S,
+) -> Result<S::Ok, S::Error> {
     let mut map = to.serialize_map(None)?;
     map.serialize_entry("queries", &share.of)?;
     map.serialize_entry("right", &share.right)?;
-    map.serialize_entry("accuracy_low", &low)?;
-    map.serialize_entry("accuracy_high", &high)?;
+    map.serialize_entry("accuracy_low", &interval.map(|interval| interval.low))?;
+    map.serialize_entry("accuracy_high", &interval.map(|interval| interval.high))?;
     map.end()
 }
 
@@ -134,13 +144,8 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     findings.extend(finding::shared(&leaks, &keys, &entries, audited));
     let mut advice = opened.library.remarks;
     advice.extend(of_sources);
-    let (mut predictions, mut outcome) = (Vec::new(), None);
-    match measure(&entries, &leaks, audited, progress, Some(&mut advice)) {
-        Ok(measured) => {
-            (predictions, outcome) = (measured.predictions, Some(measured.outcome));
-        }
-        Err(why) => advice.push(why),
-    }
+    let measured = measure(&entries, &leaks, audited, progress, Some(&mut advice));
+    let measured = measured.map_err(|why| advice.push(why)).ok();
     // A damaged trial in the library causes wrong names, so labels are judged without such trials.
     let damaged: BTreeSet<String> = (findings.iter())
         .filter(|finding| finding.kind < FaultKind::Mislabelled)
@@ -152,7 +157,8 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let leaks = leaks.among(&places);
     let of_sound = || measure(&sound, &leaks, audited, progress, None).ok();
     let of_sound = if sound.len() < entries.len() { of_sound() } else { None };
-    let judged = of_sound.as_ref().map_or(&predictions, |measured| &measured.predictions);
+    let judged = of_sound.as_ref().or(measured.as_ref());
+    let judged = judged.map_or(&[][..], |judged| &judged.predictions);
     let mut suspects = suspects(judged);
     let moved = session::moved(judged, &mut suspects);
     findings.extend(session::differing(&moved, &inspected, audited));
@@ -164,8 +170,15 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     findings.extend(finding::mislabelled(&wrong, audited));
     findings.sort_by_key(|finding| finding.kind);
     let accuracy_mended = of_sound.as_ref().map(|measured| measured.outcome.share.value());
-    let each = trials(&keys, &predictions, &inspected, &suspects);
-    let surfaces = surfaces(&keys, &predictions);
+    let predictions = measured.as_ref().map_or(&[][..], |measured| &measured.predictions);
+    let each = trials(&keys, predictions, &inspected, &suspects);
+    let outcome = measured.as_ref().map(|measured| &measured.outcome);
+    // The trials that the accuracy counts come first.
+    let counted = &predictions[..outcome.map_or(0, |outcome| outcome.queries)];
+    let over = outcome.map_or(Over::Queries, |outcome| outcome.interval.over);
+    let surfaces = surfaces(&keys, counted, over);
+    let untested = |one: &SurfaceCheck| (one.surface.clone(), one.trials - one.share.0.of);
+    let not_asked = surfaces.iter().map(untested).filter(|(_, count)| *count > 0).collect();
     advice.extend(missing(&entries));
     advice.extend(next(&surfaces, &keys));
     let line = |finding: &Finding| match &finding.command {
@@ -174,9 +187,10 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     };
     CheckReport {
         trials: keys.len(),
-        share: outcome.as_ref().map(|outcome| (outcome.share, outcome.interval)),
+        share: outcome.map(|outcome| (outcome.share, outcome.interval)),
         left_out: hardest(&keys).1.into(),
-        confusion: outcome.map(|outcome| outcome.confusion),
+        not_asked,
+        confusion: outcome.map(|outcome| outcome.confusion.clone()),
         surfaces,
         each,
         accuracy_mended,
@@ -193,21 +207,23 @@ fn hardest(keys: &[TrialKey]) -> (Option<Protocol>, &'static str) {
     (fitting, fitting.unwrap_or(Protocol::LeaveOneTrialOut).left_out())
 }
 
-/// Makes the folds: those of the [`hardest`] protocol. Further folds leave out the remaining trials
-/// ([`by_parts`]), for example of a surface that only one person recorded. Also tells what an interval
-/// is over: people or sessions only if there are enough of them, not counting the further folds.
-fn left_out(keys: &[TrialKey]) -> (Vec<Fold>, Over) {
-    let (protocol, _) = hardest(keys);
+/// Makes the folds that the accuracy counts: those of the [`hardest`] protocol, or else [`by_parts`]. Then
+/// those by parts that leave out the remaining trials, for example of a surface that only one person
+/// recorded: only the search for wrong labels uses these. Also tells what an interval is over.
+fn left_out(keys: &[TrialKey]) -> (Vec<Fold>, Vec<Fold>, Over) {
     // A protocol that fits has folds.
-    let mut folds = protocol.and_then(|one| folds(one, keys).ok()).unwrap_or_default();
-    let over = protocol.map_or(Over::Queries, |one| one.over().counted(folds.len()));
+    let Some((over, folds)) =
+        hardest(keys).0.and_then(|one| Some((one.over(), folds(one, keys).ok()?)))
+    else {
+        return (by_parts(keys), Vec::new(), Over::Queries);
+    };
     let done: BTreeSet<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
     let rest = by_parts(keys).into_iter().map(|fold| {
         let queries = fold.queries.iter().copied().filter(|i| !done.contains(i)).collect();
         Fold { queries, ..fold }
     });
-    folds.extend(rest.filter(|fold| !fold.queries.is_empty()));
-    (folds, over)
+    let rest = rest.filter(|fold| !fold.queries.is_empty()).collect();
+    (folds, rest, over)
 }
 
 /// Makes folds: fold k leaves out the k-th trial of every surface with several trials.
@@ -230,8 +246,9 @@ fn by_parts(keys: &[TrialKey]) -> Vec<Fold> {
     (0..most).map(fold).filter(|fold| !fold.queries.is_empty()).collect()
 }
 
-/// Names each trial when left out, never by trials that share its samples if others are left. Adds to
-/// `advice`, if given, that `svm` is better than the default.
+/// Names each trial when left out, never by trials that share its samples if others are left. The outcome
+/// is of the first predictions, those that the accuracy counts. Adds to `advice`, if given, that `svm` is
+/// better than the default.
 fn measure(
     entries: &[Entry],
     leaks: &Leaks,
@@ -241,8 +258,10 @@ fn measure(
 ) -> Result<Measured, String> {
     let Audited { scene, method, cache, .. } = *audited;
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
-    let (folds, over) = left_out(&keys);
-    let folds = leaks.apart(&folds, &keys).unwrap_or(folds);
+    let (counted, rest, over) = left_out(&keys);
+    let apart = |folds: Vec<Fold>| leaks.apart(&folds, &keys).unwrap_or(folds);
+    let (counted, rest) = (apart(counted), apart(rest));
+    let folds = [&counted[..], &rest].concat();
     let surfaces: BTreeSet<&str> = keys.iter().map(|key| key.surface.as_str()).collect();
     if surfaces.len() < 2 || folds.is_empty() {
         let needed = "two surfaces, and two trials of one of them";
@@ -251,32 +270,15 @@ fn measure(
     let evaluation = Evaluation { cache, progress, ..Evaluation::new(scene, entries, &folds) };
     let run = evaluation.prepare(method).map_err(|error| error.to_string())?;
     let mut measured = run.measure().map_err(|error| error.to_string())?;
-    measured.outcome = measured.outcome.over(over);
+    let of_counted = measured.predictions.partition_point(|p| p.fold < counted.len());
+    measured.outcome = run.sum_up(&counted, &measured.predictions[..of_counted]).over(over);
     if let Some(advice) = advice
         && method.name() == MethodName::Embedding.as_str()
     {
-        advice.extend(better_plain(evaluation, &measured.predictions));
+        let evaluation = Evaluation { folds: &counted, ..evaluation };
+        advice.extend(better_plain(evaluation, &measured.predictions[..of_counted], over));
     }
     Ok(measured)
-}
-
-/// The trials that look mislabelled, each with the surface that it was named.
-type Suspects<'p> = BTreeMap<&'p TrialKey, &'p str>;
-
-/// The trials whose answer is not their label, with a margin larger than that of most trials of this
-/// surface.
-fn suspects(predictions: &[Prediction]) -> Suspects<'_> {
-    let right = predictions.iter().filter(|p| p.is_correct());
-    let mut margins: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-    right.for_each(|p| margins.entry(&p.surface).or_default().push(p.margin));
-    margins.values_mut().for_each(|margins| margins.sort_by(f64::total_cmp));
-    // Wrong answers say nothing about labels if most answers are wrong.
-    let mostly_right = margins.values().map(Vec::len).sum::<usize>() * 2 > predictions.len();
-    let is_clear = |p: &&Prediction| {
-        let usual = margins.get(&*p.surface).map(|margins| margins[margins.len() / 2]);
-        mostly_right && !p.is_correct() && usual.is_some_and(|usual| p.margin >= usual)
-    };
-    predictions.iter().filter(is_clear).map(|p| (&p.key, p.surface.as_str())).collect()
 }
 
 fn trials(
@@ -307,12 +309,17 @@ fn trials(
     keys.iter().zip(inspected).map(one).collect()
 }
 
-fn surfaces(keys: &[TrialKey], predictions: &[Prediction]) -> Vec<SurfaceCheck> {
+fn surfaces(keys: &[TrialKey], predictions: &[Prediction], over: Over) -> Vec<SurfaceCheck> {
     let labels: BTreeSet<&str> = keys.iter().map(|key| key.surface.as_str()).collect();
     let of = |label: &str| {
         let own = || keys.iter().filter(|key| key.surface == label);
         let queries: Vec<_> = predictions.iter().filter(|p| p.key.surface == label).collect();
         let share = Share::count(queries.iter().map(|p| p.is_correct()));
+        let mut folds: BTreeMap<usize, Share> = BTreeMap::new();
+        queries.iter().for_each(|p| folds.entry(p.fold).or_default().add(p.is_correct()));
+        let folds = folds.into_values().map(|share| FoldAccuracy { name: String::new(), share });
+        let interval = Interval::of(&folds.collect::<Vec<_>>(), over);
+        let interval = Some(interval).filter(|one| share.of > 0 && one.over == over);
         let mut taken: BTreeMap<&str, u32> = BTreeMap::new();
         let named = |p: &&&Prediction| !p.is_correct() && !p.surface.is_empty();
         queries.iter().filter(named).for_each(|p| {
@@ -324,7 +331,7 @@ fn surfaces(keys: &[TrialKey], predictions: &[Prediction]) -> Vec<SurfaceCheck> 
             surface: label.into(),
             trials: own().count(),
             users: own().map(|key| &key.user).collect::<BTreeSet<_>>().len(),
-            share,
+            share: (share, interval),
             taken_for,
         }
     };
@@ -351,7 +358,7 @@ fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
     let wanted = most.max(ENOUGH);
     for surface in surfaces {
         let SurfaceCheck { surface: name, trials, share, taken_for, .. } = surface;
-        let Share { right, of: queries } = *share;
+        let Share { right, of: queries } = share.0;
         if *trials < ENOUGH || trials * 2 < most {
             advice.push(format!("record {} more of {name}: it has {trials}", wanted - trials));
         } else if let Some((other, count)) = taken_for.first()
@@ -378,6 +385,8 @@ fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recognise::MethodSpec;
+    use crate::trial::{Series, Signal, Trial};
 
     fn left(folds: &[Fold]) -> Vec<usize> {
         let mut left: Vec<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
@@ -390,8 +399,8 @@ mod tests {
         let mut keys: Vec<TrialKey> = (1..=23).map(|n| TrialKey::new("a", "x", n)).collect();
         keys.extend((1..=3).map(|n| TrialKey::new("b", "x", n)));
         keys.push(TrialKey::new("c", "x", 1));
-        let (folds, _) = left_out(&keys);
-        assert_eq!(folds.len(), MOST_FOLDS);
+        let (folds, rest, _) = left_out(&keys);
+        assert_eq!((folds.len(), rest), (MOST_FOLDS, vec![]));
         assert!(left(&folds).into_iter().eq(0..26), "each once, except the only one of c");
         for surface in ["a", "b", "c"] {
             let holds = |fold: &Fold| fold.library.iter().any(|&i| keys[i].surface == surface);
@@ -405,11 +414,46 @@ mod tests {
         let mut keys = ["anna", "ben"].map(of).concat();
         // Only anna has trials of c.
         keys.extend((1..=2).map(|n| TrialKey::new("c", "anna", n)));
-        let (folds, over) = left_out(&keys);
-        assert_eq!(over, Over::Queries, "two people and two parts are no four people");
-        let names: Vec<&str> = folds.iter().map(|fold| &*fold.name).collect();
-        assert_eq!(names, ["anna", "ben", "part 1", "part 2"]);
+        let (folds, rest, over) = left_out(&keys);
+        assert_eq!(over, Over::People);
+        let of = |names: [&str; 2]| names.map(String::from).to_vec();
+        let names = |folds: &[Fold]| folds.iter().map(|f| f.name.clone()).collect::<Vec<_>>();
+        assert_eq!((names(&folds), names(&rest)), (of(["anna", "ben"]), of(["part 1", "part 2"])));
         assert!(folds[0].queries == [0, 1] && folds[0].library == [2, 3]);
-        assert!(left(&folds).into_iter().eq(0..6));
+        assert!(left(&[folds, rest].concat()).into_iter().eq(0..6));
+    }
+
+    /// Eight trials of each of two surfaces by each of three people, and of a third by one of them alone.
+    #[test]
+    fn an_accuracy_for_other_people_counts_no_trial_that_is_named_by_the_same_person_s() {
+        let scene = "format = 1\n[sources.ir]\ndomain = \"time\"\nrate_hz = 100\n";
+        let scene = Scene::from_toml(scene).unwrap();
+        let entry = |surface: &str, user: &str, n: u32| {
+            let pitch = 0.2 + 0.1 * surface.len() as f32;
+            let value = |i: usize| (i as f32 * pitch + n as f32).sin();
+            let series = Series::new(100.0, 1, (0..200).map(value).collect()).unwrap();
+            let id = SourceId::new("ir").unwrap();
+            Entry::in_memory(Trial {
+                key: TrialKey::new(surface, user, n),
+                signals: [(id, Signal::Series(series))].into(),
+            })
+        };
+        let shared = ["anna", "ben", "cleo"].into_iter().flat_map(|user| {
+            ["a", "bb"].into_iter().flat_map(move |s| (1..=4).map(move |n| (s, user, n)))
+        });
+        let own = (1..=8).map(|n| ("cccc", "anna", n));
+        let entries: Vec<Entry> = shared.chain(own).map(|(s, user, n)| entry(s, user, n)).collect();
+        let method = &*MethodSpec::from(MethodName::Knn).build(&scene);
+        let root = Path::new("lib");
+        let audited = Audited { root, editable: true, scene: &scene, method, cache: None };
+        let measured = measure(&entries, &Leaks::default(), &audited, &|_, _, _| (), None).unwrap();
+        let Measured { outcome, predictions, .. } = measured;
+        assert_eq!((outcome.share.of, outcome.interval.over), (24, Over::People));
+        assert_eq!(predictions.len(), 32, "all are searched for wrong labels");
+        let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
+        let rows = surfaces(&keys, &predictions[..24], Over::People);
+        let tested = rows.iter().map(|row| (row.share.0.of, row.share.1.map(|one| one.over)));
+        let of_people = Some(Over::People);
+        assert!(tested.eq([(12, of_people), (12, of_people), (0, None)]), "{rows:?}");
     }
 }

@@ -3,7 +3,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::finding::{FaultKind, Finding, Inspected, Measured, median, usual};
+use super::finding::{FaultKind, Finding, Inspected, Measured};
+use super::usual::{median, usual};
 use super::{Audited, Suspects};
 use crate::evaluate::outcome::Prediction;
 use crate::scene::SourceId;
@@ -121,10 +122,10 @@ fn differences(own: &[&Inspected], others: &[&Inspected]) -> Vec<String> {
 mod tests {
     use super::*;
 
-    /// Predictions of 6 trials of two surfaces in each session; `wrong` tells which are wrong.
+    /// Predictions of 9 trials of each of two surfaces in each session; `wrong` tells which are wrong.
     fn predictions(wrong: impl Fn(&TrialKey) -> bool) -> Vec<Prediction> {
         let keys = ["monday", "friday"].into_iter().flat_map(|session| {
-            (1..=6).flat_map(move |n| {
+            (1..=9).flat_map(move |n| {
                 ["a", "b"]
                     .map(|s| TrialKey::new(s, "anna", n).with_session(Some(session.to_string())))
             })
@@ -133,6 +134,7 @@ mod tests {
         let of = |key: TrialKey| Prediction {
             surface: if wrong(&key) { other(&key).into() } else { key.surface.clone() },
             margin: 1.0,
+            confidence: Some(0.95),
             ..Prediction::none(key, 0)
         };
         keys.map(of).collect()
@@ -149,12 +151,12 @@ mod tests {
         let on = |key: &TrialKey, day: &str| key.session.as_deref() == Some(day);
         let single = predictions(|key| key.number == 1 && key.surface == "a");
         assert_eq!(split(&single), (2, vec![]));
-        let half = predictions(|key| on(key, "friday") && key.surface == "a" && key.number < 4);
-        assert_eq!(split(&half), (0, vec![3]), "half of a surface in one session");
+        let half = predictions(|key| on(key, "friday") && key.surface == "a" && key.number < 6);
+        assert_eq!(split(&half), (0, vec![5]), "half of a surface in one session");
         let both = predictions(|key| {
             (on(key, "friday") && key.surface == "a") || (on(key, "monday") && key.number == 1)
         });
-        assert_eq!(split(&both), (2, vec![6]));
+        assert_eq!(split(&both), (2, vec![9]));
     }
 
     #[test]

@@ -13,11 +13,13 @@ use crate::scene::SourceId;
 #[serde(deny_unknown_fields)]
 pub struct Expected {
     pub target: f64,
-    /// Whether whole scans reach the target in cross-validation.
+    /// Whether `accuracy_whole` reaches the target, and `accuracy` what was wanted at the scan time.
     pub reached: bool,
     /// Whether even the lower end of the accuracy's interval reaches the target.
     pub shown: bool,
-    /// Cross-validated accuracy: share of all queries.
+    /// Cross-validated accuracy of whole scans; `None` in plans before version 0.4.
+    pub accuracy_whole: Option<f64>,
+    /// Cross-validated accuracy at the scan time: share of all queries.
     pub accuracy: f64,
     /// Lower end of the accuracy's 95 % Wilson interval.
     pub accuracy_low: f64,
@@ -134,9 +136,7 @@ impl Plan {
             [e.target, e.accuracy, e.accuracy_low, e.accuracy_high].map(percent);
         let mut doubt = e.doubt().map_or_else(String::new, |doubt| format!("# {doubt}.\n"));
         if !e.reached {
-            doubt = format!(
-                "# It does NOT reach the target of {target}; nothing that was tried does.\n"
-            );
+            doubt = format!("# It does NOT reach its target, {target} of whole scans.\n");
         }
         let scan = match self.scan_s {
             Some(scan_s) => format!("# Seconds of the drag that are used.\nscan_s = {scan_s}"),
@@ -180,6 +180,7 @@ mod tests {
                 target: 0.99,
                 reached: true,
                 shown: false,
+                accuracy_whole: Some(1.0),
                 accuracy: 1.0,
                 accuracy_low: 0.84,
                 accuracy_high: 1.0,

@@ -132,9 +132,10 @@ pub struct Rejection {
     pub trials: usize,
     #[serde(flatten)]
     pub left_out: LeftOutBy,
-    /// Lower end of the 95 % interval of the rate, given these trials.
-    pub rate_low: f64,
-    pub rate_high: f64,
+    /// Lower end of the 95 % interval of the rate, given these trials; `None` if people or sessions were
+    /// left out, since their trials are not independent.
+    pub rate_low: Option<f64>,
+    pub rate_high: Option<f64>,
 }
 
 impl Rejection {
@@ -151,7 +152,7 @@ impl Rejection {
         Self::new(trials, left_out, USUAL_RATE.max(1.0 / (trials + 1) as f64))
     }
 
-    /// The threshold for a rate of `rate`, based on `trials` left-out trials. Given these trials, the
+    /// The threshold for a rate of `rate`, based on `trials` left-out trials. Given exchangeable trials, the
     /// true rate follows Beta(k, n + 1 − k), k = ⌊α(n + 1)⌋ (Vovk 2012, "Conditional validity of
     /// inductive conformal predictors"). For k = 1 its density is highest at 0, so the interval of
     /// highest density begins at 0.
@@ -172,8 +173,8 @@ impl Rejection {
             return Err(RejectionError::TooFew { rate, needed, trials });
         }
         let end = |level| beta_quantile(k, (trials + 1) as f64 - k, level);
-        let (rate_low, rate_high) =
-            if k < 2.0 { (0.0, end(0.95)) } else { (end(0.025), end(0.975)) };
+        let ends = if k < 2.0 { (0.0, end(0.95)) } else { (end(0.025), end(0.975)) };
+        let (rate_low, rate_high) = (left_out == LeftOutBy::Trials).then_some(ends).unzip();
         Ok(Self { rate, trials, left_out, rate_low, rate_high })
     }
 
@@ -198,11 +199,14 @@ mod tests {
             let usual = Rejection::usual(trials, LeftOutBy::Trials).unwrap();
             assert!((usual.rate - rate).abs() < 1e-12, "{trials}");
             assert!(usual.rejects(1.0 / (trials + 1) as f64));
-            assert!(usual.rate_low <= rate && rate < usual.rate_high);
+            assert!(usual.rate_low.unwrap() <= rate && rate < usual.rate_high.unwrap());
         }
         // P(rate ≤ x) = 1 − (1 − x)^n for k = 1.
         let interval = Rejection::usual(24, LeftOutBy::Trials).unwrap();
-        assert!(interval.rate_low == 0.0 && (interval.rate_high - 0.117).abs() < 1e-3);
+        assert!(interval.rate_low == Some(0.0));
+        assert!((interval.rate_high.unwrap() - 0.117).abs() < 1e-3);
+        let of_people = Rejection::usual(24, LeftOutBy::People).unwrap();
+        assert_eq!((of_people.rate, of_people.rate_high), (interval.rate, None));
     }
 
     #[test]
@@ -211,7 +215,7 @@ mod tests {
         assert!(error.contains("1 % false rejections takes 99 trials"), "{error}");
         let enough = Rejection::new(99, LeftOutBy::Trials, 0.01).unwrap();
         assert!(enough.rejects(1.0 / 100.0) && !enough.rejects(2.0 / 100.0));
-        assert!(enough.rate_low < 0.01 && 0.01 < enough.rate_high, "{enough:?}");
+        assert!(enough.rate_low < Some(0.01) && Some(0.01) < enough.rate_high, "{enough:?}");
         assert!(
             Rejection::new(99, LeftOutBy::Trials, 0.0).is_err()
                 && Rejection::new(99, LeftOutBy::Trials, f64::NAN).is_err()

@@ -56,6 +56,11 @@ pub enum Shortfall {
     },
     /// Not even whole trials reach the wanted accuracy.
     NotReached,
+    /// Whole trials are not shown to be named right more often than by chance.
+    AtChance {
+        /// the share that is right if the most frequent surface is always named
+        chance: f64,
+    },
     /// The trials cannot be compared with each other, for this reason.
     NoModel(String),
 }
@@ -114,15 +119,14 @@ impl ScanTime {
         if let Some(why) = why {
             return format!("drag for {:.1} s, as long as your trials: {why}", at.scan_s);
         }
+        let (whole, whom) = (self.whole_percent(), self.left_out.of_whom(self.people));
         format!(
-            "drag for at least {:.1} s: {} of left-out scans ({} to {}) are named right by then, \
-             and {} at full length ({})",
+            "drag for at least {:.1} s: {} of {} left-out scans ({}) are named right by then, and {whole} \
+             at full length ({whom})",
             at.scan_s,
             percent(at.accuracy),
-            number(at.accuracy_low),
-            number(at.accuracy_high),
-            self.whole_percent(),
-            self.left_out.of_whom(self.people)
+            self.trials,
+            ends(&at)
         )
     }
 
@@ -140,7 +144,7 @@ impl ScanTime {
         match self.shortfall.as_ref()? {
             Shortfall::NothingLeftOut { lacking } => Some(lacking.iter().map(|(_, n)| n).sum()),
             Shortfall::TooFewTrials { more, .. } => Some(*more),
-            Shortfall::NotReached | Shortfall::NoModel(_) => None,
+            Shortfall::NotReached | Shortfall::AtChance { .. } | Shortfall::NoModel(_) => None,
         }
     }
 
@@ -164,6 +168,14 @@ impl ScanTime {
                 percent(*share)
             ),
             Shortfall::NoModel(why) => why.clone(),
+            Shortfall::AtChance { chance } => format!(
+                "at full length {} of {} left-out scans ({}) are named right, which chance may explain: \
+                 always naming the most frequent surface gives {}; add a source, or record more trials",
+                self.whole_percent(),
+                self.trials,
+                self.whole.as_ref().map_or_else(String::new, ends),
+                percent(*chance)
+            ),
             Shortfall::NotReached => format!(
                 "no scan time reaches {}; at full length {} of left-out scans are named right ({}): \
                  add a source, or record more trials",
@@ -173,6 +185,11 @@ impl ScanTime {
             ),
         }
     }
+}
+
+/// The interval of an accuracy, such as `97.2 to 99.7`.
+fn ends(at: &AccuracyAt) -> String {
+    format!("{} to {}", number(at.accuracy_low), number(at.accuracy_high))
 }
 
 fn number(share: f64) -> String {
@@ -209,7 +226,7 @@ mod tests {
     fn one_line_says_how_long_how_surely_and_for_whom() {
         assert_eq!(
             answer().line(),
-            "drag for at least 0.9 s: 99.0 % of left-out scans (97.2 to 99.7) are named right by \
+            "drag for at least 0.9 s: 99.0 % of 200 left-out scans (97.2 to 99.7) are named right by \
              then, and 99.5 % at full length (for this person, within one session)"
         );
         let others = ScanTime { people: 4, left_out: LeftOutBy::People, ..answer() };

@@ -169,6 +169,10 @@ impl LeftOutAccuracy {
                 answer.shortfall = Some(Shortfall::TooFewTrials { share, more: needed - trials });
                 answer.enough = whole;
             }
+            // Whatever chance names at full length, it names as well at once.
+            Some(_) if whole.is_none_or(|whole| whole.accuracy_low <= self.chance()) => {
+                answer.shortfall = Some(Shortfall::AtChance { chance: self.chance() });
+            }
             Some(at) => answer.enough = Some(self.cross_fitted(goal, at, target)),
         }
         answer
@@ -184,6 +188,12 @@ impl LeftOutAccuracy {
             |by: usize| self.point(self.times[(at + by).min(last)], |g| (chosen[g] + by).min(last));
         let reaches = |point: &AccuracyAt| point.accuracy >= target - 1e-9;
         (0..last).map(later).find(reaches).unwrap_or_else(|| later(last))
+    }
+
+    /// The share of trials that are named right if the most frequent surface is always named.
+    fn chance(&self) -> f64 {
+        let counts = || self.library.surfaces.iter().map(|(_, trials)| *trials);
+        counts().max().unwrap_or(0) as f64 / counts().sum::<usize>().max(1) as f64
     }
 
     /// Surfaces with too few trials to leave one out, and the number of trials that each lacks.
@@ -289,6 +299,13 @@ mod tests {
         assert_eq!((answer.enough, answer.shortfall.clone()), (None, Some(Shortfall::NotReached)));
         assert_eq!(answer.scan_s(), None);
         assert!((poor.scan_time(Goal::Loss(0.01)).enough.unwrap().accuracy - 0.8).abs() < 1e-9);
+        // Every second of two surfaces' trials is named right, from the first look on.
+        let chance = accuracy(200, |i| if i / 10 % 2 == 0 { 9.0 } else { 0.1 });
+        let answer = chance.scan_time(Goal::Loss(0.01));
+        assert_eq!(answer.shortfall, Some(Shortfall::AtChance { chance: 0.5 }));
+        assert!(
+            answer.line().contains("50.0 % of 200 left-out scans (43.1 to 56.9) are named right")
+        );
     }
 
     #[test]
