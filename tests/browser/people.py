@@ -129,6 +129,8 @@ def an_operator_is_offered_what_is_allowed(browser, station, shots):
     browser.devtools("Network.clearBrowserCookies")
     browser.open(f"{station.url}/?token={OPERATOR}")
     browser.wait("the role", lambda: browser.run("return document.body.dataset.role") == "operator")
+    # A request of the page before may have lost its cookie on its way.
+    assert all(" 401 " in entry["message"] for entry in browser.log("browser")), "the console stays empty"
     for name in ("start", "stop", "select-open", "shelf-open", "person-form"):
         assert seen(browser, name), name
     for name in ("enroll-form", "reload", "changes-open"):

@@ -95,12 +95,11 @@ fn duration_plan_replay_and_the_station_give_one_scan_time_for_five_libraries() 
             wav(library("close").join(&trial), (10_000, near, 0.5 + 0.04 * n as f64), seed(n));
             wav(library("48 kHz").join(format!("{surface}/{n}.wav")), (48_000, tau, 0.8), seed(n));
         }
-        for (user, n) in
-            ["anna", "ben", "cleo"].into_iter().flat_map(|u| (1..=9).map(move |n| (u, n)))
-        {
+        for (user, n) in (0..3).flat_map(|u| (1..=9).map(move |n| (u, n))) {
+            let of_user = 200 * (user as u64 + 1);
+            let user = ["anna", "ben", "cleo"][user];
             let trial = library("people").join(format!("{surface}/{user}{n}"));
-            let gain = user.len() as u64 * 50;
-            wav(trial.join("ir.wav"), (10_000, tau, 1.0), seed(gain + n));
+            wav(trial.join("ir.wav"), (10_000, tau, 1.0), seed(of_user + n));
             write_file(&trial.join("trial.toml"), format!("user = \"{user}\"\n"));
         }
     }

@@ -169,8 +169,9 @@ impl LeftOutAccuracy {
                 answer.shortfall = Some(Shortfall::TooFewTrials { share, more: needed - trials });
                 answer.enough = whole;
             }
-            // Whatever chance names at full length, it names as well at once.
-            Some(_) if whole.is_none_or(|whole| whole.accuracy_low <= self.chance()) => {
+            // Whatever chance names at full length, it names as well at once. This is over trials: whether
+            // names say anything at all, a few people show, too.
+            Some(_) if whole.is_none_or(|whole| self.may_be_chance(whole)) => {
                 answer.shortfall = Some(Shortfall::AtChance { chance: self.chance() });
             }
             Some(at) => answer.enough = Some(self.cross_fitted(goal, at, target)),
@@ -188,6 +189,11 @@ impl LeftOutAccuracy {
             |by: usize| self.point(self.times[(at + by).min(last)], |g| (chosen[g] + by).min(last));
         let reaches = |point: &AccuracyAt| point.accuracy >= target - 1e-9;
         (0..last).map(later).find(reaches).unwrap_or_else(|| later(last))
+    }
+
+    /// Whether the lower end of the 95 % interval over trials reaches no further than chance.
+    fn may_be_chance(&self, whole: AccuracyAt) -> bool {
+        wilson(whole.accuracy, self.trials() as f64).0 <= self.chance()
     }
 
     /// The share of trials that are named right if the most frequent surface is always named.
