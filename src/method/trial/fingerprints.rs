@@ -31,30 +31,42 @@ pub(crate) struct Fingerprints {
     pub windows: Vec<(u64, usize)>,
 }
 
+/// Odd, so that multiplying loses nothing: 2^64 divided by the golden ratio.
+const BASE: u64 = 0x9e37_79b9_7f4a_7c15;
+
 impl Fingerprints {
     /// Takes the windows with the smallest hashes, at most this many.
     pub(crate) fn of(signal: &Signal, most: usize) -> Self {
         match signal {
             Signal::Image(image) => {
-                let whole = (!is_plain(image)).then(|| signal.content_hash());
-                Self { whole, windows: Vec::new() }
+                let word = |hash: u64, bytes: &[u8]| {
+                    let mut word = [0; 8];
+                    word[..bytes.len()].copy_from_slice(bytes);
+                    mixed(hash, u64::from_le_bytes(word))
+                };
+                let whole = || image.rgb().chunks(8).fold(0, word);
+                Self { whole: (!is_plain(image)).then(whole), windows: Vec::new() }
             }
             Signal::Series(series) => {
-                let tells = tells(series, 0, series.frames());
-                let whole = tells.then(|| signal.content_hash());
-                Self { whole, windows: windows(series, most) }
+                let of_frame = |frame: &[f32]| {
+                    frame.iter().fold(0, |hash, x| mixed(hash, u64::from(x.to_bits())))
+                };
+                let frames: Vec<u64> =
+                    series.samples().chunks(series.channels()).map(of_frame).collect();
+                let whole = || frames.iter().fold(frames.len() as u64, |hash, x| mixed(hash, *x));
+                let whole = tells(series, 0, frames.len()).then(whole);
+                Self { whole, windows: windows(&frames, most) }
             }
         }
     }
 }
 
-fn windows(series: &Series, most: usize) -> Vec<(u64, usize)> {
-    const BASE: u64 = 0x9e37_79b9_7f4a_7c15;
+/// The smallest hashes of windows of the frames with these hashes.
+fn windows(frames: &[u64], most: usize) -> Vec<(u64, usize)> {
     let oldest = BASE.wrapping_pow(WINDOW as u32);
-    let of_frame =
-        |frame: &[f32]| frame.iter().fold(0, |hash, x| mixed(hash ^ u64::from(x.to_bits())));
-    let frames: Vec<u64> = series.samples().chunks(series.channels()).map(of_frame).collect();
     let changes = |at: usize| usize::from(at > 0 && frames[at] != frames[at - 1]);
+    // Hashes are spread evenly, so this leaves four times as many as are kept.
+    let below = (u64::MAX / frames.len().max(1) as u64).saturating_mul(4 * most as u64);
     let (mut hash, mut lively) = (0u64, 0);
     let mut found = Vec::new();
     for (at, &frame) in frames.iter().enumerate() {
@@ -64,8 +76,8 @@ fn windows(series: &Series, most: usize) -> Vec<(u64, usize)> {
             hash = hash.wrapping_sub(frames[at - WINDOW].wrapping_mul(oldest));
             lively -= changes(at - WINDOW);
         }
-        if at + 1 >= WINDOW && lively >= LIVELY {
-            found.push((mixed(hash), at + 1 - WINDOW));
+        if at + 1 >= WINDOW && lively >= LIVELY && hash <= below {
+            found.push((hash, at + 1 - WINDOW));
         }
     }
     if found.len() > most {
@@ -77,12 +89,10 @@ fn windows(series: &Series, most: usize) -> Vec<(u64, usize)> {
     found
 }
 
-/// Spreads the bits of a number over all others (Steele, Lea and Flood 2014, "SplitMix").
-fn mixed(x: u64) -> u64 {
-    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ (x >> 31)
+/// Adds a number to a hash, and spreads its bits over all others.
+fn mixed(hash: u64, x: u64) -> u64 {
+    let product = (hash.rotate_left(23) ^ x).wrapping_mul(BASE);
+    product ^ (product >> 32)
 }
 
 /// Whether a run could not be equal by chance: the steps of some channel have many sizes, and tell much.
