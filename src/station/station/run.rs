@@ -26,12 +26,11 @@ const NAMED: Duration = Duration::from_millis(2500);
 const WRITTEN: Duration = Duration::from_millis(3200);
 /// Time after [`Command::Quit`] for listeners to finish.
 const PASSED_ON: Duration = Duration::from_millis(3900);
+/// How many scans may wait to be named if devices cannot be paused; they span some 15 minutes.
+const BACKLOG: usize = 64;
 
 /// A recogniser, or the reason why scans cannot be named.
 type LoadedRecogniser = Result<Arc<Recogniser>, String>;
-
-/// How many scans may wait to be named if devices cannot be paused; they span some 15 minutes.
-const BACKLOG: usize = 64;
 
 pub struct Station<'a> {
     pub devices: Vec<Box<dyn Device>>,
@@ -246,8 +245,7 @@ impl<'a> StationRun<'a> {
         }
     }
 
-    /// Takes the result of an attempt to store a scan as a trial. A scan that is not kept is reported
-    /// now; one that is kept is reported later, when its nearest surface is known.
+    /// Reports whether a scan became a trial; of a kept one, once its nearest surface is known.
     fn stored(&mut self, stored: StoredScan) {
         if let Some(recording) = &mut self.recording {
             recording.settle(&stored.enrolled);
