@@ -44,10 +44,27 @@ fn npz(members: &[(&str, Vec<u8>)], deflate: bool) -> Vec<u8> {
     all
 }
 
+/// The sample in a row of a channel of a trial.
+pub(crate) fn at(trial: usize, channel: usize, row: usize) -> i16 {
+    (trial * 1000 + channel * 100 + row) as i16
+}
+
+/// Imports three trials of two channels of 40 samples at 100 Hz, which must have these surfaces and numbers.
+pub(crate) fn assert_trials((name, bytes, args): (&str, &[u8], &[&str]), keys: [&str; 3]) {
+    let imported = import(name, bytes, &[&["--rate", "100"], args].concat());
+    let entries = imported.library().entries;
+    let found: Vec<String> =
+        entries.iter().map(|e| format!("{} {}", e.key.surface, e.key.number)).collect();
+    assert_eq!(found, keys, "{}", imported.said());
+    let trial = entries[2].load().unwrap();
+    let Signal::Series(series) = &trial.signals["sensor"] else { panic!("no series") };
+    let right = (0..40).flat_map(|row| [0, 1].map(|channel| f32::from(at(2, channel, row))));
+    assert_eq!(series.samples(), right.collect::<Vec<_>>(), "{name}");
+}
+
 #[test]
 fn arrays_of_numpy_are_trials() {
     // Three trials of two channels of 40 samples.
-    let at = |trial: usize, channel: usize, row: usize| (trial * 1000 + channel * 100 + row) as i16;
     let numbers: Vec<i16> =
         (0..3).flat_map(|t| (0..2).flat_map(move |c| (0..40).map(move |r| at(t, c, r)))).collect();
     let small = numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
@@ -66,15 +83,7 @@ fn arrays_of_numpy_are_trials() {
         ("all.npz", file(false), &["--labels", "y"], ["ash 1", "oak 1", "oak 2"]),
         ("all.npz", file(true), &["--labels", "y", "--variable", "X"], ["ash 1", "oak 1", "oak 2"]),
     ] {
-        let imported = import(name, &bytes, &[&["--rate", "100"], args].concat());
-        let entries = imported.library().entries;
-        let found: Vec<String> =
-            entries.iter().map(|e| format!("{} {}", e.key.surface, e.key.number)).collect();
-        assert_eq!(found, keys, "{}", imported.said());
-        let trial = entries[2].load().unwrap();
-        let Signal::Series(series) = &trial.signals["sensor"] else { panic!("no series") };
-        let right = (0..40).flat_map(|row| [0, 1].map(|channel| f32::from(at(2, channel, row))));
-        assert_eq!(series.samples(), right.collect::<Vec<_>>(), "{name}");
+        assert_trials((name, &bytes, args), keys);
     }
     for (bytes, args, part) in [
         (array.clone(), &[][..], "--rate HZ"),

@@ -4,6 +4,7 @@ use std::io::Write;
 
 use surfaced::trial::Signal;
 
+use crate::array_forms::{assert_trials, at};
 use crate::common::says;
 use crate::table_forms::import;
 
@@ -38,10 +39,6 @@ fn file(variables: &[Vec<u8>], is_big: bool) -> Vec<u8> {
     [&format!("{:124}", "MATLAB 5.0 MAT-file").into_bytes(), order, &variables.concat()].concat()
 }
 
-fn at(trial: usize, channel: usize, row: usize) -> i16 {
-    (trial * 1000 + channel * 100 + row) as i16
-}
-
 /// Three trials of two channels of 40 samples, stored as int16, column by column.
 fn trials(class: u32, name: &str, is_big: bool) -> Vec<u8> {
     let numbers = (0..40).flat_map(|r| (0..2).flat_map(move |c| (0..3).map(move |t| at(t, c, r))));
@@ -69,15 +66,7 @@ fn variables_of_matlab_are_trials() {
         ("oak/1.mat", &both, &["--variable", "Z"], ["oak 1", "oak 2", "oak 3"]),
         ("all.MAT", &scans, &["--labels", "y"], ["ash 1", "oak 1", "oak 2"]),
     ] {
-        let imported = import(name, bytes, &[&["--rate", "100"], args].concat());
-        let entries = imported.library().entries;
-        let found: Vec<String> =
-            entries.iter().map(|e| format!("{} {}", e.key.surface, e.key.number)).collect();
-        assert_eq!(found, keys, "{}", imported.said());
-        let trial = entries[2].load().unwrap();
-        let Signal::Series(series) = &trial.signals["sensor"] else { panic!("no series") };
-        let right = (0..40).flat_map(|row| [0, 1].map(|channel| f32::from(at(2, channel, row))));
-        assert_eq!(series.samples(), right.collect::<Vec<_>>(), "{name}");
+        assert_trials((name, bytes, args), keys);
     }
     says(&import("oak/1.mat", &both, &["--rate", "9"]).said(), &["`X` (3×2×40 double), `Z` (3×2×"]);
 }

@@ -68,7 +68,7 @@ pub(crate) struct Detector {
     /// Where the latest gap ended.
     gap_end: Option<u64>,
     /// The mean levels of the blocks of the contact so far, each with its first hop and its number of
-    /// hops; empty where force holds the contact.
+    /// hops; empty where force holds the contact, and without a longest drag.
     blocks: Vec<(u64, f64, u64)>,
     /// Whether the last event came since the noise at rest has risen: the lowest level within the contact
     /// is then the new floor.
@@ -134,7 +134,8 @@ impl Detector {
             DetectorState::Contact(contact) => {
                 contact.hops += 1;
                 match self.blocks.last_mut() {
-                    _ if pressed => self.blocks.clear(),
+                    // Without a longest drag, a contact may last for days.
+                    _ if pressed || config.longest_drag_s.is_infinite() => self.blocks.clear(),
                     Some((_, mean, hops)) if (*hops as f64) < SMOOTH => {
                         *hops += 1;
                         *mean += (level - *mean) / *hops as f64;
@@ -162,19 +163,13 @@ impl Detector {
                         contact.is_drag = true;
                         Some(DetectorEvent::Drag { tap, start })
                     }
-                    _ if is_drag && lasted(hops, config.longest_drag_s) => {
+                    _ if is_drag => {
+                        let is_noise = lasted(hops, config.longest_drag_s);
+                        let noise = is_noise.then_some(DetectorEvent::NoiseTimeout);
+                        let event = noise.or_else(|| self.risen_rest(cut))?;
                         self.state = DetectorState::Quiet { tap: None };
                         self.rest_rose = true;
-                        Some(DetectorEvent::NoiseTimeout)
-                    }
-                    _ if is_drag && config.longest_drag_s.is_finite() => {
-                        let event = self.risen_rest()?;
-                        self.state = DetectorState::Quiet { tap: None };
-                        self.rest_rose = true;
-                        Some(match event {
-                            DetectorEvent::End { end, .. } => DetectorEvent::End { end, cut },
-                            other => other,
-                        })
+                        Some(event)
                     }
                     _ => None,
                 }
@@ -184,7 +179,7 @@ impl Detector {
 
     /// The end of a contact that does not fall below `quiet`, since the noise at rest has risen: its last
     /// second is far below what came before. Where it begins like that too, noise began it.
-    fn risen_rest(&self) -> Option<DetectorEvent> {
+    fn risen_rest(&self, cut: bool) -> Option<DetectorEvent> {
         let (_, _, hops) = self.blocks.last()?;
         if (*hops as f64) < SMOOTH {
             return None;
@@ -203,7 +198,7 @@ impl Detector {
         Some(if noise {
             DetectorEvent::NoiseTimeout
         } else {
-            DetectorEvent::End { end: first, cut: false }
+            DetectorEvent::End { end: first, cut }
         })
     }
 
@@ -302,20 +297,33 @@ pub(super) struct StreamLevel {
     /// Mean squares of the latest hops, and the largest number of them.
     recent: VecDeque<f64>,
     most_recent: usize,
-    /// Number of hops from which the floor was learnt.
-    hops: u64,
-    smooth: f64,
+    /// From its hops the floor is learnt: without contact, in this block.
+    rest: Lowest,
+    /// The lowest levels of the blocks before this one.
     blocks: VecDeque<f64>,
-    lowest: f64,
-    /// The lowest smoothed mean square during the contact in progress.
-    held: Option<HeldLevel>,
+    /// Of the contact in progress.
+    held: Option<Lowest>,
 }
 
+/// The lowest smoothed mean square.
 #[derive(Clone, Copy, Debug)]
-struct HeldLevel {
+struct Lowest {
     hops: u64,
     smooth: f64,
     lowest: f64,
+}
+
+impl Lowest {
+    const NONE: Self = Self { hops: 0, smooth: 0.0, lowest: f64::INFINITY };
+
+    fn add(&mut self, mean: f64) {
+        self.hops += 1;
+        // Begins with a plain mean, so that the first hop weighs no more than any other.
+        self.smooth += (mean - self.smooth) / SMOOTH.min(self.hops as f64);
+        if self.hops as f64 >= SMOOTH {
+            self.lowest = self.lowest.min(self.smooth);
+        }
+    }
 }
 
 impl StreamLevel {
@@ -338,10 +346,8 @@ impl StreamLevel {
                     (LEAST_VALUES / (hop_frames(rate_hz) * channels.max(1) as f64)).ceil() as usize
                 }
             },
-            hops: 0,
-            smooth: 0.0,
+            rest: Lowest::NONE,
             blocks: VecDeque::new(),
-            lowest: f64::INFINITY,
             held: None,
         }
     }
@@ -419,16 +425,16 @@ impl StreamLevel {
     }
 
     pub(super) fn relearn(&mut self) {
-        (self.hops, self.smooth, self.lowest) = (0, 0.0, f64::INFINITY);
+        self.rest = Lowest::NONE;
         self.blocks.clear();
     }
 
     /// Makes the lowest level of the contact that just ended the floor.
     pub(super) fn adopt_lowest(&mut self) {
         match self.held.take().filter(|held| held.lowest.is_finite()) {
-            Some(HeldLevel { lowest, .. }) => {
+            Some(Lowest { lowest, .. }) => {
                 self.blocks.clear();
-                (self.smooth, self.lowest) = (lowest, lowest);
+                (self.rest.smooth, self.rest.lowest) = (lowest, lowest);
             }
             None => self.relearn(),
         }
@@ -439,38 +445,26 @@ impl StreamLevel {
     }
 
     fn learn(&mut self, mean: f64, held: bool) {
-        let block = self.hops_in(BLOCK_S).max(1.0) as u64;
         if held {
-            let new = HeldLevel { hops: 0, smooth: 0.0, lowest: f64::INFINITY };
-            let held = self.held.get_or_insert(new);
-            held.hops += 1;
-            held.smooth += (mean - held.smooth) / SMOOTH.min(held.hops as f64);
-            if held.hops as f64 >= SMOOTH {
-                held.lowest = held.lowest.min(held.smooth);
-            }
-        } else {
-            self.held = None;
-            self.hops += 1;
-            // Begins with a plain mean, so that the first hop weighs no more than any other.
-            self.smooth += (mean - self.smooth) / SMOOTH.min(self.hops as f64);
-            if self.hops as f64 >= SMOOTH {
-                self.lowest = self.lowest.min(self.smooth);
-            }
-            if self.hops.is_multiple_of(block) && self.lowest.is_finite() {
-                self.blocks.push_back(self.lowest);
-                self.lowest = self.smooth;
-                if self.blocks.len() > BLOCKS {
-                    self.blocks.pop_front();
-                }
+            return self.held.get_or_insert(Lowest::NONE).add(mean);
+        }
+        self.held = None;
+        self.rest.add(mean);
+        let block = self.hops_in(BLOCK_S).max(1.0) as u64;
+        if self.rest.hops.is_multiple_of(block) && self.rest.lowest.is_finite() {
+            self.blocks.push_back(self.rest.lowest);
+            self.rest.lowest = self.rest.smooth;
+            if self.blocks.len() > BLOCKS {
+                self.blocks.pop_front();
             }
         }
     }
 
     fn level(&self, mean: f64) -> f64 {
-        if (self.hops as f64) < self.hops_in(LEARN_S).max(SMOOTH) {
+        if (self.rest.hops as f64) < self.hops_in(LEARN_S).max(SMOOTH) {
             return 0.0;
         }
-        let floor = self.blocks.iter().copied().fold(self.lowest, f64::min);
+        let floor = self.blocks.iter().copied().fold(self.rest.lowest, f64::min);
         match self.kind {
             SensorKind::Force => (mean - floor) / FORCE,
             SensorKind::Vibration => mean.sqrt() / floor.sqrt().max(LEAST_VIBRATION),

@@ -226,9 +226,7 @@ pub(super) fn unreadable(
 /// Findings on the signals, and advice on each fault that half of the trials or more have.
 pub(super) fn of_signals(inspected: &[Inspected], leaks: &Leaks, audited: &Audited<'_>) -> Found {
     let mut faults = copies(inspected, leaks, audited);
-    let usual = |id: &SourceId, surface: Option<&str>, of: fn(&Measured) -> f64| {
-        usual(inspected.iter(), id, surface, of)
-    };
+    let usual = |id: &SourceId, of: fn(&Measured) -> f64| usual(inspected.iter(), id, None, of);
     let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
     let is_flawed =
         |one: &Inspected, id: &SourceId| one.doubts.iter().any(|doubt| doubt.source() == Some(id));
@@ -238,8 +236,8 @@ pub(super) fn of_signals(inspected: &[Inspected], leaks: &Leaks, audited: &Audit
         !inspected.iter().any(|one| rests(one) && !is_flawed(one, id))
     };
     let of_source = |id| {
-        let level = usual(id, None, |m| m.level).filter(|_| has_level(id));
-        (id, (usual(id, None, |m| m.seconds), level))
+        let level = usual(id, |m| m.level).filter(|_| has_level(id));
+        (id, (usual(id, |m| m.seconds), level))
     };
     let of_sources: BTreeMap<&SourceId, _> = sources.into_iter().map(of_source).collect();
     for one in inspected {

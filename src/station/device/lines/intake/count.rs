@@ -15,6 +15,12 @@ const MOST_BITS: i32 = 53;
 const OUT_OF_ORDER_S: f64 = 0.05;
 const OUT_OF_ORDER_ROWS: f64 = 8.0;
 
+/// The numbers of values after which a counter may begin again, in no order.
+fn wraps() -> impl Iterator<Item = f64> {
+    let binary = (1..=MOST_BITS).map(|bits| f64::from(bits).exp2());
+    DECIMAL_WRAPS.into_iter().chain(binary)
+}
+
 impl LinesIntake {
     /// Whether a row came twice or after later ones, by its number. After a silence, or if too many rows
     /// follow each other so, the counter has begun again instead.
@@ -38,9 +44,7 @@ impl LinesIntake {
 
     /// Whether a row follows the last one directly, in a counter that begins again.
     fn begins_again(&self, value: f64) -> bool {
-        let mut binary = (1..=MOST_BITS).map(|bits| f64::from(bits).exp2());
-        let follows = |wrap: f64| self.last <= wrap && value + wrap - self.last == 1.0;
-        DECIMAL_WRAPS.into_iter().any(follows) || binary.any(follows)
+        wraps().any(|wrap| self.last <= wrap && value + wrap - self.last == 1.0)
     }
 
     /// Number of frames that are known to be missing before a row, and whether the row's counter
@@ -82,9 +86,8 @@ impl LinesIntake {
             return (value - before).round() as u64;
         }
         let most = (silent_s + 1.0) * self.rate_hz + 1.0;
-        let binary = (1..=MOST_BITS).map(|bits| f64::from(bits).exp2());
         let known = self.wrap.into_iter();
-        let mut wraps: Vec<f64> = DECIMAL_WRAPS.into_iter().chain(binary).collect();
+        let mut wraps: Vec<f64> = wraps().collect();
         wraps.sort_unstable_by(f64::total_cmp);
         // A counter that begins with 1 ends with the number of its values.
         let fits = |wrap: &f64| (1.0..=most).contains(&(value + wrap - before).round());
