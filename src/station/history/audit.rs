@@ -173,7 +173,7 @@ impl History {
     }
 
     /// Adds records of changes that were made. A record that cannot be written to disk is tried again
-    /// with the next one, and by [`Self::write_waiting_changes`].
+    /// with the next one, and every few seconds.
     pub fn note_changes(&self, records: impl IntoIterator<Item = AuditRecord>) {
         let mut log = self.audit();
         for record in records {
