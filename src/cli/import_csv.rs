@@ -70,9 +70,9 @@ pub(super) struct CsvArgs {
     /// {session}, `file` (each file is a session), or `none` (default: {session} in --names, else none)
     #[arg(long, value_name = "COLUMN|PATTERN|file|none")]
     session: Option<String>,
-    /// Pattern of the file names without extension; * matches any text
-    #[arg(long, value_name = "PATTERN", default_value = "{surface}/{trial}", value_parser = pattern)]
-    names: NamePattern,
+    /// Pattern of the file names without extension; * matches any text (default: {surface}/{trial})
+    #[arg(long, value_name = "PATTERN", value_parser = pattern)]
+    names: Option<NamePattern>,
     /// Labels of the trials of an array: an array of the .npz or .mat, or a file (.npy, or a label a line)
     #[arg(long, value_name = "ARRAY|FILE")]
     labels: Option<String>,
@@ -146,6 +146,9 @@ pub(super) fn run(args: &CsvArgs) -> Done {
     if args.out.exists() && !files::list(&args.out)?.is_empty() {
         return Err(Failure::usage_at(&args.out, "the library is there already; name another"));
     }
+    if args.names.is_none() && args.surface.is_none() {
+        one_folder_a_surface(&args.tables, &tables)?;
+    }
     let form = understood(args, &tables, &mut bad)?;
     let staging = if args.dry_run { None } else { Some(Staging::new(&args.out, &form)?) };
     let mut import = Import {
@@ -189,6 +192,28 @@ pub(super) fn run(args: &CsvArgs) -> Done {
     staging.importing.finish(&args.out)?;
     say!("wrote {} to {}", counted(import.keys.len(), "trial"), args.out.display());
     show::next(&format!("surfaced check {}", quoted(&args.out)));
+    Ok(())
+}
+
+/// Refuses tables in folders of one name within several others, such as `anna/oak` and `ben/oak`: either folder
+/// may be the surface.
+fn one_folder_a_surface(given: &[PathBuf], tables: &[PathBuf]) -> Done {
+    let mut upper = BTreeMap::new();
+    for table in tables {
+        let within = given.iter().find_map(|folder| table.strip_prefix(folder).ok());
+        let mut above = within.into_iter().flat_map(|path| path.ancestors().skip(1));
+        let (Some(folder), Some(parent)) = (above.next(), above.next()) else { continue };
+        let (Some(name), Some(other)) = (folder.file_name(), parent.file_name()) else { continue };
+        let first = *upper.entry(name).or_insert(other);
+        if first != other {
+            let [name, first, other] = [name, first, other].map(|name| name.to_string_lossy());
+            return Err(Failure::usage(format!(
+                "both `{first}` and `{other}` hold a folder `{name}`: say what names the surface, by \
+                 --names '{{user}}/{{surface}}/{{trial}}' or '{{surface}}/{{user}}/{{trial}}', or by \
+                 '{{surface}}/{{trial}}' if the upper folder names nothing"
+            )));
+        }
+    }
     Ok(())
 }
 
@@ -287,7 +312,7 @@ fn form(args: &CsvArgs, most_unpacked: u64) -> Form {
         labels: [None, None, None, None],
         // A column then stands among the labels.
         session: args.session_of().unwrap_or(SessionOf::Nothing),
-        names: args.names.clone(),
+        names: args.names.clone().unwrap_or_else(|| NamePattern("{surface}/{trial}".into())),
         variable: args.variable.clone(),
         array_labels: args.labels.clone(),
         gaps: args.gaps,
@@ -341,7 +366,8 @@ impl Import<'_> {
                 }
                 if !self.keys.insert(trial.key.clone()) {
                     twice.push(format!(
-                        "another file holds {}, too; give --names a pattern with {{trial}}",
+                        "another file holds {}, too; give --names a pattern that tells them apart, by \
+                         {{trial}}, {{user}} or {{session}}",
                         trial.key
                     ));
                     return Ok(());

@@ -38,6 +38,20 @@ fn what_has_two_readings_is_refused_and_shows_both() {
             &["times", "time"],
         ),
         ("PK\u{3}\u{4}".to_string(), &["--rate", "9"], &["Excel workbook"]),
+        (
+            "time,variable,x\n".to_string()
+                + &t(|i| {
+                    format!("0.{i:02},{},{}\n", if i < 25 { "ax" } else { "force" }, i * 7 % 11)
+                }),
+            &["--rate", "9"],
+            &["one value a row", "`variable`", "(`ax`, `force`, …)", "pivot"],
+        ),
+        (
+            "time,was,x\n".to_string()
+                + &t(|i| format!("0.{:02},{},{}\n", i / 3, ["ax", "ay", "fx"][i % 3], i * 7 % 11)),
+            &[],
+            &["one value a row", "`was`"],
+        ),
     ] {
         let imported = import("oak/1.csv", text.as_bytes(), args);
         assert_ne!(imported.output.status.code(), Some(0), "{text:.60}: {}", imported.said());
@@ -220,4 +234,29 @@ fn trials_are_numbered_by_whole_numbers_however_they_are_written() {
     assert_eq!(numbers, [1, 2, 3]);
     let bad = import("all.csv", text("1.5").as_bytes(), &args);
     says(&bad.said(), &["line 42: the trial is `1.5`; expected a whole number"]);
+}
+
+#[test]
+fn a_folder_of_a_person_is_not_taken_for_nothing() {
+    let (_dir, path) = temp();
+    for (at, person) in ["anna", "ben"].into_iter().enumerate() {
+        for surface in ["oak", "slate"] {
+            let file = format!("in/{person}/{surface}/{}.csv", at + 1);
+            let text = table("ax\n", |_, [x, ..]| x);
+            write_file(&path.join(file), text.as_bytes());
+        }
+    }
+    let (from, out) = (path.join("in"), path.join("out"));
+    let given = ["import", "csv", text(&from), "--out", text(&out), "--rate", "100"];
+    let unsaid = surfaced(&given);
+    assert_eq!(unsaid.status.code(), Some(2));
+    says(
+        &said(&unsaid),
+        &["both `anna` and `ben` hold a folder `oak`", "{user}/{surface}/{trial}"],
+    );
+    assert!(!out.exists());
+    let named = surfaced(&[&given[..], &["--names", "{user}/{surface}/{trial}"]].concat());
+    assert!(named.status.success(), "{}", said(&named));
+    let users: Vec<String> = open(&out).unwrap().entries.into_iter().map(|e| e.key.user).collect();
+    assert_eq!(users, ["anna", "ben", "anna", "ben"]);
 }

@@ -28,6 +28,10 @@ const LABELS: &str = "label labels class classid target surface surfaceid materi
     userid subject subjectid person participant participantid trial trialid run runid rep \
     repetition session sessionid id";
 
+/// Names of columns that say what was measured, in tables with one value a row.
+const QUANTITIES: &str = "variable parameter series channel sensor sensorid kind type name key metric entityid \
+    measurement field quantity axis signal tag";
+
 fn is_among(words: &str, word: &str) -> bool {
     words.split(' ').any(|known| known == word)
 }
@@ -210,6 +214,14 @@ pub fn sources(
             kept.push(column);
         }
     }
+    if let [_] = kept[..]
+        && let Some((name, [one, other])) = quantities(head, &taken)
+    {
+        return Err(format!(
+            "it holds one value a row, and column `{name}` says of what (`{one}`, `{other}`, …); save it with \
+             a column for each, as by `pivot` of pandas or `pivot_wider` of R; if these are surfaces, name it by --surface"
+        ));
+    }
     let runs: BTreeSet<&str> =
         kept.iter().filter_map(|column| Some(column.base.rsplit_once(": ")?.0)).collect();
     if runs.len() > 1 {
@@ -233,6 +245,23 @@ pub fn sources(
         Ok((SourceId::new(&id).map_err(|error| error.to_string())?, columns))
     };
     Ok((sources.into_iter().map(named).collect::<Result<_, String>>()?, notes))
+}
+
+/// The name of a column of texts that say what the value of a row is, and two of them: it is called so, or most
+/// rows have another text than the row before, and each text comes again.
+fn quantities(head: &Head, taken: &BTreeSet<usize>) -> Option<(String, [String; 2])> {
+    let columns = head.layout.columns.iter().enumerate();
+    let mut texts = columns.filter(|(at, column)| !column.is_numeric && !taken.contains(at));
+    texts.find_map(|(at, column)| {
+        let cells = head.cells(at);
+        let different: BTreeSet<&Vec<u8>> = cells.iter().filter(|cell| !is_missing(cell)).collect();
+        let changes = cells.windows(2).filter(|two| two[0] != two[1]).count();
+        let come_again = 2 * changes > cells.len() && 4 * different.len() <= cells.len();
+        let mut first = different.into_iter();
+        let two = [first.next()?, first.next()?].map(|text| shown(text).into_owned());
+        let is_one = is_among(QUANTITIES, &plain(&column.base)) || come_again;
+        (is_one && !is_time(&head.layout.columns, at)).then(|| (column.name.clone(), two))
+    })
 }
 
 /// The part of a name that the channels of one source share.

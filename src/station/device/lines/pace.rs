@@ -4,6 +4,9 @@
 /// Seconds over which the rate is measured, and the least relative error that is told.
 const PACE_S: f64 = 10.0;
 const PACE: f64 = 0.01;
+/// A relative error of so much is told after so many seconds already. Blocks of rows count for less.
+const GROSS_S: f64 = 3.0;
+const GROSS: f64 = 0.2;
 /// Fewest rows by which a rate that is counted within [`PACE_S`] must differ.
 const PACE_ROWS: f64 = 3.0;
 /// Seconds after a silence in which a backlog may still come.
@@ -67,14 +70,18 @@ impl Pace {
             return false;
         };
         let passed_s = now_s - from_s;
-        if passed_s < PACE_S {
+        let is_early = passed_s < PACE_S;
+        if is_early && (passed_s < GROSS_S || self.off_hz.is_some()) {
             return false;
         }
-        (self.from, self.looked_s) = (Some((now_s, frames)), now_s);
+        if !is_early {
+            (self.from, self.looked_s) = (Some((now_s, frames)), now_s);
+        }
         let counted_hz = frames.saturating_sub(before) as f64 / passed_s;
         let least_hz = if clock_hz.is_some() { 0.0 } else { PACE_ROWS / passed_s };
         let seen_hz = clock_hz.unwrap_or(counted_hz);
-        let differ = |a: f64, b: f64| (a - b).abs() > (PACE * rate_hz).max(least_hz);
+        let least = if is_early { GROSS } else { PACE };
+        let differ = |a: f64, b: f64| (a - b).abs() > (least * rate_hz).max(least_hz);
         let off_hz = Some(seen_hz).filter(|seen_hz| differ(*seen_hz, rate_hz));
         let changed = match (self.off_hz, off_hz) {
             (Some(before), Some(now)) => differ(before, now),
@@ -129,5 +136,8 @@ mod tests {
         let wrong = told(&mut pace, &mut frames, (106.9, 40.0), 800.0);
         assert_eq!(wrong.last(), Some(&Some(800.0)), "{wrong:?}");
         assert_eq!(told(&mut pace, &mut frames, (146.9, 40.0), 400.0).last(), Some(&None));
+        let (mut pace, mut frames) = (Pace::default(), 0.0);
+        pace.restart(0.0);
+        assert_eq!(told(&mut pace, &mut frames, (0.0, 4.1), 800.0), [Some(800.0)], "at once");
     }
 }
