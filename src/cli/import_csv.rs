@@ -109,9 +109,9 @@ fn rate(text: &str) -> Result<f64, String> {
 }
 
 fn pattern(text: &str) -> Result<NamePattern, String> {
-    match text.contains("{surface}") {
+    match ["{surface}", "{user}", "{trial}", "{session}"].iter().any(|field| text.contains(field)) {
         true => Ok(NamePattern(text.into())),
-        false => Err("expected a pattern with {surface}, such as {surface}_{user}_{trial}".into()),
+        false => Err("expected a pattern such as {surface}_{user}_{trial}".into()),
     }
 }
 
@@ -146,8 +146,15 @@ pub(super) fn run(args: &CsvArgs) -> Done {
     if args.out.exists() && !files::list(&args.out)?.is_empty() {
         return Err(Failure::usage_at(&args.out, "the library is there already; name another"));
     }
-    if args.names.is_none() && args.surface.is_none() {
-        one_folder_a_surface(&args.tables, &tables)?;
+    match &args.names {
+        _ if args.surface.is_some() => {}
+        Some(names) if names.0.contains("{surface}") => {}
+        Some(_) => {
+            let problem =
+                "nothing names the surface: give --names a pattern with {surface}, or --surface";
+            return Err(Failure::usage(problem));
+        }
+        None => one_folder_a_surface(&args.tables, &tables)?,
     }
     let form = understood(args, &tables, &mut bad)?;
     let staging = if args.dry_run { None } else { Some(Staging::new(&args.out, &form)?) };
@@ -158,8 +165,8 @@ pub(super) fn run(args: &CsvArgs) -> Done {
         taken: BTreeMap::new(),
         summary: Summary::default(),
     };
-    if form.labels[0].is_none() {
-        tables::named(&tables, &form.names).iter().for_each(|key| import.count(key));
+    if let (None, Some(names)) = (&form.labels[0], &form.names) {
+        tables::named(&tables, names).iter().for_each(|key| import.count(key));
     }
     for (at, path) in tables.iter().enumerate() {
         super::say::progress("tables", at, tables.len());
@@ -257,13 +264,7 @@ fn understood(args: &CsvArgs, tables: &[PathBuf], bad: &mut Vec<LibraryError>) -
     let session = args.session.clone().filter(|_| args.session_of().is_none());
     let labels = [args.surface.clone(), args.user.clone(), args.trial.clone(), session];
     let clock = match (args.rate, &args.time) {
-        (Some(rate_hz), _) => {
-            let times = columns::clock(&head, args.time_unit, args.from_1904).ok().flatten();
-            times.iter().for_each(|column| {
-                say!("times in column `{column}` are not used: --rate is given")
-            });
-            Clock::Rate(rate_hz)
-        }
+        (Some(rate_hz), _) => Clock::Rate(rate_hz),
         (None, Some(column)) => Clock::Times { column: column.clone(), unit_s: args.time_unit },
         (None, None) => {
             let found = columns::clock(&head, args.time_unit, args.from_1904).map_err(fail)?;
@@ -312,7 +313,10 @@ fn form(args: &CsvArgs, most_unpacked: u64) -> Form {
         labels: [None, None, None, None],
         // A column then stands among the labels.
         session: args.session_of().unwrap_or(SessionOf::Nothing),
-        names: args.names.clone().unwrap_or_else(|| NamePattern("{surface}/{trial}".into())),
+        names: args.names.clone().or_else(|| {
+            let usual = NamePattern("{surface}/{trial}".into());
+            args.surface.is_none().then_some(usual)
+        }),
         variable: args.variable.clone(),
         array_labels: args.labels.clone(),
         gaps: args.gaps,
@@ -464,6 +468,9 @@ impl Summary {
         self.said.filled += said.filled;
         self.said.cut += said.cut;
         self.said.too_short += said.too_short;
+        self.said.no_rows += said.no_rows;
+        self.said.unlabelled += said.unlabelled;
+        self.said.coarse.extend(said.coarse);
     }
 
     fn print(&self, form: &Form) {
@@ -494,10 +501,18 @@ impl Summary {
             ("filled in by straight lines", said.filled, "value", "; trial.toml says which"),
             ("cut at gaps", said.cut, "trial", "; each part is a trial"),
             ("too short between gaps", said.too_short, "part", "; left out"),
+            ("text, or cut off", said.no_rows, "line", "; left out"),
+            ("without a label", said.unlabelled, "row", "; left out"),
         ] {
             if count > 0 {
                 say!("{what}: {}{then}", counted(count, thing));
             }
+        }
+        for name in &said.coarse {
+            say!(
+                "warning: column `{name}` has more digits than a sample holds (24 bits), so that most of its \
+                 steps are lost; subtract a constant from it first"
+            );
         }
         for ((id, channel), values) in &self.constant {
             let column = form.sources.iter().find(|(source, _)| source == id);

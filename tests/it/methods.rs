@@ -289,6 +289,25 @@ fn a_query_that_says_nothing_is_not_named() {
 }
 
 #[test]
+fn surfaces_that_differ_by_the_level_of_a_constant_channel_alone_are_told_apart() {
+    let scene = Scene::of_series(id("ir"), 1, 1000.0, None).unwrap();
+    let level = |surface: usize, number: u32| {
+        let level = 0.1 + 0.2 * surface as f32 + 0.001 * (number as f32 * 0.7).sin();
+        let key = TrialKey::new(["oak", "steel"][surface], "expert", number);
+        Trial::of_series(key, id("ir"), Series::new(1000.0, 1, vec![level; 2000]).unwrap())
+    };
+    // One surface has a trial more than the other, as where trials are left out one at a time.
+    let library: Vec<Trial> =
+        (1..=7).map(|n| level(0, n)).chain((1..=8).map(|n| level(1, n))).collect();
+    for (surface, number) in [(0, 9), (0, 10), (1, 9), (1, 10)] {
+        let query = level(surface, number);
+        let ranking = fit_and_rank(&scene, &library, &query);
+        assert_eq!(ranking.surface(), query.key.surface);
+        assert!(ranking.probabilities()[0] > 0.8, "{ranking:?}");
+    }
+}
+
+#[test]
 fn constant_and_silent_sources_never_make_nan() {
     let scene = Scene::lmt108();
     let constant = |surface: usize, number: u32| {

@@ -4,6 +4,7 @@ use crate::common::{open, says, temp, write_file};
 use crate::plan::{said, surfaced, text};
 use crate::table_forms::{Imported, ROWS, import, table, value};
 use surfaced::library::About;
+use surfaced::trial::Signal;
 
 #[test]
 fn what_has_two_readings_is_refused_and_shows_both() {
@@ -28,9 +29,20 @@ fn what_has_two_readings_is_refused_and_shows_both() {
             &["line 9, column `x`: `0.5g`"],
         ),
         (
-            "t,x\n".to_string() + &t(|i| format!("0.{i:02},1\n")) + "end\n",
+            "t,x\n".to_string() + &t(|i| format!("0.{i:02},1\n")) + "1\n",
             &[],
             &["line 52 has 1 column"],
+        ),
+        (
+            "ax,ay,az\n".to_string() + &t(|i| format!("{},5,{};\n", i * 7 % 11, i * 5 % 13)),
+            &["--rate", "9"],
+            &["column `az` holds `0;`", "--source"],
+        ),
+        (
+            "ax,label\n".to_string()
+                + &t(|i| format!("{},{}\n", i * 7 % 11, if i < 25 { "oak" } else { "felt" })),
+            &["--rate", "9"],
+            &["column `label` holds `oak` and `felt`", "--surface 'label'"],
         ),
         (
             "t,x\n".to_string() + &t(|i| format!("{}.0{},{i}\n", i / 10, i % 10)),
@@ -259,4 +271,78 @@ fn a_folder_of_a_person_is_not_taken_for_nothing() {
     assert!(named.status.success(), "{}", said(&named));
     let users: Vec<String> = open(&out).unwrap().entries.into_iter().map(|e| e.key.user).collect();
     assert_eq!(users, ["anna", "ben", "anna", "ben"]);
+}
+
+#[test]
+fn lines_that_are_no_rows_are_left_out_and_said() {
+    let rate = &["--rate", "100"][..];
+    let plain = table("ax,ay,az\n", |_, cells| cells.join(","));
+    let frames = |text: &str| {
+        let imported = import("oak/1.csv", text.as_bytes(), rate);
+        let entries = imported.library().entries;
+        let of = |entry: &surfaced::library::Entry| entry.load().unwrap().signals["a"].frames();
+        (entries.iter().map(of).collect::<Vec<_>>(), imported.said())
+    };
+    let (found, told) = frames(&(plain.clone() + "Done. 300 samples.\n"));
+    assert_eq!(found, [ROWS], "{told}");
+    says(&told, &["text, or cut off: 1 line; left out"]);
+    assert_eq!(frames(&(plain.clone() + "0.125,0.2")).0, [ROWS], "its end was not written");
+    let lines: Vec<&str> = plain.lines().collect();
+    let between =
+        lines[..151].join("\n") + "\n# trial 2\nButton pressed!\n" + &lines[151..].join("\n");
+    assert_eq!(frames(&between).0, [150, 150], "another trial may begin there");
+    let (_dir, path) = temp();
+    let pauses = table("surface,ax\n", |i, [x, ..]| {
+        format!("{},{x}", ["oak", "", "felt"][(i / 100).min(2)])
+    });
+    write_file(&path.join("anna_1.csv"), pauses.as_bytes());
+    let out = path.join("out");
+    let output = surfaced(
+        &[
+            &["import", "csv", text(&path.join("anna_1.csv")), "--out", text(&out)][..],
+            &["--surface", "surface", "--names", "{user}_{trial}"],
+            rate,
+        ]
+        .concat(),
+    );
+    says(&said(&output), &["without a label: 100 rows; left out"]);
+    let entries = open(&out).unwrap().entries;
+    let keys: Vec<String> = entries.iter().map(|entry| entry.key.to_string()).collect();
+    assert_eq!(keys, ["felt · anna · trial 1", "oak · anna · trial 1"]);
+}
+
+#[test]
+fn clocks_and_counters_are_no_channels_and_axes_are() {
+    let sources = |above: &str, row: fn(usize) -> String| {
+        let rows = table(above, |i, cells| row(i) + &cells.join(","));
+        let imported = import("oak/1.csv", rows.as_bytes(), &["--rate", "100"]);
+        let trial = imported.library().entries[0].load().unwrap();
+        let names = trial.signals.iter().map(|(id, signal)| match signal {
+            Signal::Series(series) => format!("{id} {}", series.channels()),
+            Signal::Image(_) => String::new(),
+        });
+        (names.collect::<Vec<_>>().join(", "), imported.said())
+    };
+    for (above, row) in [
+        (
+            "field.header.stamp,ax,ay,az\n",
+            (|i| format!("{},", 1_700_000_000 + i)) as fn(usize) -> String,
+        ),
+        ("nSeq,ax,ay,az\n", |i| format!("{},", i % 16)),
+        ("n,ax,ay,az\n", |i| format!("{},", i % 150)),
+        ("SampleTimeFine,ax,ay,az\n", |i| format!("{},", 16_667 * i + i % 3)),
+        ("time (ms),ax,ay,az\n", |i| format!("{},", 10 * i)),
+    ] {
+        let (found, said) = sources(above, row);
+        assert_eq!(found, "a 3", "{above}");
+        let name = above.split(',').next().unwrap();
+        says(&said, &[&format!("column `{name}`"), "is left out"]);
+    }
+    assert_eq!(sources("", |i| format!("{:.2},", 0.01 * i as f64)).0, "column 3");
+    for above in ["x-axis (g),y-axis (g),z-axis (g)\n", "X_Value,Y_Value,Z_Value\n"] {
+        assert_eq!(sources(above, |_| String::new()).0.matches('1').count(), 3, "{above}");
+    }
+    let fine = table("pressure\n", |i, _| format!("{}", 101_325.0 + 0.0001 * (i * 7 % 31) as f64));
+    let fine = import("oak/1.csv", fine.as_bytes(), &["--rate", "100"]);
+    says(&fine.said(), &["warning: column `pressure` has more digits than a sample holds"]);
 }

@@ -9,7 +9,7 @@ use std::path::Path;
 use super::gather::Rows;
 use super::mat::MatFile;
 use super::text::{Lines, shown};
-use super::{Form, OnRead, Said, give, name_of, npy, trial_number};
+use super::{Form, OnRead, Said, give, npy, trial_number};
 use crate::library::LibraryError;
 use crate::printable::counted;
 use crate::scene::MOST_CHANNELS;
@@ -216,12 +216,12 @@ pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryErr
         let (trials, labels) = (counted(count, "trial"), labels.len());
         return Err(fail(format!("it has {trials}, but there are {labels} labels")));
     }
-    let of_name = form.names.parts(&name_of(path));
-    if labels.is_none() && of_name.is_none() {
-        let problem = "its name does not fit the pattern";
-        return Err(fail(format!("{problem} `{}`; see --names, or give --labels", form.names.0)));
-    }
-    let [surface, user, number, _] = of_name.unwrap_or_default();
+    let of_name = form.of_name(path);
+    let of_name = match labels {
+        Some(_) => of_name.unwrap_or_default(),
+        None => of_name.map_err(|why| fail(format!("{why}, or give --labels")))?,
+    };
+    let [surface, user, number, _] = of_name;
     let session = form.session_of(path).map_err(fail)?;
     let place = |name: &String| name.parse::<usize>().ok()?.checked_sub(1);
     let places: Option<Vec<usize>> = form.columns().iter().map(place).collect();

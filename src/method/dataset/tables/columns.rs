@@ -17,16 +17,25 @@ const TIMES: &str = "time t timestamp timestamps ts zeit zeitstempel uhrzeit tem
     timems timeus xaxis sampletime loggingtime systemtime stamp nanosec nsec nsecs";
 
 /// Names of columns that count rows.
-const COUNTERS: &str = "index idx sample samples samplenumber sampleno count counter nr no seq sequence row \
+const COUNTERS: &str = "n index idx sample samples samplenumber sampleno count counter nr no seq sequence row \
     packet";
 
 /// A column that rises by 1 for so many rows counts them, whatever it is called.
 const SURELY_COUNTED: usize = 50;
 
-/// Names of columns that say what a row belongs to.
-const LABELS: &str = "label labels class classid target surface surfaceid material materialid texture user \
-    userid subject subjectid person participant participantid trial trialid run runid rep \
-    repetition session sessionid id";
+/// Parts of the names of clocks and counters.
+const RUNNING: [&str; 14] = [
+    "time", "stamp", "elapsed", "clock", "milli", "micro", "nano", "msec", "usec", "nsec", "seq",
+    "packet", "sample", "frame",
+];
+
+/// Names of columns that say of which surface a row is.
+const SURFACES: &str =
+    "label labels class classid target surface surfaceid material materialid texture";
+
+/// Names of columns that say to what else a row belongs.
+const LABELS: &str = "user userid subject subjectid person participant participantid trial trialid run runid \
+    rep repetition session sessionid id";
 
 /// Names of columns that say what was measured, in tables with one value a row.
 const QUANTITIES: &str = "variable parameter series channel sensor sensorid kind type name key metric entityid \
@@ -51,9 +60,13 @@ pub(super) fn is_time_name(name: &str) -> bool {
 }
 
 /// Whether a column of a table is one of times by its name. A `T` beside another first column is a
-/// temperature or a torque.
+/// temperature or a torque, and an `x-axis` beside a `y-axis` a channel.
 fn is_time(columns: &[Column], at: usize) -> bool {
-    is_time_name(&columns[at].base) && (at == 0 || columns[at].base != "T")
+    let name = plain(&columns[at].base);
+    let is_axis = name.strip_prefix('x').is_some_and(|rest| {
+        columns.iter().any(|other| plain(&other.base).strip_prefix('y') == Some(rest))
+    });
+    is_time_name(&columns[at].base) && !is_axis && (at == 0 || columns[at].base != "T")
 }
 
 /// The unit of time that a column's header tells, in ns.
@@ -185,27 +198,54 @@ pub fn sources(
     }
     let (mut kept, mut notes) = (Vec::new(), Vec::new());
     for (at, column) in layout.columns.iter().enumerate() {
-        if taken.contains(&at) || is_time(&layout.columns, at) {
+        if taken.contains(&at) {
             continue;
         }
         let (base, name) = (plain(&column.base), &column.name);
         let cells = head.cells(at);
+        let is_surface = is_among(SURFACES, &base);
         if !column.is_numeric {
-            let is_other = |cell: &&Vec<u8>| Numbers::new(layout.delimiter).read(cell).is_err();
-            notes.extend(cells.iter().find(is_other).map(|cell| {
-                let cell = shown(cell);
-                format!(
-                    "column `{name}` is left out, since most of its cells are no numbers: `{cell}`"
-                )
-            }));
+            if is_time(&layout.columns, at) {
+                continue;
+            }
+            let numbers = || Numbers::new(layout.delimiter);
+            let Some(cell) = cells.iter().find(|cell| numbers().read(cell).is_err()) else {
+                continue;
+            };
+            let bare = bare(cell);
+            let (cell, is_number) = (shown(cell), numbers().read(bare).is_ok_and(|x| !x.is_nan()));
+            if is_number {
+                return Err(format!(
+                    "column `{name}` holds `{cell}`: remove what stands beside the number, or name the \
+                     columns to use by --source"
+                ));
+            }
+            if is_surface && labels[0].is_none() && cells.iter().any(|other| *other != cells[0]) {
+                let [first, other] =
+                    [Some(&cells[0]), cells.iter().find(|cell| **cell != cells[0])]
+                        .map(|cell| cell.map(|cell| shown(cell)).unwrap_or_default());
+                return Err(format!(
+                    "column `{name}` holds `{first}` and `{other}`: give --surface '{name}' if these are \
+                     surfaces, or name the columns to use by --source"
+                ));
+            }
+            let why = format!("most of its cells are no numbers: `{cell}`");
+            notes.push(format!("column `{name}` is left out, since {why}"));
             continue;
         }
         let is_pandas =
             ["unnamed", "level", "indexlevel"].iter().any(|name| base.starts_with(name));
         let is_counter = base.is_empty() || is_among(COUNTERS, &base) || is_pandas;
-        if (is_counter || cells.len() >= SURELY_COUNTED) && counts(cells.iter()) {
+        let is_clock = is_time(&layout.columns, at)
+            || at == 0 && layout.columns.len() > 1 && is_nameless(&column.base)
+            || RUNNING.iter().any(|part| base.contains(part));
+        if is_clock && runs_on(&cells) {
+            notes.push(format!("column `{name}` rises like a clock or a counter, and is left out"));
+        } else if (is_counter || cells.len() >= SURELY_COUNTED) && counts(cells.iter())
+            || is_counter && runs_on(&cells)
+        {
             notes.push(format!("column `{name}` only counts the rows, and is left out"));
-        } else if is_among(LABELS, &base) || is_label(&cells) {
+        } else if is_surface || is_among(LABELS, &base) || is_label(&cells) {
             notes.push(format!(
                 "column `{name}` looks like a label, and is left out; name it by --surface, --user or \
                  --trial, or use it by --source"
@@ -290,6 +330,35 @@ pub(super) fn counts<'a>(cells: impl Iterator<Item = &'a Vec<u8>>) -> bool {
     numbers.is_some_and(|numbers| {
         numbers.len() > 1 && numbers.windows(2).all(|two| two[1] - two[0] == 1)
     })
+}
+
+/// Whether a column got its name by its place, or counts the columns.
+fn is_nameless(name: &str) -> bool {
+    name.strip_prefix("column ").unwrap_or(name).bytes().all(|byte| byte.is_ascii_digit())
+}
+
+/// A cell without brackets, a semicolon or a checksum beside its number.
+fn bare(cell: &[u8]) -> &[u8] {
+    let end = cell.iter().position(|byte| *byte == b'*').unwrap_or(cell.len());
+    let is_mark = |byte: &u8| b"()[]{};".contains(byte);
+    let from = cell[..end].iter().position(|byte| !is_mark(byte)).unwrap_or(end);
+    let to =
+        cell[from..end].iter().rposition(|byte| !is_mark(byte)).map_or(from, |at| from + at + 1);
+    &cell[from..to]
+}
+
+/// Whether cells rise like a clock or a counter: they hardly ever fall, or mostly rise by one step, where a
+/// counter begins anew after some.
+fn runs_on(cells: &[Vec<u8>]) -> bool {
+    let values = cells.iter().map(|cell| shown(cell).replace(',', ".").parse::<f64>());
+    let Ok(values) = values.collect::<Result<Vec<f64>, _>>() else { return false };
+    let mut steps: Vec<f64> = values.windows(2).map(|two| two[1] - two[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    let Some(middle) = steps.get(steps.len() / 2) else { return false };
+    let falls = steps.iter().filter(|step| **step < 0.0).count();
+    let alike = steps.iter().filter(|step| **step > 0.0 && (*step - middle).abs() <= 0.1 * middle);
+    falls * 20 <= steps.len() && values.last() > values.first()
+        || values.len() >= SURELY_COUNTED && alike.count() * 10 >= steps.len() * 9
 }
 
 /// Whether cells are a few whole numbers that seldom change, like the number of a class.

@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
+use super::Said;
 use crate::trial::TrialKey;
 
 /// How many bytes of rows are held in memory.
@@ -41,6 +42,7 @@ pub(crate) struct Gathered<'a> {
     of_keys: HashMap<TrialKey, usize>,
     /// The group of each combination of labels, as they are written.
     pub places: HashMap<Vec<u8>, usize>,
+    pub said: Said,
     held: usize,
     file: Option<File>,
 }
@@ -48,7 +50,8 @@ pub(crate) struct Gathered<'a> {
 impl<'a> Gathered<'a> {
     pub(crate) fn new(columns: usize, has_times: bool, scratch: &'a Path) -> Self {
         let (groups, of_keys, places) = (Vec::new(), HashMap::new(), HashMap::new());
-        Self { columns, has_times, scratch, groups, of_keys, places, held: 0, file: None }
+        let said = Said::default();
+        Self { columns, has_times, scratch, groups, of_keys, places, said, held: 0, file: None }
     }
 
     /// The group of a trial, which is new if no row of it came yet.

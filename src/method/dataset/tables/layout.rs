@@ -132,7 +132,8 @@ impl Layout {
         Ok(Self { delimiter, has_arrows, columns, first, names_at, notes, is_typed: false })
     }
 
-    /// Splits a line into the cells of a row. `false` for a line that is no row: blank or a comment.
+    /// Splits a line into the cells of a row. `false` for a line that is no row: blank, a comment, or a text
+    /// of another width without numbers.
     pub(crate) fn cells<'a>(
         &self,
         line: &'a [u8],
@@ -152,6 +153,9 @@ impl Layout {
             strip(cells, width);
             let found = cells.len();
             if found != width {
+                if !cells.iter().any(|cell| is_number(cell, self.delimiter)) {
+                    return Ok(false);
+                }
                 let is_both = self.delimiter == b',' && found == 2 * width;
                 let both = if is_both { format!("; {BOTH_COMMAS}") } else { String::new() };
                 let found = counted(found, "column");
@@ -235,7 +239,7 @@ fn no_rows(head: &[(u64, Vec<u8>)]) -> String {
     format!("it holds no rows of numbers; expected a line for each sample (it begins with {first})")
 }
 
-fn is_comment(line: &[u8]) -> bool {
+pub(super) fn is_comment(line: &[u8]) -> bool {
     let line = line.trim_ascii_start();
     let line = line.strip_prefix(b"\"").unwrap_or(line);
     // A name such as `#` or `# of sample` alone before a separator is told by `Layout::cells`.

@@ -54,36 +54,81 @@ pub struct NamePattern(pub String);
 
 impl NamePattern {
     /// Reads surface, user, trial (text that ends with the number) and session from as many last parts
-    /// of the path `name` as the pattern has. Each field takes the shortest text that lets the rest fit.
-    pub(crate) fn parts(&self, name: &str) -> Option<[Option<String>; 4]> {
+    /// of the path `name` as the pattern has. A trial of digits alone comes before other texts, and takes
+    /// all of its digits.
+    ///
+    /// # Errors
+    /// If the pattern does not fit, or fits in several ways.
+    pub(crate) fn parts(&self, name: &str) -> Result<Parts, String> {
         let depth = self.0.matches('/').count();
         let from = name.rmatch_indices('/').nth(depth).map_or(0, |(at, _)| at + 1);
-        let mut parts = [None, None, None, None];
-        fits(&self.0, &name[from..], &mut parts).then_some(parts)
+        let mut found = Fits { left: 100_000, all: Vec::new() };
+        found.add(&self.0, &name[from..], &mut Parts::default());
+        let digits = |parts: &Parts| {
+            let number = parts[2].as_ref().filter(|text| text.bytes().all(|b| b.is_ascii_digit()));
+            number.map_or(0, String::len)
+        };
+        let most = found.all.iter().map(digits).max().unwrap_or_default();
+        let mut all = found.all.iter().filter(|parts| digits(parts) == most);
+        let pattern = &self.0;
+        match (all.next(), all.next()) {
+            (None, _) => Err(format!("its name does not fit the pattern `{pattern}`; see --names")),
+            (Some(only), None) if found.left > 0 => Ok(only.clone()),
+            (Some(one), other) => {
+                let said = |parts: &Parts| {
+                    parts
+                        .iter()
+                        .flatten()
+                        .map(|part| format!("`{part}`"))
+                        .collect::<Vec<_>>()
+                        .join(", ")
+                };
+                Err(format!(
+                    "its name fits the pattern `{pattern}` in several ways ({} or {}); give --names a \
+                     pattern with as many separators as the name has",
+                    said(one),
+                    said(other.unwrap_or(one))
+                ))
+            }
+        }
     }
 }
 
-fn fits(pattern: &str, name: &str, parts: &mut [Option<String>; 4]) -> bool {
-    let fields = ["{surface}", "{user}", "{trial}", "{session}", "*"];
-    let Some(field) = fields.iter().position(|field| pattern.starts_with(field)) else {
-        return match (pattern.chars().next(), name.chars().next()) {
-            (None, None) => true,
-            (Some(a), Some(b)) if a == b => {
-                fits(&pattern[a.len_utf8()..], &name[b.len_utf8()..], parts)
+/// Surface, user, trial and session of a name.
+type Parts = [Option<String>; 4];
+
+/// The different ways in which a pattern fits a name.
+struct Fits {
+    /// How many more comparisons are made, since there may be very many ways.
+    left: usize,
+    all: Vec<Parts>,
+}
+
+impl Fits {
+    fn add(&mut self, pattern: &str, name: &str, parts: &mut Parts) {
+        let fields = ["{surface}", "{user}", "{trial}", "{session}", "*"];
+        self.left = self.left.saturating_sub(1);
+        if self.left == 0 {
+            return;
+        }
+        let Some(field) = fields.iter().position(|field| pattern.starts_with(field)) else {
+            match (pattern.chars().next(), name.chars().next()) {
+                (None, None) if !self.all.contains(parts) => self.all.push(parts.clone()),
+                (Some(a), Some(b)) if a == b => {
+                    self.add(&pattern[a.len_utf8()..], &name[b.len_utf8()..], parts);
+                }
+                _ => {}
             }
-            _ => false,
+            return;
         };
-    };
-    let ends = name.char_indices().map(|(at, c)| (at + c.len_utf8(), c));
-    for (end, _) in ends.take_while(|(_, c)| *c != '/') {
-        if fits(&pattern[fields[field].len()..], &name[end..], parts) {
+        let ends = name.char_indices().map(|(at, c)| (at + c.len_utf8(), c));
+        for (end, _) in ends.take_while(|(_, c)| *c != '/') {
             if let Some(part) = parts.get_mut(field) {
                 *part = Some(name[..end].to_string());
             }
-            return true;
+            self.add(&pattern[fields[field].len()..], &name[end..], parts);
         }
     }
-    false
 }
 
 /// How to find the time of each row of a table.
@@ -117,8 +162,8 @@ pub struct Form {
     /// The columns with the names of surface, user, trial and session; `None` if there is no such column.
     pub labels: [Option<String>; 4],
     pub session: SessionOf,
-    /// Pattern of the file's path, which names the trial if no column names the surface.
-    pub names: NamePattern,
+    /// Pattern of the file's path, which names what no column names; `None` if columns name all.
+    pub names: Option<NamePattern>,
     /// The array of an `.npz` or `.mat` that holds the trials, and the labels of the trials: an array of
     /// the same file, or another file.
     pub variable: Option<String>,
@@ -162,11 +207,12 @@ impl Head {
             head.iter().filter(|(number, line)| *number >= layout.first && *line != names);
         for (number, line) in rows_in_it {
             let mut cells = Vec::new();
-            if layout
-                .cells(line, &mut cells)
-                .map_err(|problem| format!("line {number} {problem}"))?
-            {
-                rows.push(cells.into_iter().map(<[u8]>::to_vec).collect());
+            match layout.cells(line, &mut cells) {
+                Ok(true) => rows.push(cells.into_iter().map(<[u8]>::to_vec).collect()),
+                Ok(false) => {}
+                Err(_) if lines.is_cut() && head.last().is_some_and(|(last, _)| last == number) => {
+                }
+                Err(problem) => return Err(format!("line {number} {problem}")),
             }
         }
         Ok(Self { layout, rows, names })
@@ -210,6 +256,11 @@ pub struct Said {
     pub cut: usize,
     pub too_short: usize,
     pub bad: Vec<String>,
+    /// Lines that are no whole rows of numbers, and rows without a label.
+    pub no_rows: usize,
+    pub unlabelled: usize,
+    /// Columns whose samples lose most of their steps when they are rounded to 24 bits.
+    pub coarse: BTreeSet<String>,
 }
 
 /// Reads all trials of a table. Calls `on` with the names of all trials first, and then with each trial;
@@ -228,7 +279,8 @@ pub fn read(
     let mut lines = Lines::open(path, form.most_unpacked)?;
     let table = Table::new(&head, form).map_err(fail)?;
     let mut gathered = table.gather(path, form, &mut lines, scratch).map_err(fail)?;
-    let mut said = Said { times: table.said.clone(), ..Said::default() };
+    let mut said = std::mem::take(&mut gathered.said);
+    said.times = table.said.clone();
     let keys: Vec<TrialKey> = gathered.groups.iter().map(|group| group.key.clone()).collect();
     on(&keys, None)?;
     for at in 0..gathered.groups.len() {
@@ -306,12 +358,11 @@ impl Form {
     fn session_of(&self, path: &Path) -> Result<Option<String>, String> {
         let session = match &self.session {
             SessionOf::Nothing => None,
-            SessionOf::Names => self.names.parts(&name_of(path)).and_then(|[.., session]| session),
+            SessionOf::Names => self.of_name(path).ok().and_then(|[.., session]| session),
             SessionOf::Pattern(pattern) => {
-                let parts = pattern.parts(&name_of(path)).ok_or_else(|| {
-                    format!("its name does not fit the pattern `{}`; see --session", pattern.0)
-                })?;
-                parts.into_iter().next_back().flatten()
+                let parts = pattern.parts(&name_of(path));
+                let [.., session] = parts.map_err(|why| why.replace("--names", "--session"))?;
+                session
             }
             SessionOf::File(folders) => {
                 let within = folders.iter().find_map(|folder| path.strip_prefix(folder).ok());
@@ -321,6 +372,12 @@ impl Form {
             }
         };
         session.as_deref().map(session_name).transpose()
+    }
+
+    /// What the pattern reads in a file's path; nothing without a pattern.
+    fn of_name(&self, path: &Path) -> Result<Parts, String> {
+        let parts = self.names.as_ref().map(|pattern| pattern.parts(&name_of(path)));
+        Ok(parts.transpose()?.unwrap_or_default())
     }
 
     /// The number of channels of the source with the most.
@@ -405,7 +462,7 @@ fn marks(filled: &[usize], frames: usize) -> String {
 /// The surface, user and number that the names of files give, before any is read.
 pub fn named(paths: &[PathBuf], names: &NamePattern) -> BTreeSet<TrialKey> {
     let key = |path: &PathBuf| {
-        let [surface, user, number, _] = names.parts(&name_of(path))?;
+        let [surface, user, number, _] = names.parts(&name_of(path)).ok()?;
         let number = number.and_then(|text| trial_number(&text)).unwrap_or(1);
         let user = user.unwrap_or_else(|| EXPERT.into());
         Some(TrialKey::new(normal(&surface?), normal(&user), number))
@@ -423,7 +480,7 @@ pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
         clock: Clock::Rate(100.0),
         labels: [None, None, None, None],
         session: SessionOf::Names,
-        names: NamePattern("{surface}-{trial}".into()),
+        names: Some(NamePattern("{surface}-{trial}".into())),
         variable: None,
         array_labels: None,
         gaps: Gaps::Cut,
@@ -461,10 +518,20 @@ mod tests {
             ("{surface}_{user}_{trial}", "oak_anna_07", ["oak", "anna", "07", ""]),
             ("{user}/*-{surface}_{trial}", "x/ben/run-oak 2_4", ["oak 2", "ben", "4", ""]),
             ("{session}/{surface}_{trial}", "x/monday/oak_4", ["oak", "", "4", "monday"]),
+            ("{surface}_{trial}", "brushed_steel_12", ["brushed_steel", "", "12", ""]),
+            ("{surface}{trial}", "oak01", ["oak", "", "01", ""]),
+            ("*_{surface}", "1_oak", ["oak", "", "", ""]),
         ] {
             let parts = NamePattern(pattern.into()).parts(name).unwrap();
             assert_eq!(parts.map(Option::unwrap_or_default), found);
         }
-        assert_eq!(NamePattern("{surface}_{trial}".into()).parts("oak"), None);
+        for (pattern, name, why) in [
+            ("{surface}_{trial}", "oak".to_string(), "does not fit"),
+            ("{surface}_{user}_{trial}", "cast_steel_ben_3".into(), "`cast`, `steel_ben`, `3` or"),
+            ("{surface}x{user}x{trial}x*x*x*", "x".repeat(250), "in several ways"),
+        ] {
+            let found = NamePattern(pattern.into()).parts(&name).unwrap_err();
+            assert!(found.contains(why), "{found}");
+        }
     }
 }

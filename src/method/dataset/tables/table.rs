@@ -3,12 +3,13 @@
 use std::borrow::Cow;
 use std::path::Path;
 
-use super::cell::{Numbers, thousands};
+use super::cell::{Numbers, is_missing, thousands};
 use super::gather::{Gathered, Group};
+use super::layout::is_comment;
 use super::mend::MOST_FILLED;
 use super::stamp::Stamps;
 use super::text::{Lines, shortened, shown};
-use super::{Clock, Form, Head, columns, name_of, session_name, trial_number};
+use super::{Clock, Form, Head, columns, session_name, trial_number};
 use crate::trial::{EXPERT, Series, TrialKey, normal};
 
 /// The places of a table's columns, by a [`Form`].
@@ -64,17 +65,13 @@ impl<'a> Table<'a> {
         scratch: &'s Path,
     ) -> Result<Gathered<'s>, String> {
         let mut gathered = Gathered::new(self.values.len(), self.stamps.is_some(), scratch);
-        let mut of_name = match self.labels[0] {
-            Some(_) => Default::default(),
-            None => form.names.parts(&name_of(path)).ok_or_else(|| {
-                format!("its name does not fit the pattern `{}`; see --names", form.names.0)
-            })?,
-        };
+        let mut of_name = form.of_name(path)?;
         of_name[3] = form.session_of(path)?;
         let widest = form.widest();
         let layout = &self.head.layout;
         let mut numbers = Numbers::new(layout.delimiter);
         let mut values = vec![0.0; self.values.len()];
+        let mut steps = vec![Steps::default(); values.len()];
         let (mut label, mut known, mut at) = (Vec::new(), None::<Vec<u8>>, 0);
         let is_bare = self.stamps.is_none() && self.labels == [None; 4];
         // Whether the next row does not follow the one before it in its trial.
@@ -82,10 +79,27 @@ impl<'a> Table<'a> {
         let mut list = Vec::new();
         while let Some((line, text)) = lines.next()? {
             let mut cells = reused(list);
-            let there = line >= layout.first
-                && layout
-                    .cells(text, &mut cells)
-                    .map_err(|problem| format!("line {line} {problem}: {}", shortened(text)))?;
+            let found =
+                if line < layout.first { Ok(false) } else { layout.cells(text, &mut cells) };
+            let there = match found {
+                Ok(there) => there,
+                Err(problem) => {
+                    let problem = format!("line {line} {problem}: {}", shortened(text));
+                    list = reused(cells);
+                    if !lines.is_cut() {
+                        return Err(problem);
+                    }
+                    // Writing the last line was cut off.
+                    gathered.said.no_rows += 1;
+                    continue;
+                }
+            };
+            // What a program prints between its rows, such as that another trial begins.
+            let is_text = !there && !is_comment(text) && cells.iter().any(|cell| !cell.is_empty());
+            if is_text && line > layout.first && cells.len() != layout.columns.len() {
+                gathered.said.no_rows += 1;
+                is_broken = true;
+            }
             let are_names = there && text == self.head.names.as_slice();
             is_broken |= are_names;
             // Where nothing else tells that a sample is missing, a row of empty cells does.
@@ -96,6 +110,12 @@ impl<'a> Table<'a> {
                     && cells.iter().all(|cell| cell.is_empty())
             };
             if are_names || !there && !is_empty() {
+                list = reused(cells);
+                continue;
+            }
+            if self.labels[..3].iter().flatten().any(|column| is_missing(cells[*column])) {
+                gathered.said.unlabelled += 1;
+                is_broken = true;
                 list = reused(cells);
                 continue;
             }
@@ -146,15 +166,17 @@ impl<'a> Table<'a> {
                     Some(time)
                 }
             };
-            for (value, column) in values.iter_mut().zip(&self.values) {
+            for ((value, column), steps) in values.iter_mut().zip(&self.values).zip(&mut steps) {
                 let number = numbers.read(cells[*column]).and_then(|number| {
                     let is_small = number.is_nan() || (number as f32).is_finite();
                     is_small.then_some(number).ok_or_else(|| "is not a finite number".into())
                 });
-                *value = number.map_err(|problem| {
+                let number = number.map_err(|problem| {
                     let (name, cell) = (&layout.columns[*column].name, shown(cells[*column]));
                     format!("line {line}, column `{name}`: `{cell}` {problem}")
-                })? as f32;
+                })?;
+                *value = number as f32;
+                steps.add(number);
             }
             let full = |error| {
                 format!("line {line}: cannot keep its rows in {}: {error}", scratch.display())
@@ -169,7 +191,11 @@ impl<'a> Table<'a> {
             gathered.push(at, time, &values).map_err(full)?;
             list = reused(cells);
         }
+        let of_columns = self.values.iter().zip(&steps).filter(|(_, steps)| steps.are_lost());
+        let names = of_columns.map(|(column, _)| layout.columns[*column].name.clone());
+        gathered.said.coarse = names.collect();
         match gathered.groups.is_empty() {
+            true if gathered.said.unlabelled > 0 => Err("no row of it has a label".into()),
             true => Err("it holds no rows of numbers; expected a line for each sample".into()),
             false => Ok(gathered),
         }
@@ -182,7 +208,10 @@ impl<'a> Table<'a> {
         };
         let number = cell(2).map(|text| {
             trial_number(&text)
-                .ok_or_else(|| format!("the trial is `{text}`; expected a whole number"))
+                .ok_or_else(|| format!(
+                    "the trial is `{text}`; expected a whole number (--trial, or {{trial}} in --names, such \
+                     as '{{surface}}_{{trial}}/*')"
+                ))
         });
         let (surface, user) = (cell(0).unwrap_or_default(), cell(1).unwrap_or(EXPERT.into()));
         if surface.is_empty() || user.is_empty() {
@@ -192,6 +221,27 @@ impl<'a> Table<'a> {
         let session = session.as_deref().map(session_name).transpose()?;
         let number = number.transpose()?.unwrap_or(1);
         Ok(TrialKey::new(normal(&surface), normal(&user), number).with_session(session))
+    }
+}
+
+/// The steps between the numbers of a column, and how many of them a sample cannot hold.
+#[derive(Clone, Default)]
+struct Steps {
+    last: f64,
+    all: usize,
+    lost: usize,
+}
+
+impl Steps {
+    fn add(&mut self, number: f64) {
+        let is_step = number != self.last && !number.is_nan();
+        self.all += usize::from(is_step);
+        self.lost += usize::from(is_step && number as f32 == self.last as f32);
+        self.last = number;
+    }
+
+    fn are_lost(&self) -> bool {
+        self.lost * 2 > self.all
     }
 }
 
@@ -237,7 +287,13 @@ fn time(stamps: &Stamps, cell: &[u8], group: &mut Group) -> Result<i64, String> 
                 group.offset = group.offset.checked_add(lasts as i64).ok_or_else(beyond)?;
                 time = read.checked_add(group.offset).ok_or_else(beyond)?;
             }
-            _ => return Err("the time does not rise".into()),
+            _ => {
+                return Err(
+                    "the time does not rise; if a trial begins there, name trials by --trial, or \
+                            put each into a file of its own"
+                        .into(),
+                );
+            }
         }
     }
     group.last_time = Some(time);

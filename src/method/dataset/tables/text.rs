@@ -46,6 +46,8 @@ pub(crate) struct Lines {
     /// Where the next line begins in the buffer.
     start: usize,
     is_over: bool,
+    /// Whether the end of the line that was given last is missing.
+    is_cut: bool,
     line_end: u8,
     number: u64,
     /// How the lines are laid out, where the file says it.
@@ -84,7 +86,8 @@ impl Lines {
 
     fn ended_by(line_end: u8, from: Box<dyn Read>) -> Self {
         let (buffer, layout) = (Vec::new(), None);
-        Self { from, buffer, start: 0, is_over: false, line_end, number: 0, layout }
+        let (is_over, is_cut) = (false, false);
+        Self { from, buffer, start: 0, is_over, is_cut, line_end, number: 0, layout }
     }
 
     pub(crate) fn new(from: Box<dyn Read>, most: u64) -> Result<Self, String> {
@@ -125,6 +128,7 @@ impl Lines {
                 if self.start == self.buffer.len() {
                     return Ok(None);
                 }
+                self.is_cut = true;
                 break self.buffer.len();
             }
             // `fill` moves the rest, which holds no end of a line, to the start of the buffer.
@@ -135,6 +139,11 @@ impl Lines {
         let from = std::mem::replace(&mut self.start, (to + 1).min(self.buffer.len()));
         let line = &self.buffer[from..to];
         Ok(Some((self.number, line.strip_suffix(b"\r").unwrap_or(line))))
+    }
+
+    /// Whether the end of the line that was given last is missing, as where writing was cut off.
+    pub(super) fn is_cut(&self) -> bool {
+        self.is_cut
     }
 
     /// Moves the rest of the buffer to its start, and reads more behind it.

@@ -9,6 +9,10 @@
 //! observation. The distances ‖u − m_c‖² are computed in the space that the class means span after
 //! whitening by S. They order classes like the full Mahalanobis distance, since directions outside that
 //! space do not separate classes.
+//!
+//! A mean of n_c trials is off by t/n_c on average, as a squared distance, where t is that of one trial from its
+//! class mean; by t/(n_c + 1) if a mean was known beforehand as well as by one trial. So a class of few trials
+//! would seem further away than one of many. The others' distances are raised by the difference.
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use serde::{Deserialize, Serialize};
@@ -28,6 +32,9 @@ const INSIDE: f64 = 1e-10;
 /// Least and greatest shrinkage.
 const SHRINKAGE: (f64, f64) = (1e-4, 1.0);
 
+/// So many trials are enough to tell how far one lies from its class mean.
+const MEASURED: usize = 100;
+
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Discriminant {
     /// Matrix from the member's features to the whitened space of the class means; shape (r, d), r < C.
@@ -36,7 +43,7 @@ pub(crate) struct Discriminant {
     origin: Array1<f64>,
     /// Class means m_c in that space, shape (C, r).
     means: Array2<f64>,
-    /// ‖m_c‖² of each class.
+    /// ‖m_c‖² of each class, and by how much its distances are raised.
     lengths: Vec<f64>,
     /// Whether a class had training vectors.
     present: Vec<bool>,
@@ -64,6 +71,15 @@ impl Rows {
         kept.for_each(|row| counts[self.part[row]] += 1.0);
         counts
     }
+
+    /// The rows of the whole scans of each trial.
+    fn scans(&self) -> Vec<Vec<usize>> {
+        let mut scans = vec![Vec::new(); self.trials.iter().max().map_or(0, |last| last + 1)];
+        let whole = (0..self.part.len()).filter(|&row| self.part[row] < self.classes);
+        whole.for_each(|row| scans[self.trials[row]].push(row));
+        scans.retain(|rows| !rows.is_empty());
+        scans
+    }
 }
 
 impl Discriminant {
@@ -80,40 +96,45 @@ impl Discriminant {
         let (means, residuals) = residuals(vectors, &rows.part, &counts);
         let scatter = lower_gram(&residuals.view());
         let shrinkage = shrinkage(&residuals, &scatter, &rows.trials);
-        let of = |scatter: Array2<f64>, counts: &[f64], means: Array2<f64>| {
-            Self::of_scatter(scatter, counts, means, total?, shrinkage)
-        };
+        let scans = rows.scans();
+        let of =
+            |factor: &Array2<f64>, means: Array2<f64>, off: f64, keep: &dyn Fn(usize) -> bool| {
+                let mut trials = vec![0.0; rows.classes];
+                let kept = scans.iter().map(|scans| scans[0]).filter(|&row| keep(row));
+                kept.for_each(|row| trials[rows.part[row]] += 1.0);
+                Self::of_factor(factor, means, &trials, off)
+            };
+        let all = total.and_then(|total| metric(scatter.clone(), &counts, total, shrinkage));
+        let off = all.as_ref().map_or(0.0, |factor| {
+            let classes = counts[..rows.classes].iter().filter(|n| **n > 0.5).count();
+            off_mean(factor, &residuals, &scans, classes)
+        });
         let without = |group: usize| {
-            let stay = rows.counts(|row| rows.groups[row] != group);
+            let stays = |row: usize| rows.groups[row] != group;
+            let stay = rows.counts(stays);
             let (lost, moved) = left_out(&residuals, rows, group, (&counts, &stay));
             let mut left = lower_gram(&lost.view());
             left.zip_mut_with(&scatter, |left, all| *left = all - *left);
-            of(left, &stay, &means - &moved)
+            of(&metric(left, &stay, total?, shrinkage)?, &means - &moved, off, &stays)
         };
         let without = (0..groups).map(without).collect();
-        (of(scatter, &counts, means), without)
+        (all.and_then(|factor| of(&factor, means, off, &|_| true)), without)
     }
 
-    /// Takes the lower triangle of Σ r·rᵀ, and the number of rows and the mean of each part.
-    fn of_scatter(
-        mut factor: Array2<f64>,
-        counts: &[f64],
+    /// Takes the factor L of the metric, the mean of each part, the number of trials of each class, and how
+    /// far a trial is from its class mean.
+    fn of_factor(
+        factor: &Array2<f64>,
         means: Array2<f64>,
-        total: f64,
-        shrinkage: f64,
+        trials: &[f64],
+        off: f64,
     ) -> Option<Self> {
-        let freedom: f64 = counts.iter().filter(|n| **n > 0.5).map(|n| n - 1.0).sum();
-        let means = means.slice_move(s![..counts.len() / 2, ..]);
-        let present: Vec<bool> = counts[..means.nrows()].iter().map(|n| *n > 0.5).collect();
+        let means = means.slice_move(s![..trials.len(), ..]);
+        let present: Vec<bool> = trials.iter().map(|n| *n > 0.5).collect();
         let known: Vec<usize> = (0..present.len()).filter(|&class| present[class]).collect();
-        if known.len() < 2 || freedom < 0.5 {
+        if known.len() < 2 {
             return None;
         }
-        let within = factor.diag().sum() / freedom / factor.nrows() as f64;
-        factor *= (1.0 - shrinkage) / freedom;
-        let ridge = shrinkage * within.max(LEAST_WITHIN * total);
-        factor.diag_mut().map_inplace(|x| *x += ridge);
-        let factor = cholesky(factor)?;
         let centre = means.select(Axis(0), &known).sum_axis(Axis(0)) / known.len() as f64;
         let mut white = means - &centre;
         for (mut mean, &present) in white.rows_mut().into_iter().zip(&present) {
@@ -122,8 +143,13 @@ impl Discriminant {
             }
         }
         let mut white = white.reversed_axes().as_standard_layout().into_owned();
-        solve_lower(&factor, &mut white);
-        Self::of_white(&white, &factor, &centre, present)
+        solve_lower(factor, &mut white);
+        let mut found = Self::of_white(&white, factor, &centre, present)?;
+        let fewest = known.iter().map(|&class| trials[class]).fold(f64::INFINITY, f64::min);
+        for class in known {
+            found.lengths[class] += off * (1.0 / (fewest + 1.0) - 1.0 / (trials[class] + 1.0));
+        }
+        Some(found)
     }
 
     /// Takes the class means in white coordinates, shape (d, C), the factor L of the metric, and the
@@ -223,6 +249,46 @@ impl Discriminant {
     }
 }
 
+/// The factor L of the metric S, of the lower triangle of Σ r·rᵀ and the number of rows of each part.
+fn metric(
+    mut scatter: Array2<f64>,
+    counts: &[f64],
+    total: f64,
+    shrinkage: f64,
+) -> Option<Array2<f64>> {
+    let freedom: f64 = counts.iter().filter(|n| **n > 0.5).map(|n| n - 1.0).sum();
+    if freedom < 0.5 {
+        return None;
+    }
+    let within = scatter.diag().sum() / freedom / scatter.nrows() as f64;
+    scatter *= (1.0 - shrinkage) / freedom;
+    let ridge = shrinkage * within.max(LEAST_WITHIN * total);
+    scatter.diag_mut().map_inplace(|x| *x += ridge);
+    cholesky(scatter)
+}
+
+/// The mean squared distance of a trial, the mean of its whole scans, from the mean of its class.
+fn off_mean(
+    factor: &Array2<f64>,
+    residuals: &Array2<f32>,
+    scans: &[Vec<usize>],
+    classes: usize,
+) -> f64 {
+    let some = &scans[..scans.len().min(MEASURED)];
+    let mut trials = Array2::<f64>::zeros((residuals.ncols(), some.len()));
+    for (mut trial, rows) in trials.columns_mut().into_iter().zip(some) {
+        for &row in rows {
+            let share = 1.0 / rows.len() as f64;
+            trial.zip_mut_with(&residuals.row(row), |sum, &x| *sum += share * f64::from(x));
+        }
+    }
+    solve_lower(factor, &mut trials);
+    let mean = trials.iter().map(|x| x * x).sum::<f64>() / some.len().max(1) as f64;
+    // The class means are of the same trials.
+    let free = scans.len().saturating_sub(classes);
+    if free == 0 { 0.0 } else { mean * scans.len() as f64 / free as f64 }
+}
+
 /// Variance of all vectors about their mean, per feature; `None` if they are all alike.
 fn total_variance(vectors: &ArrayView2<'_, f32>) -> Option<f64> {
     let (n, dims) = (vectors.nrows() as f64, vectors.ncols() as f64);
@@ -308,143 +374,4 @@ fn left_out(
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// 90 vectors of three classes in turn.
-    fn data() -> (Array2<f32>, Vec<usize>) {
-        let class: Vec<usize> = (0..90).map(|i| i % 3).collect();
-        let vectors = Array2::from_shape_fn((90, 8), |(i, j)| {
-            let noise = ((i * 37 + j * 101) as f32 * 0.7).sin() * (1.0 + j as f32 * 0.3);
-            noise + if j == i % 3 { 2.0 } else { 0.0 }
-        });
-        (vectors, class)
-    }
-
-    /// Every third vector of a class is of an excerpt.
-    fn rows(class: &[usize], groups: Vec<usize>, classes: usize) -> Rows {
-        Rows {
-            part: (0..class.len())
-                .map(|i| class[i] + classes * usize::from(i / 3 % 3 == 2))
-                .collect(),
-            group_count: groups.iter().max().map_or(0, |last| last + 1),
-            groups,
-            trials: (0..class.len()).collect(),
-            classes,
-        }
-    }
-
-    fn trained(vectors: &Array2<f32>, class: &[usize], classes: usize) -> Option<Discriminant> {
-        Discriminant::train(vectors.clone(), &rows(class, vec![0; class.len()], classes), 0).0
-    }
-
-    /// Mahalanobis distances of a vector to the class means, by the definition, with the scatter of the
-    /// `kept` rows and the shrinkage of all.
-    fn by_definition(
-        (vectors, rows): (&Array2<f32>, &Rows),
-        kept: &[usize],
-        vector: ArrayView1<'_, f32>,
-    ) -> Vec<f64> {
-        let z = vectors.mapv(f64::from);
-        let (_, rest) = residuals(vectors.clone(), &rows.part, &rows.counts(|_| true));
-        let gamma = shrinkage(&rest, &lower_gram(&rest.view()), &rows.trials);
-        let mut means = Array2::<f64>::zeros((2 * rows.classes, z.ncols()));
-        let (mut freedom, mut w) = (0.0, Array2::<f64>::zeros((z.ncols(), z.ncols())));
-        for (part, mut mean) in means.rows_mut().into_iter().enumerate() {
-            let members: Vec<usize> =
-                kept.iter().copied().filter(|&i| rows.part[i] == part).collect();
-            mean.assign(&z.select(Axis(0), &members).mean_axis(Axis(0)).unwrap());
-            for &i in &members {
-                let r = (&z.row(i) - &mean).insert_axis(Axis(1));
-                w += &r.dot(&r.t());
-            }
-            freedom += members.len() as f64 - 1.0;
-        }
-        let ridge = gamma * w.diag().sum() / freedom / z.ncols() as f64;
-        let metric = w * ((1.0 - gamma) / freedom) + Array2::<f64>::eye(z.ncols()) * ridge;
-        let factor = cholesky(metric).unwrap();
-        let distance = |mean: ArrayView1<'_, f64>| {
-            let mut d = (&vector.mapv(f64::from) - &mean).insert_axis(Axis(1));
-            solve_lower(&factor, &mut d);
-            d.iter().map(|x| x * x).sum::<f64>()
-        };
-        means.rows().into_iter().take(rows.classes).map(distance).collect()
-    }
-
-    fn distances(of: &Discriminant, vector: ArrayView1<'_, f32>) -> Vec<f64> {
-        of.distances(vector.insert_axis(Axis(0))).remove(0)
-    }
-
-    fn differ_alike(ours: &[f64], full: &[f64]) {
-        for (a, b) in [(0, 1), (1, 2)] {
-            let (ours, full) = (ours[a] - ours[b], full[a] - full[b]);
-            assert!((ours - full).abs() < 1e-3 * (1.0 + full.abs()), "{ours} vs {full}");
-        }
-    }
-
-    #[test]
-    fn differences_of_distances_are_those_of_the_full_mahalanobis_distance() {
-        let (vectors, class) = data();
-        let all: Vec<usize> = (0..90).collect();
-        let ours = distances(&trained(&vectors, &class, 3).unwrap(), vectors.row(5));
-        let full = by_definition((&vectors, &rows(&class, vec![], 3)), &all, vectors.row(5));
-        differ_alike(&ours, &full);
-        assert!(ours[0] <= full[0] + 1e-3, "a projection shortens");
-    }
-
-    #[test]
-    fn leaving_a_group_out_is_training_without_it() {
-        let (vectors, class) = data();
-        let groups: Vec<usize> = (0..90).map(|i| (i / 9).min(4)).collect();
-        let of = rows(&class, groups.clone(), 3);
-        let (all, without) = Discriminant::train(vectors.clone(), &of, of.group_count);
-        assert!(all.is_some() && without.len() == 5);
-        for (group, without) in without.into_iter().enumerate() {
-            let kept: Vec<usize> = (0..90).filter(|&i| groups[i] != group).collect();
-            for query in [3, 40, 80] {
-                let ours = distances(without.as_ref().unwrap(), vectors.row(query));
-                let full = by_definition((&vectors, &of), &kept, vectors.row(query));
-                differ_alike(&ours, &full);
-            }
-        }
-    }
-
-    #[test]
-    fn a_class_that_is_only_in_one_group_is_unknown_without_it() {
-        let (vectors, class) = data();
-        let groups = class.iter().map(|&class| usize::from(class == 2)).collect();
-        let (_, without) = Discriminant::train(vectors.clone(), &rows(&class, groups, 3), 2);
-        let left = without[1].as_ref().unwrap();
-        assert!(left.knows(0) && left.knows(1) && !left.knows(2));
-        assert_eq!(distances(left, vectors.row(2))[2], f64::INFINITY);
-        assert!(without[0].is_none(), "one class is nothing to choose between");
-    }
-
-    #[test]
-    fn inner_products_with_the_class_means_make_the_distance() {
-        let (vectors, class) = data();
-        let trained = trained(&vectors, &class, 3).unwrap();
-        let z = vectors.row(4);
-        let (weights, offsets) = trained.weights();
-        let projected = trained.projection.dot(&z);
-        let u = projected.iter().zip(&trained.origin).map(|(&x, o)| f64::from(x) - o);
-        let u: f64 = u.map(|x| x * x).sum();
-        for (class, distance) in distances(&trained, z).iter().enumerate() {
-            let inner = f64::from(weights.row(class).dot(&z)) - offsets[class];
-            let mean: f64 = trained.means.row(class).iter().map(|x| x * x).sum();
-            assert!((distance - (u + mean - 2.0 * inner)).abs() < 1e-2);
-        }
-    }
-
-    #[test]
-    fn a_detector_that_never_errs_is_trusted_within_bounds_and_a_constant_is_not() {
-        let class = [0, 1, 0, 1, 0, 1];
-        let switch = Array2::from_shape_fn((6, 3), |(i, j)| ((i % 2) + j) as f32);
-        let trained_on = trained(&switch, &class, 2).unwrap();
-        let d = distances(&trained_on, ArrayView1::from(&[1.0, 2.0, 3.0]));
-        assert!(d[1] < 1e-3 && d[0].is_finite() && d[0] > 1.0, "{d:?}");
-        assert!(trained(&Array2::from_elem((6, 3), 0.7), &class, 2).is_none());
-        let two = switch.slice(s![..2, ..]).to_owned();
-        assert!(trained(&two, &class[..2], 2).is_none());
-    }
-}
+mod tests;

@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use ndarray::{Array1, Array2, ArrayView1, Axis};
+use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use serde::{Deserialize, Serialize};
 
 use super::copies::Copy;
@@ -15,6 +15,9 @@ use super::joint::{JointEmbedder, Present, columns, place};
 use super::labels::Labels;
 use super::packed;
 use crate::system::give_back_memory;
+
+/// Whole scans whose features differ by less, in standard deviations over scans and copies, are alike.
+const ALIKE: f32 = 0.01;
 
 #[derive(Serialize, Deserialize)]
 pub(super) struct Training {
@@ -72,7 +75,7 @@ impl Training {
             if present.iter().all(|has| has[s]) {
                 continue;
             }
-            let columns = ndarray::s![stretch.columns.clone()];
+            let columns = s![stretch.columns.clone()];
             let none = (0.0f32, Array1::<f32>::zeros(stretch.columns.len()));
             let mut sums = vec![none; 2 * rows.classes];
             for (row, values) in vectors.rows().into_iter().enumerate() {
@@ -117,8 +120,20 @@ impl Training {
         joint: &JointEmbedder,
         present: &Present,
     ) -> (Ensemble, Vec<Option<Ensemble>>) {
-        let columns = columns(&joint.stretches, present);
+        let columns = self.varying(columns(&joint.stretches, present));
         Ensemble::train(&self.vectors, &columns, &self.rows, self.seed)
+    }
+
+    /// The columns in which whole scans differ, or all if none is such. Most of a constant channel's columns
+    /// vary in the copies alone, and would leave no room for its level.
+    fn varying(&self, columns: Vec<usize>) -> Vec<usize> {
+        let whole = self.vectors.slice(s![..self.present.len(), ..]);
+        let differ = |&column: &usize| {
+            let first = whole[[0, column]];
+            whole.column(column).iter().any(|x| (x - first).abs() > ALIKE)
+        };
+        let varying: Vec<usize> = columns.iter().copied().filter(differ).collect();
+        if varying.is_empty() { columns } else { varying }
     }
 }
 
