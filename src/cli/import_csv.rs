@@ -57,16 +57,16 @@ pub(super) struct CsvArgs {
     /// Length of the unit of time in seconds, such as 0.001 (default: by the column's header, or its values)
     #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
     time_unit: Option<f64>,
-    /// Column with the surface, in a long table
+    /// Column with the surface, in a long table (for arrays, as --labels)
     #[arg(long, value_name = "COLUMN")]
     surface: Option<String>,
-    /// Column with the person
+    /// Column with the person, or array or file with that of each trial
     #[arg(long, value_name = "COLUMN")]
     user: Option<String>,
     /// Column with the number of the trial
     #[arg(long, value_name = "COLUMN")]
     trial: Option<String>,
-    /// The session, one sitting of one person: a column, a pattern of the file names with
+    /// The session, one sitting of one person: a column, an array, a pattern of the file names with
     /// {session}, `file` (each file is a session), or `none` (default: {session} in --names, else none)
     #[arg(long, value_name = "COLUMN|PATTERN|file|none")]
     session: Option<String>,
@@ -74,7 +74,7 @@ pub(super) struct CsvArgs {
     #[arg(long, value_name = "PATTERN", value_parser = pattern)]
     names: Option<NamePattern>,
     /// Labels of the trials of an array: an array of the .npz or .mat, or a file (.npy, or a label a line)
-    #[arg(long, value_name = "ARRAY|FILE")]
+    #[arg(long, value_name = "ARRAY|FILE", conflicts_with = "surface")]
     labels: Option<String>,
     /// Array of an .npz or .mat that holds the trials, or cell array whose cells are trials (default: the
     /// only one of two or three dimensions)
@@ -139,7 +139,11 @@ pub(super) fn run(args: &CsvArgs) -> Done {
     let (mut tables, mut bad) = (Vec::new(), Vec::new());
     args.tables.iter().try_for_each(|path| find(path, &mut tables, &mut bad))?;
     if tables.is_empty() {
-        let problem = "no table is there; expected files whose names end with .csv, .tsv or .txt";
+        let problem = format!(
+            "no table is there; expected files whose names end with .{}. Sounds (.wav, .flac) need no import: a \
+             folder for each surface that holds them is a library",
+            TABLES.join(", .")
+        );
         return Err(LibraryError::of_all(bad)
             .map_or_else(|| Failure::at(&args.tables[0], problem), Failure::from));
     }
@@ -261,8 +265,7 @@ fn understood(args: &CsvArgs, tables: &[PathBuf], bad: &mut Vec<LibraryError>) -
         return Err(LibraryError::of_all(unread).map_or_else(none, Failure::from));
     };
     let fail = |problem: String| Failure::from(LibraryError::file(path, problem));
-    let session = args.session.clone().filter(|_| args.session_of().is_none());
-    let labels = [args.surface.clone(), args.user.clone(), args.trial.clone(), session];
+    let form = form(args, most_unpacked);
     let clock = match (args.rate, &args.time) {
         (Some(rate_hz), _) => Clock::Rate(rate_hz),
         (None, Some(column)) => Clock::Times { column: column.clone(), unit_s: args.time_unit },
@@ -277,40 +280,44 @@ fn understood(args: &CsvArgs, tables: &[PathBuf], bad: &mut Vec<LibraryError>) -
     head.layout.notes.iter().for_each(|note| say!("{}: {note}", path.display()));
     let mut sources = args.source.clone();
     if sources.is_empty() {
-        let (found, notes) = columns::sources(&head, &clock, &labels).map_err(fail)?;
+        let (found, notes) = columns::sources(&head, &clock, &form.labels).map_err(fail)?;
         notes.iter().for_each(|note| say!("{note}"));
         sources = found;
     }
     let units = head.units(&sources).map_err(fail)?;
-    Ok(Form { sources, units, clock, labels, ..form(args, most_unpacked) })
+    Ok(Form { sources, units, clock, ..form })
 }
 
 /// How to read an array, whose channels are called 1, 2, …
 fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Done<Form> {
     let unknown = "the rate is not known: give --rate HZ";
     let rate_hz = args.rate.ok_or_else(|| Failure::usage(unknown))?;
-    if args.session_of().is_none() {
-        let problem =
-            "an array has no columns; give --session a pattern with {session}, file or none";
+    if args.trial.is_some() {
+        let problem = "the trials of an array are numbered in their order; leave --trial out";
         return Err(Failure::usage(problem));
+    }
+    let form = form(args, most_unpacked);
+    let (trials, _) = array::Trials::open(path, &form)?;
+    if trials.are_rows {
+        say!("each row is a trial of one channel, since there are as many labels");
     }
     let mut sources = args.source.clone();
     if sources.is_empty() {
-        let variable = args.variable.as_deref();
-        let channels = array::Trials::open(path, variable, most_unpacked)?.channels;
-        let names = (1..=channels).map(|channel| channel.to_string()).collect();
+        let names = (1..=trials.channels).map(|channel| channel.to_string()).collect();
         sources = vec![(SourceId::new("sensor")?, names)];
     }
-    Ok(Form { sources, clock: Clock::Rate(rate_hz), ..form(args, most_unpacked) })
+    Ok(Form { sources, clock: Clock::Rate(rate_hz), ..form })
 }
 
 /// The part of the form that the arguments alone tell.
 fn form(args: &CsvArgs, most_unpacked: u64) -> Form {
+    let session = args.session.clone().filter(|_| args.session_of().is_none());
+    let surface = args.labels.clone().or_else(|| args.surface.clone());
     Form {
         sources: Vec::new(),
         units: Vec::new(),
         clock: Clock::Rate(1.0),
-        labels: [None, None, None, None],
+        labels: [surface, args.user.clone(), args.trial.clone(), session],
         // A column then stands among the labels.
         session: args.session_of().unwrap_or(SessionOf::Nothing),
         names: args.names.clone().or_else(|| {
@@ -318,7 +325,6 @@ fn form(args: &CsvArgs, most_unpacked: u64) -> Form {
             args.surface.is_none().then_some(usual)
         }),
         variable: args.variable.clone(),
-        array_labels: args.labels.clone(),
         gaps: args.gaps,
         from_1904: args.from_1904,
         most_unpacked,

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use crate::common::says;
+use crate::common::{says, write_file};
 use crate::table_forms::{files, import};
 use surfaced::trial::Signal;
 
@@ -94,12 +94,47 @@ fn arrays_of_numpy_are_trials() {
         ),
         (npy("<i2", "(9000, 2, 40)", &small), &["--rate", "9"], "truncated"),
         (npy("|O", "(3,)", &small), &["--rate", "9"], "its elements are"),
+        (array.clone(), &["--rate", "9", "--labels", "nosuch"], "there is no file `nosuch`"),
+        (array.clone(), &["--rate", "9", "--trial", "n"], "leave --trial out"),
         (array[..20].to_vec(), &["--rate", "9"], "cut short"),
     ] {
         says(&import("oak/1.npy", &bytes, args).said(), &[part]);
     }
     let few = import("oak/1.npz", &file(true), &["--rate", "9", "--labels", "X"]);
     says(&few.said(), &["labels have the shape"]);
+}
+
+#[test]
+fn arrays_name_the_surface_person_and_session_of_each_trial() {
+    // As many labels as rows: each row is a trial.
+    let rows = npy("<i2", "(3, 40)", &[1; 240]);
+    let groups = npy("|S3", "(3,)", b"bency\0ben");
+    let objects = npy("|O", "(3,)", b"a pickle");
+    let members = [("X.npy", rows), ("g.npy", groups), ("y.npy", objects)];
+    let (dir, file) = (crate::common::temp(), npz(&members, false));
+    let labels = dir.1.join("labels.txt");
+    let imported = |lines: &str, args: &[&str]| {
+        write_file(&labels, lines);
+        let labels = ["--rate", "100", "--labels", labels.to_str().unwrap()];
+        import("all.npz", &file, &[&labels, args].concat())
+    };
+    let people = ["--user", "g", "--session", "g"];
+    let read = imported("oak\nash\n\"oak, oiled\"", &people);
+    says(&read.said(), &["each row is a trial of one channel"]);
+    let entries = read.library().entries;
+    let keys = entries.iter().map(|e| (&*e.key.surface, &*e.key.user, e.key.session.as_deref()));
+    let right = [("ash", "cy"), ("oak", "ben"), ("oak, oiled", "ben")];
+    let right = right.map(|(surface, user)| (surface, user, Some(user)));
+    assert_eq!(keys.collect::<Vec<_>>(), right);
+    assert_eq!(entries[0].outlines().unwrap().values().next().unwrap().frames, 40);
+    for (lines, args, part) in [
+        ("0,oak\n1,ash\n2,oak", &[][..], "line 1, `0,oak`, has several columns"),
+        ("name\noak\nash\noak", &[], "4 labels; the first, `name`, may be a header"),
+        ("oak\nash\noak", &["--user", "nosuch"], "no array `nosuch`; it has X.npy, g.npy"),
+        ("oak\nash\noak", &["--user", "y"], "`y.npy`: its elements are `|O`; save numbers as"),
+    ] {
+        says(&imported(lines, args).said(), &[part]);
+    }
 }
 
 proptest::proptest! {

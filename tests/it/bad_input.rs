@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use crate::common::{open, picture, says, temp, write_file, write_wav};
+use surfaced::dataset;
+use surfaced::scene::Scene;
 use surfaced::trial::Signal;
 
 /// The message when a library is opened and its first trial is read.
@@ -222,7 +224,10 @@ fn odd_names() {
     );
 
     write_wav(&path.join("Oak/last/mi2.wav"), 44_100, 1, &[1]);
-    says(&refusal(&path), &["Oak/last", "does not end with the number of the trial", "trial = N"]);
+    says(
+        &refusal(&path),
+        &["Oak/last", "does not end with the number of the trial", "trial = N", "several takes"],
+    );
 }
 
 #[cfg(target_os = "linux")]
@@ -247,15 +252,11 @@ fn two_folders_of_one_trial_and_two_files_of_one_source() {
     let (_dir, path) = temp();
     write_wav(&path.join("Oak/a1/mi2.wav"), 44_100, 1, &[1]);
     write_wav(&path.join("Oak/b1/mi2.wav"), 44_100, 1, &[1]);
-    let library = open(&path).unwrap();
-    assert_eq!(
-        library.entries.len(),
-        1,
-        "one of them is used, since another program may be adding"
-    );
+    let opened = dataset::open_usable(&path, &Scene::lmt108()).unwrap();
+    assert_eq!(opened.library.entries.len(), 1, "one of them is used");
     says(
-        &library.remarks[0],
-        &["Oak/b1: not used, the same trial (Oak · expert · trial 1) as", "Oak/a1"],
+        &opened.bad[0].to_string(),
+        &["Oak/b1: the same trial (Oak · expert · trial 1) as Oak/a1; distinguish them"],
     );
     std::fs::remove_dir_all(path.join("Oak/b1")).unwrap();
     write_file(&path.join("Oak/a1/ca1.jpg"), "x");

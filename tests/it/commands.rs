@@ -332,7 +332,7 @@ fn a_library_of_one_class_or_one_trial_is_refused() {
     refused(
         &["eval", &one, "--protocol", "leave-one-trial-out"],
         1,
-        &["needs at least two surfaces", "2 trial(s) of 1 surface(s)"],
+        &["needs at least two surfaces", "2 trial(s) of 1 surface(s)", "Folders are the surfaces"],
     );
 }
 

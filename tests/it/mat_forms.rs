@@ -89,7 +89,7 @@ fn cells_of_matlab_are_trials_of_their_own_lengths() {
     let right = right.map(|(name, frames, last)| (name.to_string(), frames, f32::from(last)));
     assert_eq!(frames.collect::<Vec<_>>(), right, "{}", imported.said());
     let refused = import("oak/1.mat", bytes, &["--rate", "9", "--variable", "s"]);
-    says(&refused.said(), &["`s` is a struct"]);
+    says(&refused.said(), &["`s` is a struct", "`X = {s.data}`"]);
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn files_of_matlab_that_are_damaged_or_lie_are_refused_by_name() {
         (of(matrix(0x806, &[2, 40], "x", &numbers(80), false)), "it has no array of trials"),
         (cells(2, &[one.clone(), other].concat()), "cell 2: it has 3 channels"),
         (cells(1 << 30, &one), "cell 2: truncated"),
-        (cells(1, &deep), "it has no array of trials; it has `x` (1×1 cell)"),
+        (cells(1, &deep), "it has no array of trials; it has `x` (1×1 cell); save numbers"),
         (of(packed(&packed(&one))), "a variable was expected"),
         (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".to_vec(), "`save -v7`"),
         (b"\0\0\0\0\x02\0\0\0\x28\0\0\0".to_vec(), "v4"),

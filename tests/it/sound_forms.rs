@@ -1,6 +1,7 @@
 //! Sounds in the forms in which programs and recorders write them, with the samples that they hold.
 
 use crate::common::{open, says, temp, write_file, write_wav};
+use crate::plan::{said, surfaced, text};
 use surfaced::trial::Signal;
 
 /// A WAV file: the form and size of its head, the chunks before its format, its format, and its data
@@ -178,6 +179,45 @@ fn recordings_that_are_not_read_are_named() {
         let remarks = open(&path).unwrap().remarks.join("\n");
         says(&remarks, &[&format!("{file}: not used, ."), part]);
     }
+}
+
+#[test]
+fn names_that_may_be_those_of_people_are_said() {
+    for (files, parts) in [
+        (
+            ["anna/oak_1", "anna/ash_1", "ben/oak_1", "ben/ash_1"],
+            &["begin with `ash` and `oak`: if"][..],
+        ),
+        (["oak/Anna 1", "oak/ben-1", "ash/Anna 1", "ash/ben 2"], &["`user = \"Anna\"`"]),
+        (["oak/anna1/mi2", "oak/ben2/mi2", "ash/anna1/mi2", "ash/ben2/mi2"], &["`anna` and `ben`"]),
+        (["oak/oak_1", "oak/scan 2", "ash/ash_1", "ash/scan 2"], &[]),
+    ] {
+        let (_dir, path) = temp();
+        files.iter().for_each(|file| write_wav(&path.join(format!("{file}.wav")), 44_100, 1, &[1]));
+        let remarks = open(&path).unwrap().remarks.join("\n");
+        says(&remarks, parts);
+        assert_eq!(remarks.contains("people"), !parts.is_empty(), "{remarks}");
+    }
+}
+
+#[test]
+fn trials_of_one_number_and_names_that_capitals_tell_apart_are_found() {
+    let (_dir, path) = temp();
+    let samples: Vec<i16> = (0..4000).map(|i| (i * i % 977) as i16).collect();
+    for (at, trial) in ["oak/anna-1", "oak/ben-1", "plank/anna-2"].into_iter().enumerate() {
+        write_wav(&path.join(trial).join("mi2.wav"), 44_100, 1, &samples[at..]);
+    }
+    write_file(&path.join("plank/anna-2/trial.toml"), "surface = \"Oak\"");
+    let library = text(&path);
+    let output = surfaced(&["check", library]);
+    assert_eq!(output.status.code(), Some(3), "{}", said(&output));
+    let found = String::from_utf8(output.stdout).unwrap();
+    let one =
+        "not used in 1 trial: oak/ben-1 (the same trial (oak · expert · trial 1) as oak/anna-1";
+    says(&found, &[one, "`Oak`, `oak` count as different surfaces"]);
+    assert!(!found.contains("library remove"), "{found}");
+    let import = surfaced(&["import", "csv", library, "--out", "x"]);
+    says(&said(&import), &[".parquet. Sounds", "a folder for each surface"]);
 }
 
 #[cfg(not(feature = "lossy"))]

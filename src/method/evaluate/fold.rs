@@ -218,13 +218,15 @@ pub fn folds(protocol: Protocol, keys: &[TrialKey]) -> Result<Vec<Fold>, Evaluat
     }
     let fits = Protocol::fitting(keys).map(|other| format!("; {} fits them", other.name()));
     let count = |of: fn(&TrialKey) -> &str| keys.iter().map(of).collect::<BTreeSet<_>>().len();
+    let surfaces = count(|key| &key.surface);
+    let of_one = if surfaces < 2 { ". Folders are the surfaces: SURFACE/TRIAL" } else { "" };
     Err(EvaluateError::Trials(format!(
         "the protocol {} needs {}; the data hold {} trial(s) of {} surface(s) by {} user(s), {} \
-         trial(s) by `expert`{}",
+         trial(s) by `expert`{}{of_one}",
         protocol.name(),
         protocol.needs(),
         keys.len(),
-        count(|key| &key.surface),
+        surfaces,
         count(|key| &key.user),
         keys.iter().filter(|key| key.user == EXPERT).count(),
         fits.unwrap_or_default()

@@ -130,6 +130,8 @@ struct RecordingOpening<'a> {
     synthetic: bool,
     headers: Headers,
     trials: BTreeMap<TrialKey, (PathBuf, BTreeMap<SourceId, SourceFiles>)>,
+    /// The words that names of trials without a person begin with, each with its surfaces.
+    words: BTreeMap<String, BTreeSet<String>>,
     /// One error for each file or trial that cannot be used.
     bad: Vec<LibraryError>,
 }
@@ -145,6 +147,7 @@ impl<'a> RecordingOpening<'a> {
             synthetic: false,
             headers: Headers::new(root, Remarks::default()),
             trials: BTreeMap::new(),
+            words: BTreeMap::new(),
             bad: Vec::new(),
         };
         let described = described_in.join(DESCRIPTION);
@@ -164,7 +167,9 @@ impl<'a> RecordingOpening<'a> {
     }
 
     fn library(self) -> Opened {
-        let RecordingOpening { root, mut name, scene, trials, headers, synthetic, bad, .. } = self;
+        let RecordingOpening {
+            root, mut name, scene, trials, words, headers, synthetic, bad, ..
+        } = self;
         let mut remarks: Vec<String> = headers.remarks.lines().collect();
         let scene = scene.changed(|spec| {
             if let Some(rate_hz) = headers.lowest_hz.get(&spec.id) {
@@ -177,6 +182,15 @@ impl<'a> RecordingOpening<'a> {
                 ));
             }
         });
+        let recurs = |(word, of): &(&String, &BTreeSet<String>)| !word.is_empty() && of.len() > 1;
+        let words: Vec<_> = words.iter().filter(recurs).map(|(word, _)| word).collect();
+        if let [one, other, ..] = words[..] {
+            remarks.push(format!(
+                "names of several surfaces' trials begin with `{one}` and `{other}`: if these are people, \
+                 give each trial a folder, with `user = \"{one}\"` in its trial.toml; if they are \
+                 surfaces, make them the outer folders"
+            ));
+        }
         let of = |(key, (path, files)): (TrialKey, (PathBuf, _))| {
             // `path` is the trial's folder or, for files outside a trial folder, the first file.
             let folder = path.is_dir().then_some(path);
@@ -245,6 +259,7 @@ impl<'a> RecordingOpening<'a> {
                 Err(error) => self.bad.push(error),
                 Ok(file) => {
                     if place.guessed {
+                        self.note_word(item.stem_and_extension().0, surface);
                         self.headers.note(&item.path, guessed_remark(&place.source));
                     }
                     let key = TrialKey::new(surface, EXPERT, place.number);
@@ -253,6 +268,11 @@ impl<'a> RecordingOpening<'a> {
                 }
             }
         }
+    }
+
+    fn note_word(&mut self, name: &str, surface: &str) {
+        let word = name.trim_end_matches(|c: char| !c.is_alphabetic());
+        self.words.entry(word.into()).or_default().insert(surface.into());
     }
 
     /// Checks that a file can be the data of a source of the scene.
@@ -277,7 +297,8 @@ impl<'a> RecordingOpening<'a> {
         let number = about.trial.or_else(|| number_in(&folder.name)).ok_or_else(|| {
             let problem = format!(
                 "its name does not end with the number of the trial (0 to {}); rename it, for \
-                 example to `trial1`, or say `trial = N` in its trial.toml",
+                 example to `trial1`, or say `trial = N` in its trial.toml. It holds a file of each source: \
+                 several takes need a folder each, `trial1`, `trial2`, …",
                 u32::MAX
             );
             LibraryError::file(&folder.path, problem)
@@ -302,6 +323,9 @@ impl<'a> RecordingOpening<'a> {
             }
             return Ok(());
         }
+        if about.user.is_none() {
+            self.note_word(&folder.name, surface);
+        }
         let key = TrialKey {
             surface: about.surface.unwrap_or_else(|| normal(surface)),
             user: about.user.unwrap_or_else(|| EXPERT.to_string()),
@@ -310,14 +334,12 @@ impl<'a> RecordingOpening<'a> {
         };
         self.synthetic |= about.synthetic;
         if let Some((other, _)) = self.trials.get(&key) {
-            // Two folders of one trial are no error: another program may be adding trials just now.
-            let why = format!(
-                "not used, the same trial ({key}) as {}; remove one, or distinguish them by \
-                 `trial = N`, `user = \"…\"` or `session = \"…\"` in trial.toml",
+            let problem = format!(
+                "the same trial ({key}) as {}; distinguish them by `trial = N`, `user = \"…\"` or \
+                 `session = \"…\"` in trial.toml, or remove one",
                 other.strip_prefix(self.root).unwrap_or(other).display()
             );
-            self.headers.note(&folder.path, why);
-            return Ok(());
+            return Err(LibraryError::file(&folder.path, problem));
         }
         self.trials.insert(key, (folder.path.clone(), sources));
         Ok(())

@@ -9,7 +9,7 @@ use std::path::Path;
 use super::gather::Rows;
 use super::mat::MatFile;
 use super::text::{Lines, shown};
-use super::{Form, OnRead, Said, give, npy, trial_number};
+use super::{Form, OnRead, Said, give, npy, session_name, trial_number};
 use crate::library::LibraryError;
 use crate::printable::counted;
 use crate::scene::MOST_CHANNELS;
@@ -51,26 +51,41 @@ fn is_called(path: &Path, extension: &str) -> bool {
 pub struct Trials {
     pub count: usize,
     pub channels: usize,
+    /// Whether the rows of an array of two dimensions are the trials, by the number of labels.
+    pub are_rows: bool,
     pub(super) arrays: Box<dyn Iterator<Item = Result<Array, String>>>,
 }
 
 impl Trials {
-    /// Opens the array of trials in a file: the one called `name`, or the only one that may be meant.
-    pub fn open(path: &Path, name: Option<&str>, most: u64) -> Result<Self, LibraryError> {
-        let trials = match is_called(path, "mat") {
-            true => MatFile::open(path, most)?.trials(name),
-            false => npy::open(path, name, most)?.try_into(),
+    /// Opens the array of trials in a file: the one that `form` names, or the only one that may be meant.
+    /// Returns the labels of its trials, too: surface, user, trial and session.
+    pub fn open(
+        path: &Path,
+        form: &Form,
+    ) -> Result<(Self, [Option<Vec<String>>; 4]), LibraryError> {
+        let (name, most) = (form.variable.as_deref(), form.most_unpacked);
+        let of = |name: &Option<String>| {
+            name.as_ref().map(|name| labels_of(path, name, most)).transpose()
         };
-        trials.map_err(LibraryError::at(path))
+        let [surface, user, trial, session] = form.labels.each_ref().map(of);
+        let labels = [surface?, user?, trial?, session?];
+        let count = labels.iter().flatten().next().map(Vec::len);
+        let trials = match is_called(path, "mat") {
+            true => MatFile::open(path, most)?.trials(name, count),
+            false => Self::of(npy::open(path, name, most)?, count),
+        };
+        Ok((trials.map_err(LibraryError::at(path))?, labels))
     }
-}
 
-impl TryFrom<Array> for Trials {
-    type Error = String;
-
-    fn try_from(array: Array) -> Result<Self, String> {
+    /// The trials of an array. If it has two dimensions, and as many rows as there are labels, each row is
+    /// a trial of one channel.
+    pub(super) fn of(mut array: Array, labels: Option<usize>) -> Result<Self, String> {
+        let are_rows = matches!(array.shape[..], [rows, _] if rows > 1 && labels == Some(rows));
+        if are_rows {
+            array.shape.insert(1, 1);
+        }
         let [count, channels, _] = array.dimensions()?;
-        Ok(Self { count, channels, arrays: Box::new(once(Ok(array))) })
+        Ok(Self { count, channels, are_rows, arrays: Box::new(once(Ok(array))) })
     }
 }
 
@@ -111,7 +126,8 @@ impl Array {
         if channels > MOST_CHANNELS || channels > samples {
             return Err(format!(
                 "it has {channels} channels of {samples} samples; expected trials × channels × samples: \
-                 turn the array (`numpy.transpose`, `permute`)"
+                 turn the array (`X.transpose(0, 2, 1)`, `permute(X, [1 3 2])`; of two dimensions, \
+                 `X.T`, `X'`)"
             ));
         }
         let most = Series::MOST_SAMPLES;
@@ -204,25 +220,29 @@ impl Array {
 /// Reads all trials of an array, like [`super::read`].
 pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryError> {
     let fail = LibraryError::at(path);
-    let trials = Trials::open(path, form.variable.as_deref(), form.most_unpacked)?;
+    let (trials, labels) = Trials::open(path, form)?;
     if form.rate_hz().is_none() {
         return Err(fail("an array has no column of times; give --rate HZ".into()));
     }
-    let labels =
-        form.array_labels.as_ref().map(|labels| labels_of(path, labels, form.most_unpacked));
-    let labels = labels.transpose()?;
     let (count, channels) = (trials.count, trials.channels);
-    if let Some(labels) = labels.as_ref().filter(|labels| labels.len() != count) {
-        let (trials, labels) = (counted(count, "trial"), labels.len());
-        return Err(fail(format!("it has {trials}, but there are {labels} labels")));
+    if let Some(labels) = labels.iter().flatten().find(|labels| labels.len() != count) {
+        let mut problem =
+            format!("it has {}, but there are {} labels", counted(count, "trial"), labels.len());
+        if [count, channels].map(|many| many + 1).contains(&labels.len()) {
+            problem += &format!("; the first, `{}`, may be a header: remove it", labels[0]);
+        }
+        return Err(fail(problem));
     }
     let of_name = form.of_name(path);
-    let of_name = match labels {
+    let mut of_name = match labels[0] {
         Some(_) => of_name.unwrap_or_default(),
         None => of_name.map_err(|why| fail(format!("{why}, or give --labels")))?,
     };
-    let [surface, user, number, _] = of_name;
-    let session = form.session_of(path).map_err(fail)?;
+    of_name[3] = form.session_of(path).map_err(fail)?;
+    let label = |what: usize, trial: usize| match &labels[what] {
+        Some(labels) => Some(labels[trial].clone()),
+        None => of_name[what].clone(),
+    };
     let place = |name: &String| name.parse::<usize>().ok()?.checked_sub(1);
     let places: Option<Vec<usize>> = form.columns().iter().map(place).collect();
     let places =
@@ -230,26 +250,24 @@ pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryErr
     if let Some(place) = places.iter().find(|place| **place >= channels) {
         return Err(fail(format!("it has no channel {}, but {channels} channels", place + 1)));
     }
-    let (mut said, mut numbers) = (Said::default(), BTreeMap::<String, u32>::new());
+    let (mut said, mut numbers) = (Said::default(), BTreeMap::<_, u32>::new());
     let mut at = 0;
     for array in trials.arrays {
         for values in array.and_then(Array::trials).map_err(fail)? {
             let values = values.map_err(fail)?;
             let samples = values.len() / channels;
-            let surface = match &labels {
-                Some(labels) => labels[at].clone(),
-                None => surface.clone().unwrap_or_default(),
-            };
+            let surface = normal(&label(0, at).unwrap_or_default());
+            let user = normal(&label(1, at).unwrap_or_else(|| EXPERT.into()));
+            let session = label(3, at).filter(|session| !session.is_empty());
+            let session = session.as_deref().map(session_name).transpose().map_err(fail)?;
+            let of_file = of_name[2].as_deref().and_then(trial_number).filter(|_| count == 1);
             at += 1;
-            let next = numbers.entry(surface.clone()).or_default();
-            *next += 1;
-            let of_file = number.as_deref().and_then(trial_number).filter(|_| count == 1);
-            let user = user.clone().unwrap_or_else(|| EXPERT.into());
-            let key = TrialKey::new(normal(&surface), normal(&user), of_file.unwrap_or(*next))
-                .with_session(session.clone());
-            if key.surface.is_empty() {
+            if surface.is_empty() || user.is_empty() {
                 return Err(fail(format!("trial {at} has no label")));
             }
+            let next = numbers.entry((surface.clone(), user.clone())).or_default();
+            *next += 1;
+            let key = TrialKey::new(surface, user, of_file.unwrap_or(*next)).with_session(session);
             if let Some(bad) = values.iter().position(|value| value.is_infinite()) {
                 let (channel, sample) = (bad / samples + 1, bad % samples + 1);
                 let problem = format!("{key}, channel {channel}: sample {sample} is not finite");
@@ -265,11 +283,14 @@ pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryErr
     Ok(said)
 }
 
-/// The labels of an array's trials: an array of the same file, or a file with one label a line or one array.
+/// Labels of an array's trials: an array of the same file, or a file with one label a line or one array.
 fn labels_of(path: &Path, labels: &str, most: u64) -> Result<Vec<String>, LibraryError> {
     let file = Path::new(labels);
-    let (of, name) = if file.exists() { (file, None) } else { (path, Some(labels)) };
+    let (of, name) = if file.is_file() { (file, None) } else { (path, Some(labels)) };
     let fail = LibraryError::at(of);
+    if name.is_some() && is_called(of, "npy") {
+        return Err(fail(format!("there is no file `{labels}`, and a .npy holds no other array")));
+    }
     if is_called(of, "mat") {
         return MatFile::open(of, most)?.labels(name).map_err(fail);
     }
@@ -277,9 +298,17 @@ fn labels_of(path: &Path, labels: &str, most: u64) -> Result<Vec<String>, Librar
         return npy::open(of, name, most)?.labels().map_err(fail);
     }
     let (mut lines, mut all) = (Lines::open(of, most)?, Vec::new());
-    while let Some((_, line)) = lines.next().map_err(fail)? {
-        let label = shown(line.trim_ascii()).trim_matches('"').to_string();
-        all.extend(Some(label).filter(|label| !label.is_empty()));
+    while let Some((number, line)) = lines.next().map_err(fail)? {
+        let line = shown(line.trim_ascii());
+        let quoted = line.strip_prefix('"').and_then(|line| line.strip_suffix('"'));
+        let quoted = quoted.filter(|label| !label.contains('"'));
+        if quoted.is_none() && line.contains([',', ';', '\t']) {
+            return Err(fail(format!(
+                "line {number}, `{line}`, has several columns; expected a label a line, in quotation \
+                 marks if it holds a comma"
+            )));
+        }
+        all.extend(Some(quoted.unwrap_or(&line).to_string()).filter(|label| !label.is_empty()));
     }
     Ok(all)
 }

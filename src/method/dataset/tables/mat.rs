@@ -94,15 +94,20 @@ impl MatFile {
         Ok(Self { file, length, is_big_endian, most })
     }
 
-    /// The trials in the variable called `name`, or in the only one that may hold trials.
-    pub(super) fn trials(&self, name: Option<&str>) -> Result<Trials, String> {
+    /// The trials in the variable called `name`, or in the only one that may hold trials; see [`Trials::of`]
+    /// for the number of `labels`.
+    pub(super) fn trials(
+        &self,
+        name: Option<&str>,
+        labels: Option<usize>,
+    ) -> Result<Trials, String> {
         let at = name.map_or_else(|| self.holding_trials(), |name| self.called(name))?;
         let (matrix, elements, _) = self.variable(at)?;
         if matrix.class != CELL {
-            return elements.array(matrix)?.try_into();
+            return Trials::of(elements.array(matrix)?, labels);
         }
-        let mut trials =
-            Trials { count: 0, channels: 0, arrays: Box::new(elements.cells(&matrix)) };
+        let arrays = Box::new(elements.cells(&matrix));
+        let mut trials = Trials { count: 0, channels: 0, are_rows: false, arrays };
         for (cell, array) in trials.arrays.by_ref().enumerate() {
             let within = |problem| format!("cell {}: {problem}", cell + 1);
             let [count, channels, _] = array.and_then(|it| it.dimensions()).map_err(within)?;
@@ -178,7 +183,11 @@ impl MatFile {
             (Some(_), Some(_)) => {
                 Err(format!("it has several arrays ({}); say which by --variable", list(&all)))
             }
-            _ => Err(format!("it has no array of trials; it has {}", list(&all))),
+            _ => Err(format!(
+                "it has no array of trials; it has {}; save numbers or a cell array of them, of a field \
+                 of a struct array by `X = {{s.data}}`",
+                list(&all)
+            )),
         }
     }
 
@@ -238,7 +247,8 @@ impl Matrix {
             _ => {
                 let class = self.class_name();
                 let article = if class.starts_with(['o', 'u']) { "an" } else { "a" };
-                format!("{article} {class}; save numbers, or a cell array of numbers")
+                let cells = if class == "struct" { ", as by `X = {s.data}`" } else { "" };
+                format!("{article} {class}; save numbers, or a cell array of numbers{cells}")
             }
         };
         let name = if self.name.is_empty() { "it".into() } else { format!("`{}`", self.name) };

@@ -159,15 +159,14 @@ pub struct Form {
     /// The units of these columns in the first table; empty if they need not be the same.
     pub units: Vec<Option<String>>,
     pub clock: Clock,
-    /// The columns with the names of surface, user, trial and session; `None` if there is no such column.
+    /// The columns with the names of surface, user, trial and session; `None` if there is no such column. For an
+    /// array, its trials' labels: arrays of the same file, or other files.
     pub labels: [Option<String>; 4],
     pub session: SessionOf,
     /// Pattern of the file's path, which names what no column names; `None` if columns name all.
     pub names: Option<NamePattern>,
-    /// The array of an `.npz` or `.mat` that holds the trials, and the labels of the trials: an array of
-    /// the same file, or another file.
+    /// The array of an `.npz` or `.mat` that holds the trials.
     pub variable: Option<String>,
-    pub array_labels: Option<String>,
     pub gaps: Gaps,
     /// Whether Excel's days count from 1904.
     pub from_1904: bool,
@@ -482,13 +481,12 @@ pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
         session: SessionOf::Names,
         names: Some(NamePattern("{surface}-{trial}".into())),
         variable: None,
-        array_labels: None,
         gaps: Gaps::Cut,
         from_1904: false,
         most_unpacked: 1 << 24,
     };
     if array::is_array(path) {
-        let channels = array::Trials::open(path, None, form.most_unpacked)?.channels;
+        let channels = array::Trials::open(path, &form)?.0.channels;
         let names = (1..=channels).map(|channel| channel.to_string()).collect();
         form.sources.extend(SourceId::new("x").map(|id| (id, names)));
     } else {

@@ -34,6 +34,7 @@ fn of(mut file: File, length: u64, name: Option<&str>, most: u64) -> Result<Arra
     let open = |member: &Member| {
         let file = file.try_clone().map_err(said)?;
         read(content(file, member, most)?, None)
+            .map_err(|problem| format!("`{}`: {problem}", member.name))
     };
     if let Some(name) = name {
         let is = |member: &&Member| member.name.strip_suffix(".npy") == Some(name);
@@ -91,7 +92,12 @@ fn read(mut from: Box<dyn Read>, length: Option<u64>) -> Result<Array, String> {
         ("u", 1 | 2 | 4 | 8) | ("b", 1) => (Kind::Unsigned, size),
         ("U", 1..=1000) => (Kind::Wide, 4 * size),
         ("S", 1..=4000) => (Kind::Bytes, size),
-        _ => return Err(format!("its elements are `{descr}`; save float32 or integers")),
+        _ => {
+            return Err(format!(
+                "its elements are `{descr}`; save numbers as float32 or integers, and text by \
+                 `.astype(str)`"
+            ));
+        }
     };
     let shape = value("shape").and_then(|text| text.strip_prefix('(')?.split_once(')'));
     let (shape, _) = shape.ok_or_else(damaged)?;

@@ -2,6 +2,7 @@
 //! and kind of fault, with the command that fixes it.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -21,6 +22,8 @@ use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, TrialKey, is_plain, usual_
 const SILENT: f64 = 2.0 * std::f64::consts::LN_10;
 /// A trial is too short if its length is below this share of the source's median length.
 const SHORT: f64 = 1.0 / 3.0;
+/// The fault of a trial that only another name or number mends, so that it should not be removed.
+const NOT_USED: &str = "is not used";
 /// Most trials that a finding names.
 const SHOWN: usize = 3;
 
@@ -211,7 +214,9 @@ pub(super) fn unreadable(
         let (kind, source) = (FaultKind::Unreadable, source.cloned());
         match audited.unreadable(error) {
             (Some(trial), detail) => {
-                faults.push(Fault { kind, source, what: "cannot be read", trial, detail });
+                let is_whole = error.path().is_some_and(Path::is_dir);
+                let what = if is_whole { NOT_USED } else { "cannot be read" };
+                faults.push(Fault { kind, source, what, trial, detail });
             }
             (None, _) => {
                 others.push(Finding { source, ..Finding::new(kind, vec![], error.to_string()) });
@@ -343,7 +348,7 @@ fn grouped(mut faults: Vec<Fault>, all: usize, audited: &Audited<'_>) -> Found {
         }
         let trials: BTreeSet<String> = faults.into_iter().map(|fault| fault.trial).collect();
         let trials: Vec<String> = trials.into_iter().collect();
-        let command = audited.command("remove", &trials);
+        let command = audited.command("remove", &trials).filter(|_| what != NOT_USED);
         findings.push(Finding { kind, source, trials, text, command });
     }
     (findings, advice)

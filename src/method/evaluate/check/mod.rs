@@ -180,6 +180,8 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let untested = |one: &SurfaceCheck| (one.surface.clone(), one.trials - one.share.0.of);
     let not_asked = surfaces.iter().map(untested).filter(|(_, count)| *count > 0).collect();
     advice.extend(missing(&entries));
+    advice.extend(alike("people", keys.iter().map(|key| &*key.user)));
+    advice.extend(alike("surfaces", keys.iter().map(|key| &*key.surface)));
     advice.extend(next(&surfaces, &keys));
     let line = |finding: &Finding| match &finding.command {
         Some(command) => format!("{}: {command}", finding.text),
@@ -350,6 +352,17 @@ fn missing(entries: &[Entry]) -> Vec<String> {
         Some(format!("{id} is missing in {}{more}; compared without it", first.key))
     };
     all.into_iter().filter_map(of).collect()
+}
+
+/// Names of different people or surfaces that only capitals tell apart.
+fn alike<'a>(what: &str, names: impl Iterator<Item = &'a str>) -> Vec<String> {
+    let mut spelt: BTreeMap<String, BTreeSet<&str>> = BTreeMap::new();
+    for name in names {
+        spelt.entry(name.to_lowercase()).or_default().insert(name);
+    }
+    let several = spelt.into_values().filter(|names| names.len() > 1);
+    let all = several.map(|names| Vec::from_iter(names).join("`, `"));
+    all.map(|all| format!("`{all}` count as different {what}; spell them alike")).collect()
 }
 
 fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
