@@ -73,7 +73,9 @@ pub(super) fn run(args: &Args) -> Done {
         json!({"out": out, "synthetic": true, "surfaces": surfaces, "trials": of, "seed": seed});
     show::result(args.json, &report, |_| {
         say!("wrote {of} synthetic trials of {surfaces} surfaces to {out}");
-        show::next(&format!("surfaced eval {}", show::quoted(&args.out)));
+        // Naming takes two surfaces, and a second trial of each.
+        let command = if *surfaces > 1 && of > *surfaces { "eval" } else { "library list" };
+        show::next(&format!("surfaced {command} {}", show::quoted(&args.out)));
     });
     Ok(())
 }
