@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use super::condition::WhereArgs;
-use super::figure::{FigureArgs, is_earlier};
+use super::figure::{FigureArgs, can_draw, is_earlier};
 use super::method::{OneOrAll, at_least_one, options_of};
 use super::show::{Made, quoted};
 use super::{Done, Failure, bad_files, one_of, show};
@@ -39,7 +39,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Done {
-    args.figure.check(&[("json", "JSON")])?;
+    can_draw(&args.figure.out)?;
     if is_earlier(&args.lib) {
         let problem = "expected recordings; earlier charts are drawn by `tools/peers/run --draw`";
         return Err(Failure::usage_at(&args.lib, problem));

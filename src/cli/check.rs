@@ -1,5 +1,6 @@
 //! `surfaced check`: audits a library.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::condition::WhereArgs;
@@ -7,10 +8,14 @@ use super::method::{Comparing, ComparingArgs};
 use super::show::Made;
 use super::{Done, Failure, say, show};
 use crate::dataset;
-use crate::evaluate::{Audited, CheckReport, Finding, ProgressFn, check};
+use crate::evaluate::{Audited, CheckReport, Finding, ProgressFn, TrialCheck, TrialVerdict, check};
 use crate::library::Library;
 use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
+use crate::trial::TrialKey;
+
+/// Most trials of a surface that are shown as taken for others.
+const SHOWN: usize = 3;
 
 /// Audit a library: cross-validated accuracy, confusions, likely mislabels, damage, advice
 ///
@@ -37,7 +42,9 @@ pub(super) fn run(args: &Args) -> Done {
     let (report, library) = audit(&args.library, &how, &args.only, &say::progress)?;
     let digest = if args.json { library.digest() } else { String::new() };
     let made = Made::new(report, how.seed, digest);
-    show::result(args.json, &made, |made| print(&made.of));
+    let names = library.entries.iter().map(|entry| (&entry.key, entry.name_in(&args.library)));
+    let names: BTreeMap<&TrialKey, String> = names.collect();
+    show::result(args.json, &made, |made| print(&made.of, &names));
     match made.of.findings.len() {
         0 => Ok(()),
         n => Err(Failure::Damaged(format!("{} to fix", show::counted(n, "thing")))),
@@ -68,7 +75,24 @@ pub(super) fn audit(
     Ok((check(opened, &audited, progress), used))
 }
 
-fn print(report: &CheckReport) {
+/// The trials of a surface that were named another one, each with that name.
+fn taken(
+    report: &CheckReport,
+    surface: &str,
+    names: &BTreeMap<&TrialKey, String>,
+) -> Option<String> {
+    let wrong =
+        |one: &&TrialCheck| one.key.surface == surface && one.verdict == TrialVerdict::Wrong;
+    let named =
+        |one: &TrialCheck| Some(format!("{} ({})", names.get(&one.key)?, one.named.as_ref()?));
+    let mut taken: Vec<String> = report.each.iter().filter(wrong).filter_map(named).collect();
+    let more = taken.len().saturating_sub(SHOWN);
+    taken.truncate(SHOWN);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    (!taken.is_empty()).then(|| show::listed(taken) + &more)
+}
+
+fn print(report: &CheckReport, names: &BTreeMap<&TrialKey, String>) {
     let trials = show::counted(report.trials, "trial");
     let surfaces = show::counted(report.surfaces.len(), "surface");
     result!("{trials} of {surfaces}");
@@ -94,6 +118,9 @@ fn print(report: &CheckReport) {
     });
     let head = ["surface", ">trials", ">right", "95 %", "taken for"];
     show::table(&head, rows);
+    let surfaces = report.surfaces.iter();
+    let taken = surfaces.filter_map(|surface| taken(report, &surface.surface, names));
+    taken.for_each(|line| result!("taken for others: {line}"));
     if !report.findings.is_empty() {
         result!("\nneeds fixing:");
     }

@@ -8,7 +8,7 @@ use ndarray::Array2;
 use super::method::at_least_one;
 use super::{Done, Failure, SourceArgs, parsed, share, show};
 use crate::dataset::csv::CsvTable;
-use crate::kernel::{Threshold, test_independence};
+use crate::kernel::{Threshold, neighbours_alike, test_independence};
 use crate::library::{Entry, Library, LibraryError, recording};
 use crate::recognise::{Comparison, TestOptions, compare, score_samples};
 use crate::scene::Scene;
@@ -16,6 +16,9 @@ use crate::seed;
 use crate::trial::Trial;
 
 /// Compare two trials, source by source
+///
+/// The p-values hold for samples that are independent: where samples that follow each other in time are
+/// alike, trials of one surface differ too often.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced compare lib/oak/1 lib/beech/1\n  \
                         surfaced compare LMT_108_SurfaceMaterials_Database:G4Bamboo:1 \
@@ -28,7 +31,7 @@ pub(super) struct Args {
     /// The library trial, in the same form
     b: PathBuf,
     /// A and B are CSV files of samples: one row per sample, one column per channel, no header
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["permutations", "alpha", "seed", "sources"])]
     samples: bool,
     /// First shift the mean of A to the mean of B, channel by channel
     #[arg(long, requires = "samples")]
@@ -38,7 +41,7 @@ pub(super) struct Args {
     sigma: Option<f64>,
     #[command(flatten)]
     sources: SourceArgs,
-    /// Number of permutations within pairs, for κ and the p-value
+    /// Number of permutations within pairs, for κ and the p-value of trials
     #[arg(long, default_value_t = 1000, value_name = "COUNT", value_parser = at_least_one)]
     permutations: usize,
     /// Significance level of κ
@@ -128,6 +131,11 @@ fn print(report: &CompareReport, alpha: f64) {
     let head = ["source", ">score n·MMD²", ">MMD²", ">σ", ">κ", ">p", ""];
     show::table(&head, sources);
     result!();
+    let alike = report.comparison.sources.iter().filter_map(|s| s.neighbours.map(|r| (s, r)));
+    let alike = show::listed(alike.map(|(s, r)| format!("{} ({r:.2})", s.source)));
+    if !alike.is_empty() {
+        result!("neighbouring samples are alike, so that p is too small: {alike}");
+    }
     result!("discrepancy score (product over sources)  {:.6e}", report.comparison.ds);
     show::next("surfaced eval my-library measures how well a library's surfaces are named");
 }
@@ -182,6 +190,9 @@ fn alone(one: &Library) -> Done<(Trial, Scene, bool)> {
 }
 
 /// Test whether the paired samples of two CSV files depend on each other (HSIC)
+///
+/// The test holds for pairs that are independent of each other: rows that follow each other in time are alike,
+/// and then too often seem to depend.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  surfaced dependence x.csv y.csv\n  \
                         surfaced dependence x.csv y.csv --gamma --json\n\nTime: a second for a thousand rows")]
@@ -221,11 +232,19 @@ pub(super) fn dependence(args: &DependenceArgs) -> Done {
     show::result(args.json, &result, |test| {
         result!("n = {}, σ_x = {:.6}, σ_y = {:.6}", test.n, test.sigma_x, test.sigma_y);
         result!("HSIC_b = {:.6e}   κ = {:.6e}   p = {:.4}", test.hsic, test.kappa, test.p_value);
-        let verdict = match test.hsic > test.kappa {
+        // Not by κ: where many permutations tie, rounding alone would decide.
+        let verdict = match test.p_value <= args.alpha {
             true => "they depend on each other",
             false => "no dependence was found; this does not prove independence",
         };
         result!("at level {}: {verdict}", args.alpha);
+        let alike = [&x, &y].map(|side| neighbours_alike(side.view()));
+        if let [Some(of_x), Some(of_y)] = alike {
+            result!(
+                "neighbouring rows are alike in both files (correlation {of_x:.2} and {of_y:.2}): if they \
+                 follow each other in time, the pairs are not independent, and p is too small"
+            );
+        }
         show::next(
             "surfaced duration my-library says how far apart samples of a recording must lie",
         );

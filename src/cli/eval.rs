@@ -7,13 +7,14 @@ use super::bad_files;
 use super::choose::{SplitArgs, Splittable, kept_apart, within};
 use super::condition::WhereArgs;
 use super::eval_report::{EvalAnswer, EvalReport, EvalTable, Seeds, write_predictions};
+use super::figure::can_write;
 use super::method::{AnswerArgs, MethodOptions, OneOrAll};
 use super::show::{Made, listed, quoted};
 use super::{Done, Failure, SourceArgs, one_of, paper, parsed, say, show};
 use crate::dataset::feature_tables::{self, FeatureTables};
 use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Leaks, Over, Prediction,
-    SettledOutcome, Split, UnknownOutcome, better_plain, enrol,
+    SettledOutcome, Split, UnknownOutcome, better_plain, enrol, still,
 };
 use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{MethodName, MethodSpec, RecogniseError};
@@ -94,6 +95,18 @@ enum Then {
     Merge(paper::MergeArgs),
 }
 
+/// Refuses options that would change nothing, and files that must not be written, before any work.
+fn check(args: &Args) -> Done {
+    let AnswerArgs { settle_loss, false_rejections } = args.answers;
+    if settle_loss.is_some() && !args.settle {
+        return Err(Failure::usage("--settle-loss goes with --settle"));
+    }
+    if false_rejections.is_some() && args.leave_surfaces_out.is_none() {
+        return Err(Failure::usage("--false-rejections goes with --leave-surfaces-out"));
+    }
+    args.predictions.as_deref().map_or(Ok(()), |path| can_write(path, &["csv"]))
+}
+
 fn groups(text: &str) -> Result<usize, String> {
     parsed(text, |groups| *groups >= 2, "a whole number, 2 or more")
 }
@@ -109,6 +122,7 @@ pub(super) fn run(args: &Args) -> Done {
     let Some(data) = &args.data else {
         return Err(Failure::usage("name the recordings"));
     };
+    check(args)?;
     let _lock = LibraryLock::for_reading(data);
     let (mut reports, digest) = match feature_tables::open(data)? {
         Some(tables) => (on_tables(args, &tables)?, tables.digest()),
@@ -141,15 +155,25 @@ pub(super) fn run(args: &Args) -> Done {
         write_predictions(&reports, path)?;
     }
     let seed = args.options.seed;
+    let named = match reports.iter().any(EvalReport::names_any) {
+        true => Ok(()),
+        false => Err(Failure::Damaged(
+            "no query could be named; the warnings above say why: check cables, and drag longer"
+                .into(),
+        )),
+    };
     if reports.len() > 1 {
         let made = Made::new(EvalTable::new(reports), seed, digest);
         show::result(args.json, &made, |made| made.of.print());
-        return Ok(());
+        return named;
     }
     // Without several methods, there is one report.
     let Some(report) = reports.pop() else { return Ok(()) };
     show::result(args.json, &Made::new(report, seed, digest), |Made { of: report, .. }| {
         report.print();
+        if named.is_err() {
+            return;
+        }
         let lib = quoted(data);
         show::next(&match report.outcome.method == MethodName::Embedding.as_str() {
             true => format!(
@@ -159,7 +183,7 @@ pub(super) fn run(args: &Args) -> Done {
             false => format!("surfaced chart {lib} --out chart.svg compares all methods"),
         });
     });
-    Ok(())
+    named
 }
 
 fn on_tables(args: &Args, tables: &FeatureTables) -> Done<Vec<EvalReport>> {
@@ -210,7 +234,22 @@ fn evaluated(
             listed(specs.iter().map(|spec| spec.name().as_str()))
         )));
     }
+    if args.settle
+        && let Some(other) = specs.iter().find(|spec| spec.name() != MethodName::Embedding)
+    {
+        let other = other.name().as_str();
+        return Err(Failure::Usage(format!(
+            "--settle follows scans in progress, which {other} cannot; use --method embedding"
+        )));
+    }
     let keys = trials.keys();
+    let surfaces = keys.iter().map(|key| &*key.surface).collect::<BTreeSet<_>>().len();
+    if args.leave_surfaces_out.is_some_and(|groups| groups > surfaces) {
+        let surfaces = show::counted(surfaces, "surface");
+        return Err(Failure::Usage(format!(
+            "--leave-surfaces-out takes at most as many groups as there are surfaces: {surfaces}"
+        )));
+    }
     let mut split = args.split.split(trials)?;
     if args.enrolled > 0 && split.over != Over::People {
         return Err(Failure::Usage(format!(
@@ -222,10 +261,16 @@ fn evaluated(
     let (before, _) = kept_apart(split.folds, &keys, leaks);
     let (folds, leak) = kept_apart(folds, &keys, leaks);
     split.folds = folds;
-    leak.iter().for_each(|line| say!("warning: {line}"));
+    let still = match on.trials {
+        EvaluatedTrials::Recordings(entries) => still(entries, on.scene),
+        EvaluatedTrials::Features(_) => Vec::new(),
+    };
+    let remarks: Vec<String> =
+        leak.into_iter().chain(still.iter().map(ToString::to_string)).collect();
+    remarks.iter().for_each(|line| say!("warning: {line}"));
     let measured = |spec| {
         let mut report = measured(args, of, on, (&split, &before), spec).map_err(mended)?;
-        report.warnings.splice(0..0, leak.clone());
+        report.warnings.splice(0..0, remarks.clone());
         report.not_asked = not_asked(&split.folds, &keys);
         if named.len() > 1 {
             let (method, accuracy) = (&report.outcome.method, report.outcome.share.value());
@@ -249,9 +294,8 @@ fn measured(
     let method = spec.build(on.scene);
     let run = on.prepare(&*method)?;
     run.library.remarks.iter().for_each(|remark| say!("{remark}"));
-    let AnswerArgs { settle_loss, false_rejections: rate } = args.answers;
-    let settled =
-        args.settle.then(|| SettledOutcome::of(&run, settle_loss, split.over)).transpose()?;
+    let (loss, rate) = (args.answers.loss(), args.answers.false_rejections);
+    let settled = args.settle.then(|| SettledOutcome::of(&run, loss, split.over)).transpose()?;
     let unknown = args.leave_surfaces_out.map(|groups| UnknownOutcome::of(&run, groups, rate));
     let unknown = unknown.transpose()?;
     let measured = run.measure()?;
@@ -313,7 +357,6 @@ fn not_asked(folds: &[Fold], keys: &[TrialKey]) -> BTreeMap<String, usize> {
 /// Adds the option that avoids the failure to its message.
 fn mended(error: EvaluateError) -> Failure {
     match error {
-        EvaluateError::Follow { .. } => Failure::Failed(format!("{error}; use --method embedding")),
         EvaluateError::Recognise(RecogniseError::NeedsRecordings(_)) => Failure::usage(error),
         other => other.into(),
     }

@@ -282,6 +282,10 @@ impl EvalReport {
         self.unknown.iter().for_each(|unknown| print_unknown(unknown, interval));
     }
 
+    pub(super) fn names_any(&self) -> bool {
+        self.predictions.iter().any(|one| !one.answer.is_empty())
+    }
+
     fn named(&self) -> Named<'_> {
         let right = |one: &EvalAnswer| one.answer == one.truth;
         self.predictions.iter().map(|one| (&*one.fold, right(one))).collect()

@@ -46,19 +46,6 @@ impl From<LookArgs> for Look {
 }
 
 impl FigureArgs {
-    /// Refuses a picture named like a file that is `beside` it, of which each has an extension and a
-    /// noun, and one that [`draw`] would refuse after the work.
-    pub(super) fn check(&self, beside: &[(&str, &str)]) -> Done {
-        for (extension, what) in beside {
-            if self.out.extension().is_some_and(|named| named == *extension) {
-                let problem =
-                    format!("name the picture, such as chart.svg; the {what} is written beside it");
-                return Err(Failure::usage_at(&self.out, problem));
-            }
-        }
-        can_draw(&self.out)
-    }
-
     /// Writes the picture and, beside it, its numbers as JSON. Returns the paths of both.
     pub(super) fn keep(&self, svg: &str, numbers: &impl Serialize) -> Done<Vec<PathBuf>> {
         let beside = self.out.with_extension("json");
@@ -77,16 +64,42 @@ pub(super) fn draw(path: &Path, svg: &str) -> Done {
     if is_pdf(path) { write(path, pdf(path, svg)?) } else { write(path, svg) }
 }
 
+/// Refuses, before the work, a picture that [`draw`] cannot write.
 pub(super) fn can_draw(path: &Path) -> Done {
+    if !ends(path, &["svg", "pdf"]) {
+        let problem = "name the picture .svg or .pdf; other files are written beside it";
+        return Err(Failure::usage_at(path, problem));
+    }
     if is_pdf(path) && cfg!(not(feature = "pdf")) {
         let problem = "this program was built without PDF (`--features pdf`); name it .svg";
         return Err(Failure::usage_at(path, problem));
     }
-    Ok(())
+    can_write(path, &["svg", "pdf"])
+}
+
+/// Refuses, before the work, a file in no folder, and one that is there already and has none of the endings
+/// that such an output has: it may be a recording.
+pub(super) fn can_write(path: &Path, endings: &[&str]) -> Done {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let problem = match folder.filter(|folder| !folder.is_dir()) {
+        Some(folder) => format!("there is no folder {}; make it first", folder.display()),
+        None if path.is_dir() => "this is a folder; name a file in it".into(),
+        None if path.is_file() && !ends(path, endings) => format!(
+            "another file has this name; it is kept, since it does not end in .{}",
+            endings.join(" or .")
+        ),
+        None => return Ok(()),
+    };
+    Err(Failure::usage_at(path, problem))
+}
+
+fn ends(path: &Path, endings: &[&str]) -> bool {
+    let extension = path.extension().unwrap_or_default();
+    endings.iter().any(|ending| extension.eq_ignore_ascii_case(ending))
 }
 
 fn is_pdf(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("pdf"))
+    ends(path, &["pdf"])
 }
 
 /// The PDF of an SVG, with the glyphs that it uses of a sans-serif font of this machine.

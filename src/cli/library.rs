@@ -161,6 +161,10 @@ pub(super) fn run(args: &Args) -> Done {
             return Ok(());
         }
     };
+    if step.moves.is_empty() {
+        say!("nothing to change");
+        return Ok(());
+    }
     moved(&step);
     let trials = show::counted(step.moves.len(), "trial");
     say!("{}: {trials}; `surfaced library undo {}` takes it back", step.what, library.display());
@@ -174,12 +178,15 @@ fn named(label: &str) -> Done<String> {
     }
 }
 
-/// Fails if `label` has trials already, unless it is the normal form of the old label `surface`.
+/// Fails if `label` has trials already, unless it is the normal form of the old label `surface`, or nothing
+/// has the old label, which the edit itself says.
 fn is_free(library: &Path, surface: &str, label: &str) -> Done {
     let listed = edit::list(library, &Scene::lmt108())?;
-    match listed.iter().filter(|trial| trial.key.surface == *label).count() {
+    let trials = |label: &str| listed.iter().filter(|trial| trial.key.surface == label).count();
+    let old = normal(surface);
+    match trials(label) {
         0 => Ok(()),
-        _ if normal(surface) == *label => Ok(()),
+        _ if old == *label || trials(&old) == 0 => Ok(()),
         n => {
             let there = format!("{label} is there already, with {}", show::counted(n, "trial"));
             let merge = format!("to put {surface} and {label} together, add --merge");

@@ -8,8 +8,8 @@ use super::show::joined;
 use super::{Done, Failure, Named, SourceArgs, one_of, parsed, share, show};
 use crate::evaluate::plan::Plan;
 use crate::recognise::{
-    LeftOutBy, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode, ReferenceOptions,
-    Rejection, RejectionError, STAGES, ScanTime, Settling, SumPrecision,
+    FollowOptions, LeftOutBy, MOST_COUNT, MethodName, MethodSpec, Model, PositionMode,
+    ReferenceOptions, Rejection, RejectionError, STAGES, ScanTime, Settling, SumPrecision,
 };
 use crate::scene::Scene;
 use crate::station::Recogniser;
@@ -211,9 +211,9 @@ impl Comparing {
 
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct AnswerArgs {
-    /// Accuracy that may be lost by giving answers before their scans end
-    #[arg(long, default_value_t = 0.01, value_name = "SHARE", value_parser = share)]
-    pub settle_loss: f64,
+    /// Accuracy that may be lost by giving answers before their scans end (default: 0.01)
+    #[arg(long, value_name = "SHARE", value_parser = share)]
+    pub settle_loss: Option<f64>,
     /// Share of scans of known surfaces that may be called unknown; 0 calls none unknown (default:
     /// 0.01, or the lowest share that the library's trials support)
     #[arg(long, value_name = "SHARE", value_parser = share_or_none)]
@@ -257,6 +257,10 @@ fn share_or_none(text: &str) -> Result<f64, String> {
 }
 
 impl AnswerArgs {
+    pub(super) fn loss(&self) -> f64 {
+        self.settle_loss.unwrap_or(FollowOptions::default().loss)
+    }
+
     /// Applies these options to a recogniser, whose remarks then say what its answers are based on.
     /// Returns whether it also guesses while a scan is in progress.
     pub(super) fn apply(&self, by: &mut Recogniser) -> Result<bool, RejectionError> {
@@ -270,7 +274,7 @@ impl AnswerArgs {
                 }
             }
         }
-        let settling = by.calibrate(self.settle_loss);
+        let settling = by.calibrate(self.loss());
         by.library.remarks.extend(on_settling(&settling));
         Ok(!settling.is_empty())
     }

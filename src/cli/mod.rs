@@ -155,7 +155,10 @@ fn completion(args: &CompletionArgs) -> Done {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), "surfaced", &mut script);
     // The script is printed here, since `generate` would panic if the reader has closed stdout.
-    Ok(std::io::Write::write_all(&mut std::io::stdout(), &script)?)
+    match std::io::Write::write_all(&mut std::io::stdout(), &script) {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        written => Ok(written?),
+    }
 }
 
 /// The reason why a command did not complete its work, by exit code.

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::choose::{hardest, protocols, within};
-use super::figure::write;
+use super::figure::{can_write, write};
 use super::show::{Made, quoted};
 use super::{Done, Failure, SourceArgs, bad_files, one_of, say, share, show};
 use crate::evaluate::Protocol;
@@ -43,6 +43,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Done {
+    args.out.as_deref().map_or(Ok(()), |path| can_write(path, &["toml"]))?;
     let library = super::open(&args.lib)?;
     let (planned, digest) = bad_files::work(&args.lib, library, |library| {
         let scene = args.sources.narrow(library.scene.clone())?;

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use serde_json::json;
 
 use super::method::at_least_one;
+use super::show::counted;
 use super::{Done, Failure, say, show};
 use crate::dataset::synth::{self, Difficulty, Parameters};
 use crate::library::About;
@@ -72,8 +73,11 @@ pub(super) fn run(args: &Args) -> Done {
     let report =
         json!({"out": out, "synthetic": true, "surfaces": surfaces, "trials": of, "seed": seed});
     show::result(args.json, &report, |_| {
-        say!("wrote {of} synthetic trials of {surfaces} surfaces to {out}");
-        show::next(&format!("surfaced eval {}", show::quoted(&args.out)));
+        let (trials, count) = (counted(of, "synthetic trial"), counted(*surfaces, "surface"));
+        say!("wrote {trials} of {count} to {out}");
+        // Naming takes two surfaces, and a second trial of each.
+        let command = if *surfaces > 1 && of > *surfaces { "eval" } else { "library list" };
+        show::next(&format!("surfaced {command} {}", show::quoted(&args.out)));
     });
     Ok(())
 }

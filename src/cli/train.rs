@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::figure::can_write;
 use super::method::{AccuracyArgs, ComparingArgs};
 use super::naming::{Trained, trained};
 use super::show::quoted;
@@ -33,6 +34,7 @@ pub(super) fn run(args: &Args) -> Done {
     if how.method.name() != MethodName::Embedding {
         return Err(Failure::usage(ModelFileError::Method(how.method.name().as_str())));
     }
+    can_write(&args.out, &["surfaced"])?;
     let library = super::open(&args.lib)?;
     let file = bad_files::work(&args.lib, library, |library| {
         let step = |done, of| say::progress("preparing the library", done, of);

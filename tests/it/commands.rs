@@ -253,6 +253,10 @@ fn trials_are_compared_source_by_source() {
     assert_eq!(sources.len(), 8);
     let product: f64 = sources.iter().map(|s| s["score"].as_f64().unwrap()).product();
     assert!((report["ds"].as_f64().unwrap() / product - 1.0).abs() < 1e-9);
+    let alike = |source: &Value| source["neighbours"].as_f64().is_some_and(|r| r > 0.3 && r <= 1.0);
+    assert!(sources.iter().any(|s| s["source"] == "ir" && alike(s)), "{sources:?}");
+    let shown = String::from_utf8(surfaced(&["compare", &a, &b, "--permutations", "50"]).stdout);
+    assert!(shown.unwrap().contains("neighbouring samples are alike, so that p is too small: "));
     let itself = json(&["compare", &a, &a, "--json", "--permutations", "50"]);
     assert!(itself["sources"].as_array().unwrap().iter().all(|s| s["p_value"] == 1.0));
 }
@@ -368,6 +372,80 @@ fn a_scan_of_eleven_milliseconds_or_of_silence_is_not_named() {
         let args = ["replay", new, "--library", library.to_str().unwrap()];
         refused(&args, 3, &["too little to name"]);
     }
+}
+
+#[test]
+fn an_evaluation_that_names_nothing_is_no_success() {
+    let (_dir, path) = common::temp();
+    for (surface, trial) in [("oak", 1), ("oak", 2), ("beech", 3), ("beech", 4)] {
+        // Too short for a single frame.
+        common::write_wav(&path.join(format!("{surface}/{trial}.wav")), 44_100, 1, &[trial]);
+    }
+    let output = surfaced(&["eval", path.to_str().unwrap()]);
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(said.contains("no query could be named") && !said.contains("next:"), "{said}");
+}
+
+#[test]
+fn an_output_takes_the_place_of_nothing_but_its_like() {
+    let dir = scene();
+    let (data, wav) = (path(&dir), dir.path().join("scene/Synth001Mesh/user1-01/ir.wav"));
+    let (wav, before) = (wav.to_str().unwrap(), std::fs::read(&wav).unwrap());
+    let nowhere = dir.path().join("no/x.svg").to_str().unwrap().to_string();
+    let kept = &["ir.wav: another file has this name"][..];
+    for (command, out, says) in [
+        ("train", "--out", kept),
+        ("plan", "--out", kept),
+        ("eval", "--predictions", kept),
+        ("stress", "--out", &["name the picture .svg or .pdf"]),
+        ("chart", "--out", &["name the picture .svg or .pdf"]),
+        ("duration", "--out", &["name the picture .svg or .pdf"]),
+    ] {
+        refused(&[command, &data, out, wav], 2, says);
+        refused(&[command, &data, out, &nowhere], 2, &["there is no folder "]);
+    }
+    assert_eq!(std::fs::read(wav).unwrap(), before);
+}
+
+#[test]
+fn an_option_that_would_change_nothing_is_refused() {
+    let dir = scene();
+    let data = path(&dir);
+    let eval = |more: &[&str], says| refused(&[&["eval", &data], more].concat(), 2, &[says]);
+    eval(&["--settle-loss", "0.1"], "--settle-loss goes with --settle");
+    eval(&["--false-rejections", "0.1"], "--false-rejections goes with --leave-surfaces-out");
+    eval(&["--leave-surfaces-out", "99"], "groups as there are surfaces: 3 surfaces");
+    eval(&["--method", "embedding,svm", "--settle"], "svm cannot; use --method embedding");
+    let samples = ["compare", "--samples", "x.csv", "y.csv", "--permutations", "5"];
+    refused(&samples, 2, &["cannot be used with"]);
+}
+
+#[test]
+fn dependence_follows_p_and_says_where_pairs_are_not_independent() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, values: &[f64]| {
+        let text: Vec<String> = values.iter().map(f64::to_string).collect();
+        let path = dir.path().join(name);
+        std::fs::write(&path, text.join("\n")).unwrap();
+        path.to_str().unwrap().to_string()
+    };
+    let tested = |x: &[f64], y: &[f64]| {
+        let (x, y) = (write("x.csv", x), write("y.csv", y));
+        let output = surfaced(&["dependence", &x, &y, "--permutations", "200"]);
+        String::from_utf8(output.stdout).unwrap()
+    };
+    // Ties: HSIC is above κ by rounding alone.
+    let once = |ones: &[usize]| -> Vec<f64> {
+        (0..12).map(|at| f64::from(u8::from(ones.contains(&at)))).collect()
+    };
+    let ties = tested(&once(&[3]), &once(&[0, 3]));
+    assert!(ties.contains("p = 0.1791") && ties.contains("no dependence was found"), "{ties}");
+    assert!(!ties.contains("neighbouring rows"), "{ties}");
+    let slow =
+        |period: f64| -> Vec<f64> { (0..60).map(|at| (f64::from(at) / period).sin()).collect() };
+    let slow = tested(&slow(9.0), &slow(7.0));
+    assert!(slow.contains("neighbouring rows are alike in both files"), "{slow}");
 }
 
 #[cfg(not(feature = "mcap"))]

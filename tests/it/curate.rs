@@ -96,6 +96,76 @@ fn a_check_names_what_to_mend_and_one_bad_file_does_not_stop_it() {
     assert!(text.contains("cross-validated accuracy") && text.contains("needs fixing:"), "{text}");
 }
 
+/// Sets all samples of the ir recordings of the trials to 0, as of a broken cable.
+fn mute<'a>(library: &str, trials: impl Iterator<Item = &'a String>) {
+    for trial in trials {
+        let path = Path::new(library).join(trial).join("ir.wav");
+        let mut bytes = std::fs::read(&path).unwrap();
+        let data = bytes.windows(4).position(|four| four == b"data").unwrap() + 8;
+        bytes[data..].fill(0);
+        std::fs::write(&path, bytes).unwrap();
+    }
+}
+
+#[test]
+fn a_source_that_is_muted_on_a_surface_or_in_a_whole_library_is_no_sound_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let library = library(dir.path());
+    let all = trials(&library);
+    let model = dir.path().join("model.surfaced").to_str().unwrap().to_string();
+    let has = "ir: channel 1 has one value in all trials";
+    let everywhere = format!("{has}: check its cable");
+    let on_one = format!("{has} of {}, and moves on others: check its cable", all[0].1);
+    for (muted, expected) in [(4, on_one), (12, everywhere)] {
+        mute(&library, all[..muted].iter().map(|(trial, _)| trial));
+        let check = surfaced(&["check", &library]);
+        let text = String::from_utf8(check.stdout).unwrap();
+        assert_eq!(check.status.code(), Some(3), "{text}");
+        assert!(text.contains(&expected), "{text}");
+        let train = ["train", &library, "--out", &model];
+        for command in [&["eval", &library][..], &["replay", &library], &train] {
+            let output = surfaced(command);
+            assert!(said(&output).contains(&expected), "{command:?}: {}", said(&output));
+        }
+    }
+}
+
+#[test]
+fn a_copy_under_another_label_is_to_be_removed_where_it_looks_mislabelled() {
+    let dir = tempfile::tempdir().unwrap();
+    let library = library(dir.path());
+    let all = trials(&library);
+    let (from, copy) = (&all[11].0, format!("{}/expert-09", all[0].1));
+    std::fs::create_dir(Path::new(&library).join(&copy)).unwrap();
+    for file in std::fs::read_dir(Path::new(&library).join(from)).unwrap().flatten() {
+        if file.file_name() != "trial.toml" {
+            let to = Path::new(&library).join(&copy).join(file.file_name());
+            std::fs::copy(file.path(), to).unwrap();
+        }
+    }
+    let text = String::from_utf8(surfaced(&["check", &library]).stdout).unwrap();
+    let says = format!("copies under two labels: {copy} and {from}; {copy} looks mislabelled\n");
+    assert!(text.contains(&says), "{text}");
+    assert!(text.contains(&format!("surfaced library remove {library} {copy}\n")), "{text}");
+    assert!(text.contains(&format!("taken for others: {copy} ({})\n", all[11].1)), "{text}");
+}
+
+#[test]
+fn an_edit_that_changes_nothing_does_not_promise_to_be_taken_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let library = library(dir.path());
+    let surface = trials(&library)[0].1.clone();
+    for same in
+        [&["rename", &library, &surface, &surface][..], &["session", &library, &surface, "--none"]]
+    {
+        let output = surfaced(&[&["library"], same].concat());
+        assert!(output.status.success() && said(&output).contains("nothing to change"), "{same:?}");
+        assert!(!said(&output).contains("undo"), "{}", said(&output));
+    }
+    let output = surfaced(&["library", "rename", &library, "nothing", &surface]);
+    assert!(said(&output).contains("is called \"nothing\""), "{}", said(&output));
+}
+
 #[test]
 fn a_library_without_past_scans_says_how_to_keep_them() {
     let dir = tempfile::tempdir().unwrap();
@@ -108,7 +178,7 @@ fn a_library_without_past_scans_says_how_to_keep_them() {
 fn a_reader_of_a_library_waits_for_an_edit_under_way_and_says_for_whom() {
     let dir = tempfile::tempdir().unwrap();
     let library = library(dir.path());
-    let out = dir.path().join("out").to_str().unwrap().to_string();
+    let out = dir.path().join("out.svg").to_str().unwrap().to_string();
     let trial = format!("{library}/{}", trials(&library)[0].0);
     let _editing = LibraryLock::for_editing(Path::new(&library)).unwrap();
     let readers = [

@@ -93,8 +93,8 @@ fn an_unknown_disturbance_and_a_picture_in_the_place_of_another_file_are_wrong_u
     let data = scene(dir.path());
     for (out, only, says) in [
         ("s.svg", "rain", "no disturbance `rain`; there are white"),
-        ("s.json", "gain", "the JSON is written beside it"),
-        ("s.md", "gain", "the table is written beside it"),
+        ("s.json", "gain", "name the picture .svg or .pdf; other files are written beside it"),
+        ("s.md", "gain", "name the picture .svg or .pdf; other files are written beside it"),
     ] {
         let out = dir.path().join(out);
         let run = surfaced(&["stress", &data, "--out", out.to_str().unwrap(), "--only", only]);
@@ -134,6 +134,26 @@ fn holds(scene: &Scene, entries: &[Entry], folds: &[Fold], levels: &[(&str, &'st
         let loss = report.clean.accuracy - series.levels[0].cell.accuracy;
         assert!(loss < 0.15, "{}: {loss:.3} lost", series.name);
     }
+}
+
+#[test]
+fn where_a_method_may_name_by_chance_nothing_is_said_of_its_failures() {
+    let (scene, entries, mut folds) = made(0, &["ir"], Protocol::LeaveOneTrialOut);
+    folds.truncate(1);
+    let disturbances = &stress::all()[..1];
+    let run = |entries: &[Entry]| {
+        let plan = StressPlan { scene: &scene, entries, folds: &folds, disturbances, seed: 1 };
+        let method = Embedding::new(scene.clone(), EmbeddingOptions::default());
+        stress::run(&method, &plan, &|_, _, _| ()).unwrap().may_be_chance
+    };
+    assert!(!run(&entries));
+    // Labels that say nothing.
+    let mixed = |(at, entry): (usize, &Entry)| {
+        let mut other = entry.clone();
+        other.key.surface = entries[(at * 13 + 4 * at / 32) % entries.len()].key.surface.clone();
+        other
+    };
+    assert!(run(&entries.iter().enumerate().map(mixed).collect::<Vec<_>>()));
 }
 
 /// Disturbances by which `embedding` lost 18 points and more, on one kind of sounds or the other, while an

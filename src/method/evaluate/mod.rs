@@ -20,6 +20,7 @@ mod outcome;
 mod paired;
 #[doc(hidden)]
 pub mod plan;
+mod still;
 #[doc(hidden)]
 pub mod stress;
 
@@ -32,6 +33,7 @@ pub use self::{
     leak::Leaks,
     outcome::percentile,
     paired::{Named, Paired, better_plain, paired},
+    still::{Still, still},
 };
 pub use answers::{SettledOutcome, UnknownOutcome};
 pub use enrolled::EnrolmentOutcome;

@@ -115,6 +115,23 @@ pub fn quantile(mut values: Vec<f64>, alpha: f64) -> f64 {
     *values.select_nth_unstable_by(rank - 1, f64::total_cmp).1
 }
 
+/// Neighbouring samples resemble each other from this correlation on, if they are enough to show it.
+const ALIKE: f64 = 0.3;
+
+/// The largest correlation of a channel with itself one sample later, for samples of shape (n, channels), if
+/// neighbours resemble each other. Such samples are not independent, and a test that exchanges them as if they
+/// were finds too much.
+pub fn neighbours_alike(samples: ArrayView2<'_, f64>) -> Option<f64> {
+    let of = |channel: ArrayView1<'_, f64>| {
+        let mean = channel.sum() / channel.len() as f64;
+        let squares: f64 = channel.iter().map(|x| (x - mean) * (x - mean)).sum();
+        let pairs = channel.iter().zip(channel.iter().skip(1));
+        pairs.map(|(a, b)| (a - mean) * (b - mean)).sum::<f64>() / squares
+    };
+    let most = samples.columns().into_iter().map(of).fold(0.0, f64::max);
+    (most > ALIKE.max(3.0 / (samples.nrows() as f64).sqrt())).then_some(most)
+}
+
 /// Tests whether paired samples of shape (n, channels) depend on each other.
 ///
 /// Length scales are medians over all samples. `alpha` is the significance level of κ.

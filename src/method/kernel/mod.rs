@@ -19,7 +19,7 @@ pub use length_scale::length_scale;
 pub use mmd::{kernel_sum, mmd2_biased};
 
 #[doc(hidden)] // For the project's own tests and tools.
-pub use hsic::{centred, kernel_matrix, permuted, quantile};
+pub use hsic::{centred, kernel_matrix, neighbours_alike, permuted, quantile};
 #[doc(hidden)]
 pub use sums::Points;
 

@@ -6,7 +6,7 @@ use super::error::RecogniseError;
 use super::reference::{
     DomainSamples, PreparedTrial, SampledSource, aligned, log_score, score_samples, shared_sources,
 };
-use crate::kernel::pair_test;
+use crate::kernel::{neighbours_alike, pair_test};
 use crate::library::Entry;
 use crate::scene::{Scene, SourceId, SourceSpec};
 use crate::seed;
@@ -30,6 +30,9 @@ pub struct SourceComparison {
     /// Twice the mean p-value of the repetitions, at most 1. This p-value is valid even if the
     /// repetitions depend on each other (Vovk & Wang 2020, "Combining p-values via averaging").
     pub p_value: f64,
+    /// The correlation of neighbouring samples, if they are alike, so that the p-value is too small.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub neighbours: Option<f64>,
 }
 
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -93,11 +96,13 @@ fn compare_source(
     options: &TestOptions,
 ) -> SourceComparison {
     let r = options.repetitions as f64;
-    let (mut sum, mut n, mut dims) = ([0.0; 5], 0, 0);
+    let (mut sum, mut n, mut dims, mut neighbours) = ([0.0; 5], 0, 0, None);
     for repetition in 0..options.repetitions {
         let TestOptions { samples, seed, .. } = *options;
         let at = z.positions(&spec.id, samples, seed, repetition, None);
         let (z, y) = (z.at(&at), y.at(&at));
+        let alike = [&z, &y].into_iter().filter_map(|one| neighbours_alike(one.view()));
+        neighbours = alike.reduce(f64::max);
         let result = score_samples(z.view(), y.view(), spec.align_mean, spec.sigma);
         let z = if spec.align_mean { aligned(z.view(), y.view()) } else { z };
         let key = [spec.id.as_str().as_bytes(), b"permute", &repetition.to_le_bytes()];
@@ -124,5 +129,6 @@ fn compare_source(
         score: score + spec.score_offset,
         kappa,
         p_value: (2.0 * p_mean).min(1.0),
+        neighbours,
     }
 }

@@ -148,7 +148,7 @@ fn usual_rest(mut of_trials: Vec<f32>) -> f32 {
 }
 
 /// A channel that rests for less than this share of most trials moves steadily.
-const STEADY: f32 = 0.05;
+pub(crate) const STEADY: f32 = 0.05;
 
 impl Doubt {
     /// Whether a channel rests here as it does in the library, so that nothing is wrong. `rests` is

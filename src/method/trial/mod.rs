@@ -7,6 +7,7 @@ mod label;
 mod level;
 mod moment;
 
+pub(crate) use channel_flaws::STEADY;
 pub use channel_flaws::SeriesFlaws;
 pub use doubt::Doubt;
 pub(crate) use fingerprints::{Fingerprints, WINDOW, tells};

@@ -8,15 +8,16 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::Audited;
 use super::usual::{FEWEST, levels, usual};
+use super::{Audited, copies};
 use crate::evaluate::ProgressFn;
-use crate::evaluate::leak::{Leaks, Shared};
+use crate::evaluate::leak::Leaks;
 use crate::evaluate::loudness::{edge_hz, level_of};
+use crate::evaluate::still::Still;
 use crate::library::{Entry, LibraryError, Unreadable};
 use crate::printable::quoted;
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, TrialKey, is_plain, usual_rests};
+use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, is_plain, usual_rests};
 
 /// A trial is silent if ln of its loudness is this far below its source's median: 40 dB.
 const SILENT: f64 = 2.0 * std::f64::consts::LN_10;
@@ -25,7 +26,7 @@ const SHORT: f64 = 1.0 / 3.0;
 /// The fault of a trial that only another name or number mends, so that it should not be removed.
 const NOT_USED: &str = "is not used";
 /// Most trials that a finding names.
-const SHOWN: usize = 3;
+pub(super) const SHOWN: usize = 3;
 
 /// Most bytes of samples that are kept in memory, to save reading them again.
 const MOST_KEPT: usize = 1 << 30;
@@ -73,18 +74,18 @@ impl Finding {
 /// Findings, and advice in lines.
 type Found = (Vec<Finding>, Vec<String>);
 
-struct Fault {
-    kind: FaultKind,
-    source: Option<SourceId>,
+pub(super) struct Fault {
+    pub kind: FaultKind,
+    pub source: Option<SourceId>,
     /// The fault in words, without the source and the trial, such as `is silent`.
-    what: &'static str,
-    trial: String,
+    pub what: &'static str,
+    pub trial: String,
     /// Details of this trial to show, such as its length.
-    detail: String,
+    pub detail: String,
 }
 
 impl Audited<'_> {
-    fn command(&self, edit: &str, trials: &[String]) -> Option<String> {
+    pub(super) fn command(&self, edit: &str, trials: &[String]) -> Option<String> {
         let library = quoted(&self.root.display().to_string());
         let names = trials.iter().map(|name| quoted(name)).collect::<Vec<_>>().join(" ");
         let dash = trials.iter().chain([&library]).any(|name| name.starts_with('-'));
@@ -229,8 +230,14 @@ pub(super) fn unreadable(
 }
 
 /// Findings on the signals, and advice on each fault that half of the trials or more have.
-pub(super) fn of_signals(inspected: &[Inspected], leaks: &Leaks, audited: &Audited<'_>) -> Found {
-    let mut faults = copies(inspected, leaks, audited);
+/// The faults of `still` channels are findings of their own, see [`never_moving`].
+pub(super) fn of_signals(
+    inspected: &[Inspected],
+    leaks: &Leaks,
+    still: &[Still],
+    audited: &Audited<'_>,
+) -> Found {
+    let mut faults = copies::of_one_label(inspected, leaks, audited);
     let usual = |id: &SourceId, of: fn(&Measured) -> f64| usual(inspected.iter(), id, None, of);
     let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
     let is_flawed =
@@ -252,7 +259,10 @@ pub(super) fn of_signals(inspected: &[Inspected], leaks: &Leaks, audited: &Audit
             let (source, trial) = (Some(source.clone()), trial.clone());
             faults.push(Fault { kind, source, what, trial, detail });
         };
-        for (id, of) in &one.series {
+        let is_still = |id: &SourceId| {
+            still.iter().any(|s| s.source == *id && s.surface.as_deref() == Some(surface))
+        };
+        for (id, of) in one.series.iter().filter(|(id, _)| !is_still(id)) {
             let (usual_s, usual_level) = of_sources[id];
             let is_silent = usual_level.is_some_and(|usual| of.level < usual - SILENT);
             let of_surface = usual_level.and_then(|_| levels(inspected, id, surface));
@@ -268,7 +278,8 @@ pub(super) fn of_signals(inspected: &[Inspected], leaks: &Leaks, audited: &Audit
                 add(FaultKind::Level, id, "is too loud or too quiet for its surface", detail);
             }
         }
-        for doubt in &one.doubts {
+        let is_own = |doubt: &&Doubt| doubt.source().is_none_or(|id| !is_still(id));
+        for doubt in one.doubts.iter().filter(is_own) {
             match doubt {
                 Doubt::Clipped { source, channel, share, .. } => {
                     let detail =
@@ -292,6 +303,26 @@ pub(super) fn of_signals(inspected: &[Inspected], leaks: &Leaks, audited: &Audit
     grouped(faults, inspected.len(), audited)
 }
 
+/// A finding for each source with channels that never move, in the library or on a surface.
+pub(super) fn never_moving(
+    still: &[Still],
+    inspected: &[Inspected],
+    audited: &Audited<'_>,
+) -> Vec<Finding> {
+    let finding = |one: &Still| {
+        let is_of = |trial: &&Inspected| {
+            Some(&trial.entry.key.surface) == one.surface.as_ref()
+                && trial.entry.sources.contains(&one.source)
+        };
+        let trials = inspected.iter().filter(is_of).map(|trial| trial.entry.name_in(audited.root));
+        let trials: Vec<String> = trials.collect();
+        let (source, command) = (Some(one.source.clone()), audited.command("remove", &trials));
+        let stuck = Finding::new(FaultKind::Stuck, trials, one.to_string());
+        Finding { source, command, ..stuck }
+    };
+    still.iter().map(finding).collect()
+}
+
 /// Findings on trials that look mislabelled, given as pairs: the trial, and the surface it was named.
 pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> Vec<Finding> {
     let mut by_label: BTreeMap<&str, Vec<String>> = BTreeMap::new();
@@ -307,7 +338,7 @@ pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> 
 }
 
 /// Text such as `a looks`, `2 trials (a, b) look` or `4 trials (a, b, c and 1 more) look`.
-fn look(trials: &[String]) -> String {
+pub(super) fn look(trials: &[String]) -> String {
     let shown = trials.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
     match trials.len() {
         1 => format!("{shown} looks"),
@@ -354,38 +385,6 @@ fn grouped(mut faults: Vec<Fault>, all: usize, audited: &Audited<'_>) -> Found {
     (findings, advice)
 }
 
-/// A fault for each trial that has a series with the same samples as in an earlier trial.
-fn copies(inspected: &[Inspected], leaks: &Leaks, audited: &Audited<'_>) -> Vec<Fault> {
-    let name = |trial: usize| inspected[trial].entry.name_in(audited.root);
-    let copies = leaks.shared.values().filter(|shared| shared.is_copy);
-    let fault = |shared: &Shared| Fault {
-        kind: FaultKind::Copy,
-        source: None,
-        what: "is a copy of another",
-        trial: name(shared.trials[1]),
-        detail: format!("that of {}", name(shared.trials[0])),
-    };
-    copies.map(fault).collect()
-}
-
-/// The finding that trials share samples without being copies of each other.
-pub(super) fn shared(
-    leaks: &Leaks,
-    keys: &[TrialKey],
-    entries: &[Entry],
-    audited: &Audited<'_>,
-) -> Option<Finding> {
-    let parts = leaks.shared.values().filter(|shared| !shared.is_copy);
-    let trials: BTreeSet<usize> = parts.flat_map(|shared| shared.trials).collect();
-    let trials: Vec<usize> = trials.into_iter().collect();
-    let keys: Vec<TrialKey> = trials.iter().map(|&i| keys[i].clone()).collect();
-    let name = |i: usize| entries[trials[i]].name_in(audited.root);
-    let text = leaks.among(&trials).text(&keys, name)?;
-    let (names, text) =
-        ((0..trials.len()).map(name), format!("{text}; cut recordings without overlap"));
-    Some(Finding::new(FaultKind::Shared, names.collect(), text))
-}
-
 /// Forgets doubts about channels that rest no longer than they usually do in the library.
 fn forget_usual(inspected: &mut [Inspected]) {
     let mut of_trials: BTreeMap<&SourceId, Vec<&[f32]>> = BTreeMap::new();
@@ -406,6 +405,7 @@ fn forget_usual(inspected: &mut [Inspected]) {
 mod tests {
     use super::*;
     use crate::recognise::{MethodName, MethodSpec};
+    use crate::trial::TrialKey;
 
     /// What is said of the levels of trials `a/1`, `a/2` and so on.
     fn said(levels: &[f64], is_constant: impl Fn(usize) -> bool) -> Vec<String> {
@@ -432,7 +432,7 @@ mod tests {
             }
         };
         let all: Vec<Inspected> = levels.iter().enumerate().map(one).collect();
-        let (findings, advice) = of_signals(&all, &Leaks::default(), &audited);
+        let (findings, advice) = of_signals(&all, &Leaks::default(), &[], &audited);
         findings.into_iter().map(|finding| finding.text).chain(advice).collect()
     }
 

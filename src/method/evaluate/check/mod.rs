@@ -1,6 +1,7 @@
 //! Audits a library: tells which trials are named correctly when left out, which look mislabelled,
 //! what is damaged, and what to record next.
 
+mod copies;
 mod finding;
 mod session;
 mod suspect;
@@ -19,6 +20,7 @@ use super::fold::{Fold, Protocol, folds};
 use super::leak::Leaks;
 use super::outcome::{Confusion, FoldAccuracy, Interval, Over, Prediction, Share};
 use super::paired::better_plain;
+use super::still::still;
 use crate::library::{Entry, Opened};
 use crate::recognise::{Method, MethodName};
 use crate::scene::{Scene, SourceId};
@@ -139,9 +141,11 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let entries: Vec<Entry> = inspected.iter().map(|one| one.entry.clone()).collect();
     let keys: Vec<TrialKey> = entries.iter().map(|entry| entry.key.clone()).collect();
     let leaks = Leaks::of(&entries, progress);
-    let (of_signals, of_sources) = finding::of_signals(&inspected, &leaks, audited);
+    let still = still(&entries, audited.scene);
+    findings.extend(finding::never_moving(&still, &inspected, audited));
+    let (of_signals, of_sources) = finding::of_signals(&inspected, &leaks, &still, audited);
     findings.extend(of_signals);
-    findings.extend(finding::shared(&leaks, &keys, &entries, audited));
+    findings.extend(copies::shared(&leaks, &keys, &entries, audited));
     let mut advice = opened.library.remarks;
     advice.extend(of_sources);
     let measured = measure(&entries, &leaks, audited, progress, Some(&mut advice));
@@ -154,19 +158,20 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let is_sound = |&i: &usize| !damaged.contains(&entries[i].name_in(audited.root));
     let places: Vec<usize> = (0..entries.len()).filter(is_sound).collect();
     let sound: Vec<Entry> = places.iter().map(|&i| entries[i].clone()).collect();
-    let leaks = leaks.among(&places);
-    let of_sound = || measure(&sound, &leaks, audited, progress, None).ok();
+    let among_sound = leaks.among(&places);
+    let of_sound = || measure(&sound, &among_sound, audited, progress, None).ok();
     let of_sound = if sound.len() < entries.len() { of_sound() } else { None };
     let judged = of_sound.as_ref().or(measured.as_ref());
     let judged = judged.map_or(&[][..], |judged| &judged.predictions);
     let mut suspects = suspects(judged);
     let moved = session::moved(judged, &mut suspects);
     findings.extend(session::differing(&moved, &inspected, audited));
-    let wrong: Vec<(String, String)> = (sound.iter())
+    let mut wrong: Vec<(String, String)> = (sound.iter())
         .filter_map(|entry| {
             Some((entry.name_in(audited.root), (*suspects.get(&entry.key)?).to_string()))
         })
         .collect();
+    findings.extend(copies::of_two_labels(&inspected, &leaks, &mut wrong, audited));
     findings.extend(finding::mislabelled(&wrong, audited));
     findings.sort_by_key(|finding| finding.kind);
     let accuracy_mended = of_sound.as_ref().map(|measured| measured.outcome.share.value());

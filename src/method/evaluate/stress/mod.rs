@@ -19,7 +19,7 @@ pub mod disturb;
 mod figure;
 mod report;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -69,6 +69,16 @@ impl StressPlan<'_> {
             kept.push(fold);
         }
         kept
+    }
+
+    /// The share of the queries that is named right if their most frequent surface is always named.
+    fn chance(&self) -> f64 {
+        let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+        for &query in self.folds.iter().flat_map(|fold| &fold.queries) {
+            *counts.entry(&self.entries[query].key.surface).or_default() += 1;
+        }
+        let most = counts.values().copied().max().unwrap_or(0);
+        most as f64 / counts.values().sum::<usize>().max(1) as f64
     }
 
     /// For each entry, whether it is also compared with a library without its surface.
@@ -214,14 +224,16 @@ fn sum_up(
     margins.sort_by(f64::total_cmp);
     let threshold = margins.get((REJECTED * margins.len() as f64) as usize).copied().unwrap_or(0.0);
     let undisturbed = cell(clean, threshold);
+    let right = Share::count(clean.iter().map(|a| a.known.is_some_and(|named| named.right)));
+    let may_be_chance = right.interval().0 <= plan.chance();
     let series = |(d, levels): (&Disturbance, &Vec<Vec<StressAnswer>>)| {
         let levels = (d.levels.iter().zip(levels))
             .map(|(&level, answers)| DisturbanceLevel { level, cell: cell(answers, threshold) })
             .collect();
-        DisturbanceSeries::new(d.name, d.axis, levels, undisturbed.accuracy)
+        DisturbanceSeries::new(d.name, d.axis, levels, right)
     };
     let disturbances = plan.disturbances.iter().zip(cells).map(series).collect();
-    MethodReport { method: method.into(), clean: undisturbed, disturbances }
+    MethodReport { method: method.into(), may_be_chance, clean: undisturbed, disturbances }
 }
 
 fn cell(answers: &[StressAnswer], threshold: f64) -> StressCell {

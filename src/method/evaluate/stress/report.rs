@@ -4,8 +4,12 @@ use std::fmt::Write as _;
 
 use serde::{Deserialize, Serialize};
 
+use crate::evaluate::Share;
+
 /// A method counts as failing if it loses at least this much accuracy, as a fraction.
 const LOSS: f64 = 0.05;
+/// Fewest queries that it must lose, too: one is often lost by chance.
+const FEWEST_LOST: f64 = 2.0;
 
 /// Results of one method under one disturbance at one level of severity. Shares are from 0 to 1.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -39,14 +43,16 @@ pub struct DisturbanceSeries {
     /// The quantity and unit of the severity, such as `SNR, dB`.
     pub axis: String,
     pub levels: Vec<DisturbanceLevel>,
-    /// The first level that costs 5 percentage points of accuracy or more; `None` if no level does.
+    /// The first level that costs 5 percentage points of accuracy or more, and two queries or more; `None` if
+    /// no level does.
     pub loses_5_points_at: Option<f64>,
 }
 
 impl DisturbanceSeries {
-    /// Results at all levels of a disturbance, compared with the undisturbed accuracy `clean`.
-    pub fn new(name: &str, axis: &str, levels: Vec<DisturbanceLevel>, clean: f64) -> Self {
-        let lost = |level: &&DisturbanceLevel| level.cell.accuracy <= clean - LOSS + 1e-9;
+    /// Results at all levels of a disturbance, compared with the undisturbed accuracy of some queries.
+    pub fn new(name: &str, axis: &str, levels: Vec<DisturbanceLevel>, clean: Share) -> Self {
+        let loss = LOSS.max(FEWEST_LOST / clean.of.max(1) as f64);
+        let lost = |level: &&DisturbanceLevel| level.cell.accuracy <= clean.value() - loss + 1e-9;
         let loses_5_points_at = levels.iter().find(lost).map(|level| level.level);
         Self { name: name.into(), axis: axis.into(), levels, loses_5_points_at }
     }
@@ -60,6 +66,10 @@ impl DisturbanceSeries {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MethodReport {
     pub method: String,
+    /// Whether chance may explain the undisturbed accuracy: the lower end of its interval reaches no further
+    /// than the share that is right if the most frequent surface is always named.
+    #[serde(default)]
+    pub may_be_chance: bool,
     pub clean: StressCell,
     pub disturbances: Vec<DisturbanceSeries>,
 }
@@ -123,6 +133,9 @@ impl StressReport {
         let first = self.methods.first().map_or(&[][..], |m| &m.disturbances);
         for (at, series) in first.iter().enumerate() {
             line(row(&format!("{} ({})", series.name, series.axis), &|m| {
+                if m.may_be_chance {
+                    return "not shown".into();
+                }
                 let lost = m.disturbances.get(at).and_then(|s| s.loses_5_points_at);
                 lost.map_or("–".into(), |level| level.to_string())
             }));
@@ -131,6 +144,7 @@ impl StressReport {
             m.clean.unknown_rejected.map_or("–".into(), |share| format!("{:.0}", 100.0 * share))
         }));
         line(row("**fails first**", &|m| match m.fails_first().as_slice() {
+            _ if m.may_be_chance => "not shown: undisturbed, it may name by chance".into(),
             [] => "nowhere".into(),
             names => names.join(", "),
         }));
@@ -148,7 +162,7 @@ mod tests {
             cell: StressCell { accuracy, ..StressCell::default() },
         };
         let levels = accuracies.iter().enumerate().map(level).collect();
-        DisturbanceSeries::new(name, "unit", levels, 0.9)
+        DisturbanceSeries::new(name, "unit", levels, Share { right: 90, of: 100 })
     }
 
     #[test]
@@ -161,11 +175,29 @@ mod tests {
         assert_eq!(disturbances[0].loses_5_points_at, Some(2.0));
         assert_eq!(disturbances[2].loses_5_points_at, None);
         let clean = disturbances[0].levels[0].cell.clone();
-        let method = MethodReport { method: "joint".into(), clean, disturbances };
+        let may_be_chance = false;
+        let method = MethodReport { method: "joint".into(), may_be_chance, clean, disturbances };
         assert_eq!(method.fails_first(), ["b"]);
-        let table = StressReport { methods: vec![method], ..StressReport::default() }.markdown();
+        let chance = MethodReport { may_be_chance: true, ..method.clone() };
+        let table = |method| StressReport { methods: vec![method], ..StressReport::default() };
+        let at_chance = table(chance).markdown();
+        for row in ["| b (unit) | not shown |", "| **fails first** | not shown: "] {
+            assert!(at_chance.contains(row), "{at_chance}");
+        }
+        let table = table(method).markdown();
         for row in ["| b (unit) | 1 |", "| c (unit) | – |"] {
             assert!(table.contains(row), "{table}");
         }
+    }
+
+    #[test]
+    fn the_loss_of_one_query_is_no_failure() {
+        let level = |(level, accuracy)| DisturbanceLevel {
+            level,
+            cell: StressCell { accuracy, ..StressCell::default() },
+        };
+        let levels = [(1.0, 0.75), (2.0, 0.625)].map(level).to_vec();
+        let found = DisturbanceSeries::new("a", "unit", levels, Share { right: 7, of: 8 });
+        assert_eq!(found.loses_5_points_at, Some(2.0));
     }
 }

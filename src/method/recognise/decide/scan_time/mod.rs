@@ -7,7 +7,8 @@
 //! derives the answer. `surfaced duration`, `plan`, `replay`, `run` and the countdowns all use this
 //! answer. The scan time is never shorter than the first time at which enough trials can be tested for
 //! an unknown surface, since the answer to a shorter scan is not complete. If there are too few trials
-//! to show the wanted accuracy, the scan time is the whole length of the trials.
+//! to show the wanted accuracy, the scan time is the whole length of the trials; where chance may explain
+//! the names of whole trials, there is none.
 //!
 //! The stated accuracy would be too high if the same trials chose the time and measured the accuracy.
 //! It is therefore cross-fitted: the accuracy of each group of trials is measured at a time that all
@@ -164,15 +165,15 @@ impl LeftOutAccuracy {
         }
         match self.earliest(goal, None) {
             None => answer.shortfall = Some(Shortfall::NotReached),
-            Some(_) if !can_show(trials, share) => {
-                let needed = (trials..).find(|&n| can_show(n, share)).unwrap_or(trials);
-                answer.shortfall = Some(Shortfall::TooFewTrials { share, more: needed - trials });
-                answer.enough = whole;
-            }
             // Whatever chance names at full length, it names as well at once. This is over trials: whether
             // names say anything at all, a few people show, too.
             Some(_) if whole.is_none_or(|whole| self.may_be_chance(whole)) => {
                 answer.shortfall = Some(Shortfall::AtChance { chance: self.chance() });
+            }
+            Some(_) if !can_show(trials, share) => {
+                let needed = (trials..).find(|&n| can_show(n, share)).unwrap_or(trials);
+                answer.shortfall = Some(Shortfall::TooFewTrials { share, more: needed - trials });
+                answer.enough = whole;
             }
             Some(at) => answer.enough = Some(self.cross_fitted(goal, at, target)),
         }
@@ -305,6 +306,8 @@ mod tests {
         assert_eq!((answer.enough, answer.shortfall.clone()), (None, Some(Shortfall::NotReached)));
         assert_eq!(answer.scan_s(), None);
         assert!((poor.scan_time(Goal::Loss(0.01)).enough.unwrap().accuracy - 0.8).abs() < 1e-9);
+        let few = accuracy(10, |i| if i < 4 { 9.0 } else { 0.1 }).scan_time(Goal::Loss(0.01));
+        assert_eq!(few.shortfall, Some(Shortfall::AtChance { chance: 0.5 }), "few as they are");
         // Every second of two surfaces' trials is named right, from the first look on.
         let chance = accuracy(200, |i| if i / 10 % 2 == 0 { 9.0 } else { 0.1 });
         let answer = chance.scan_time(Goal::Loss(0.01));
