@@ -151,7 +151,7 @@ pub(super) fn run(args: &CsvArgs) -> Done {
         return Err(Failure::usage_at(&args.out, "the library is there already; name another"));
     }
     match &args.names {
-        _ if args.surface.is_some() => {}
+        _ if args.surface.is_some() || args.labels.is_some() => {}
         Some(names) if names.0.contains("{surface}") => {}
         Some(_) => {
             let problem =

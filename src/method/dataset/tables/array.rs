@@ -56,13 +56,12 @@ pub struct Trials {
     pub(super) arrays: Box<dyn Iterator<Item = Result<Array, String>>>,
 }
 
+/// The surface, user, trial and session of each trial, as far as arrays or files tell them.
+type Labels = [Option<Vec<String>>; 4];
+
 impl Trials {
     /// Opens the array of trials in a file: the one that `form` names, or the only one that may be meant.
-    /// Returns the labels of its trials, too: surface, user, trial and session.
-    pub fn open(
-        path: &Path,
-        form: &Form,
-    ) -> Result<(Self, [Option<Vec<String>>; 4]), LibraryError> {
+    pub fn open(path: &Path, form: &Form) -> Result<(Self, Labels), LibraryError> {
         let (name, most) = (form.variable.as_deref(), form.most_unpacked);
         let of = |name: &Option<String>| {
             name.as_ref().map(|name| labels_of(path, name, most)).transpose()
