@@ -8,8 +8,9 @@ use std::path::Path;
 
 use super::gather::Rows;
 use super::mat::MatFile;
+use super::names::trial_number;
 use super::text::{Lines, shown};
-use super::{Form, OnRead, Said, give, npy, session_name, trial_number};
+use super::{Form, OnRead, Said, give, npy, session_name};
 use crate::library::LibraryError;
 use crate::printable::counted;
 use crate::scene::MOST_CHANNELS;

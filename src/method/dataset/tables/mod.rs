@@ -17,6 +17,7 @@ mod heading;
 mod layout;
 mod mat;
 mod mend;
+mod names;
 mod npy;
 #[cfg(feature = "parquet")]
 mod parquet;
@@ -25,111 +26,28 @@ mod table;
 mod text;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use gather::Rows;
 use layout::Layout;
 #[doc(hidden)]
 pub use mend::Gaps;
 use mend::{Piece, mend};
+pub use names::{NamePattern, named};
+use names::{Parts, name_of};
 use stamp::Stamps;
 use table::Table;
 use text::Lines;
 
-use crate::library::files::number_in;
 use crate::library::{About, LibraryError};
 use crate::scene::SourceId;
-use crate::trial::{EXPERT, Series, Signal, Trial, TrialKey, checked_session, normal, utc};
+use crate::trial::{Series, Signal, Trial, TrialKey, checked_session, utc};
 
 /// Lines and bytes that decide how a table is understood.
 const HEAD_LINES: usize = 2000;
 const HEAD_BYTES: usize = 1 << 20;
 /// A trial with more channels than this has at least as many samples.
 const MOST_TURNED: usize = 16;
-
-/// A pattern for file paths: text, the fields `{surface}`, `{user}`, `{trial}` and `{session}`, and
-/// `*` for any text. Fields and `*` match at least one character, but no `/`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NamePattern(pub String);
-
-impl NamePattern {
-    /// Reads surface, user, trial (text that ends with the number) and session from as many last parts
-    /// of the path `name` as the pattern has. A trial of digits alone comes before other texts, and takes
-    /// all of its digits.
-    ///
-    /// # Errors
-    /// If the pattern does not fit, or fits in several ways.
-    pub(crate) fn parts(&self, name: &str) -> Result<Parts, String> {
-        let depth = self.0.matches('/').count();
-        let from = name.rmatch_indices('/').nth(depth).map_or(0, |(at, _)| at + 1);
-        let mut found = Fits { left: 100_000, all: Vec::new() };
-        found.add(&self.0, &name[from..], &mut Parts::default());
-        let digits = |parts: &Parts| {
-            let number = parts[2].as_ref().filter(|text| text.bytes().all(|b| b.is_ascii_digit()));
-            number.map_or(0, String::len)
-        };
-        let most = found.all.iter().map(digits).max().unwrap_or_default();
-        let mut all = found.all.iter().filter(|parts| digits(parts) == most);
-        let pattern = &self.0;
-        match (all.next(), all.next()) {
-            (None, _) => Err(format!("its name does not fit the pattern `{pattern}`; see --names")),
-            (Some(only), None) if found.left > 0 => Ok(only.clone()),
-            (Some(one), other) => {
-                let said = |parts: &Parts| {
-                    parts
-                        .iter()
-                        .flatten()
-                        .map(|part| format!("`{part}`"))
-                        .collect::<Vec<_>>()
-                        .join(", ")
-                };
-                Err(format!(
-                    "its name fits the pattern `{pattern}` in several ways ({} or {}); give --names a \
-                     pattern with as many separators as the name has",
-                    said(one),
-                    said(other.unwrap_or(one))
-                ))
-            }
-        }
-    }
-}
-
-/// Surface, user, trial and session of a name.
-type Parts = [Option<String>; 4];
-
-/// The different ways in which a pattern fits a name.
-struct Fits {
-    /// How many more comparisons are made, since there may be very many ways.
-    left: usize,
-    all: Vec<Parts>,
-}
-
-impl Fits {
-    fn add(&mut self, pattern: &str, name: &str, parts: &mut Parts) {
-        let fields = ["{surface}", "{user}", "{trial}", "{session}", "*"];
-        self.left = self.left.saturating_sub(1);
-        if self.left == 0 {
-            return;
-        }
-        let Some(field) = fields.iter().position(|field| pattern.starts_with(field)) else {
-            match (pattern.chars().next(), name.chars().next()) {
-                (None, None) if !self.all.contains(parts) => self.all.push(parts.clone()),
-                (Some(a), Some(b)) if a == b => {
-                    self.add(&pattern[a.len_utf8()..], &name[b.len_utf8()..], parts);
-                }
-                _ => {}
-            }
-            return;
-        };
-        let ends = name.char_indices().map(|(at, c)| (at + c.len_utf8(), c));
-        for (end, _) in ends.take_while(|(_, c)| *c != '/') {
-            if let Some(part) = parts.get_mut(field) {
-                *part = Some(name[..end].to_string());
-            }
-            self.add(&pattern[fields[field].len()..], &name[end..], parts);
-        }
-    }
-}
 
 /// How to find the time of each row of a table.
 #[derive(Clone, Debug, PartialEq)]
@@ -335,17 +253,6 @@ fn session_name(text: &str) -> Result<String, String> {
     checked_session(text).map_err(|problem| format!("the session `{text}` {problem}"))
 }
 
-/// The path of a file without its extensions, with `/` on every system: what a [`NamePattern`] fits.
-fn name_of(path: &Path) -> String {
-    // `./3.csv` lies in a folder with a name, too.
-    let is_relative =
-        |part: Component<'_>| matches!(part, Component::CurDir | Component::ParentDir);
-    let found = path.components().any(is_relative).then(|| path.canonicalize().ok()).flatten();
-    let name = found.as_deref().unwrap_or(path).to_string_lossy().replace('\\', "/");
-    let name = name.strip_suffix(".gz").unwrap_or(&name);
-    Path::new(name).with_extension("").to_string_lossy().into_owned()
-}
-
 impl Form {
     /// Rows a second; `None` if a column tells the times.
     fn rate_hz(&self) -> Option<f64> {
@@ -430,15 +337,6 @@ fn trial(
     Ok(Read { trial: Trial { key, signals }, about, is_further: false })
 }
 
-/// The number of a trial: `3`, `3.0`, or the digits at the end of a name; `None` for `1.5`.
-fn trial_number(text: &str) -> Option<u32> {
-    match text.replace(',', ".").parse::<f64>() {
-        Ok(number) => (number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number))
-            .then_some(number as u32),
-        Err(_) => number_in(text),
-    }
-}
-
 /// `3 of 100: 5-6, 9`: the count of filled frames, all frames, and the first filled ones, from 1 on.
 fn marks(filled: &[usize], frames: usize) -> String {
     const MOST: usize = 50;
@@ -456,17 +354,6 @@ fn marks(filled: &[usize], frames: usize) -> String {
     let shown: Vec<String> = ranges.iter().take(MOST).map(one).collect();
     let more = if ranges.len() > MOST { ", …" } else { "" };
     format!("{} of {frames}: {}{more}", filled.len(), shown.join(", "))
-}
-
-/// The surface, user and number that the names of files give, before any is read.
-pub fn named(paths: &[PathBuf], names: &NamePattern) -> BTreeSet<TrialKey> {
-    let key = |path: &PathBuf| {
-        let [surface, user, number, _] = names.parts(&name_of(path)).ok()?;
-        let number = number.and_then(|text| trial_number(&text)).unwrap_or(1);
-        let user = user.unwrap_or_else(|| EXPERT.into());
-        Some(TrialKey::new(normal(&surface?), normal(&user), number))
-    };
-    paths.iter().filter_map(key).collect()
 }
 
 /// Reads all trials of a table at 100 rows a second, or by its times, for tests of damaged files. Returns
@@ -503,33 +390,4 @@ pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
     };
     read(path, &form, &std::env::temp_dir(), &mut on)?;
     Ok(count)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_are_read_by_their_pattern() {
-        for (pattern, name, found) in [
-            ("{surface}/{trial}", "a/Eiche/3", ["Eiche", "", "3", ""]),
-            ("{surface}_{user}_{trial}", "oak_anna_07", ["oak", "anna", "07", ""]),
-            ("{user}/*-{surface}_{trial}", "x/ben/run-oak 2_4", ["oak 2", "ben", "4", ""]),
-            ("{session}/{surface}_{trial}", "x/monday/oak_4", ["oak", "", "4", "monday"]),
-            ("{surface}_{trial}", "brushed_steel_12", ["brushed_steel", "", "12", ""]),
-            ("{surface}{trial}", "oak01", ["oak", "", "01", ""]),
-            ("*_{surface}", "1_oak", ["oak", "", "", ""]),
-        ] {
-            let parts = NamePattern(pattern.into()).parts(name).unwrap();
-            assert_eq!(parts.map(Option::unwrap_or_default), found);
-        }
-        for (pattern, name, why) in [
-            ("{surface}_{trial}", "oak".to_string(), "does not fit"),
-            ("{surface}_{user}_{trial}", "cast_steel_ben_3".into(), "`cast`, `steel_ben`, `3` or"),
-            ("{surface}x{user}x{trial}x*x*x*", "x".repeat(250), "in several ways"),
-        ] {
-            let found = NamePattern(pattern.into()).parts(&name).unwrap_err();
-            assert!(found.contains(why), "{found}");
-        }
-    }
 }

@@ -9,7 +9,7 @@ use super::layout::is_comment;
 use super::mend::MOST_FILLED;
 use super::stamp::Stamps;
 use super::text::{Lines, shortened, shown};
-use super::{Clock, Form, Head, columns, session_name, trial_number};
+use super::{Clock, Form, Head, columns, names::trial_number, session_name};
 use crate::trial::{EXPERT, Series, TrialKey, normal};
 
 /// The places of a table's columns, by a [`Form`].
