@@ -16,7 +16,7 @@ use crate::library::{LibraryError, files};
 use crate::record::importing::Importing;
 use crate::record::{TrialOptions, check_writable, write_library_toml, write_trial};
 use crate::scene::{LibraryToml, Scene, SourceId};
-use crate::trial::{Series, Signal, Trial, TrialKey};
+use crate::trial::TrialKey;
 
 const TABLES: [&str; 12] =
     ["csv", "tsv", "txt", "lvm", "dat", "asc", "log", "gz", "npy", "npz", "mat", "parquet"];
