@@ -9,7 +9,6 @@ use super::condition::WhereArgs;
 use super::method::{AccuracyArgs, AnswerArgs, Comparing, Lasting};
 use super::show::{listed, summary};
 use super::{Done, Failure, bad_files, say};
-use crate::evaluate::still;
 use crate::library::{Entry, Library};
 use crate::recognise::{Model, ModelFile, RejectionError, ready_model};
 use crate::record::edit::LibraryLock;
@@ -88,11 +87,6 @@ pub(super) struct Trained {
     pub model: Arc<dyn Model>,
 }
 
-/// Says which channels of a library never move.
-pub(super) fn warn_of_still(library: &[Entry], scene: &Scene) {
-    still(library, scene).iter().for_each(|line| say!("warning: {line}"));
-}
-
 /// Trains the model of an open library at `path`, or takes it from the cache. If `given`, the sources that
 /// scans can have, are known, the library must have one of them.
 pub(super) fn trained(
@@ -108,7 +102,6 @@ pub(super) fn trained(
     if let Some(given) = given {
         check_given(path, &state.sources, given)?;
     }
-    warn_of_still(&entries, &scene);
     let all = (0..entries.len()).collect();
     let (method, cache) = (how.method.build(&scene), how.cache_in(path));
     let ready = ready_model(&*method, &entries, &all, cache.as_deref(), progress)?;

@@ -165,7 +165,6 @@ fn by_protocol(args: &Args, how: &Comparing, folder: &Path) -> Done<ReplayStage>
     if args.protocol.is_some() {
         say!("protocol: {}", split.name);
     }
-    naming::warn_of_still(&entries, &scene);
     let (name, synthetic, cache) = (data.name, data.synthetic, how.cache_in(folder));
     Ok(ReplayStage { name, scene, entries, folds: split.folds, synthetic, cache, ready: None })
 }
@@ -200,7 +199,6 @@ fn against(args: &Args, how: &Comparing, data: &Path, library: &Path) -> Done<Re
     let synthetic = data.synthetic || library.synthetic;
     let (scene, of_data) = (how.narrow(library.scene.clone())?, how.narrow(data.scene.clone())?);
     let mut entries = within(&library, &scene)?;
-    naming::warn_of_still(&entries, &scene);
     let queries = within(&data, &of_data)?;
     let of_library = entries.len();
     entries.extend(queries);

@@ -299,8 +299,8 @@ fn replay_and_eval_report_the_scan_time_used_and_agree_on_it() {
     assert_eq!(output.status.code(), Some(1), "{stderr}");
     assert!(stderr.contains("takes 99 trials"), "{stderr}");
     let (output, stderr) = run("eval", &["reference", "--settle"]);
-    assert_eq!(output.status.code(), Some(1), "{stderr}");
-    assert!(stderr.contains("cannot follow a scan"), "{stderr}");
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("--settle follows scans in progress"), "{stderr}");
 }
 
 /// A library of two surfaces with a moving sensor and a skin of three taxels. A taxel is 0 most of the

@@ -112,7 +112,6 @@ fn a_source_that_is_muted_on_a_surface_or_in_a_whole_library_is_no_sound_one() {
     let dir = tempfile::tempdir().unwrap();
     let library = library(dir.path());
     let all = trials(&library);
-    let model = dir.path().join("model.surfaced").to_str().unwrap().to_string();
     let has = "ir: channel 1 has one value in all trials";
     let everywhere = format!("{has}: check its cable");
     let on_one = format!("{has} of {}, and moves on others: check its cable", all[0].1);
@@ -122,11 +121,8 @@ fn a_source_that_is_muted_on_a_surface_or_in_a_whole_library_is_no_sound_one() {
         let text = String::from_utf8(check.stdout).unwrap();
         assert_eq!(check.status.code(), Some(3), "{text}");
         assert!(text.contains(&expected), "{text}");
-        let train = ["train", &library, "--out", &model];
-        for command in [&["eval", &library][..], &["replay", &library], &train] {
-            let output = surfaced(command);
-            assert!(said(&output).contains(&expected), "{command:?}: {}", said(&output));
-        }
+        let eval = said(&surfaced(&["eval", &library]));
+        assert!(eval.contains(&expected), "{eval}");
     }
 }
 

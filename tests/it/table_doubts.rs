@@ -338,7 +338,7 @@ fn clocks_and_counters_are_no_channels_and_axes_are() {
         let name = above.split(',').next().unwrap();
         says(&said, &[&format!("column `{name}`"), "is left out"]);
     }
-    assert_eq!(sources("", |i| format!("{:.2},", 0.01 * i as f64)).0, "column 3");
+    assert_eq!(sources("", |i| format!("{:.2},", 0.01 * i as f64)).0, "sensor 3");
     for above in ["x-axis (g),y-axis (g),z-axis (g)\n", "X_Value,Y_Value,Z_Value\n"] {
         assert_eq!(sources(above, |_| String::new()).0.matches('1').count(), 3, "{above}");
     }
