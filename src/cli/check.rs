@@ -10,6 +10,7 @@ use super::{Done, Failure, say, show};
 use crate::dataset;
 use crate::evaluate::{Audited, CheckReport, Finding, ProgressFn, TrialCheck, TrialVerdict, check};
 use crate::library::Library;
+use crate::printable::some_of;
 use crate::record::edit::LibraryLock;
 use crate::scene::Scene;
 use crate::trial::TrialKey;
@@ -85,11 +86,8 @@ fn taken(
         |one: &&TrialCheck| one.key.surface == surface && one.verdict == TrialVerdict::Wrong;
     let named =
         |one: &TrialCheck| Some(format!("{} ({})", names.get(&one.key)?, one.named.as_ref()?));
-    let mut taken: Vec<String> = report.each.iter().filter(wrong).filter_map(named).collect();
-    let more = taken.len().saturating_sub(SHOWN);
-    taken.truncate(SHOWN);
-    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    (!taken.is_empty()).then(|| show::listed(taken) + &more)
+    let taken: Vec<String> = report.each.iter().filter(wrong).filter_map(named).collect();
+    (!taken.is_empty()).then(|| some_of(&taken, SHOWN, ", "))
 }
 
 fn print(report: &CheckReport, names: &BTreeMap<&TrialKey, String>) {

@@ -47,6 +47,16 @@ pub fn counted(number: usize, thing: &str) -> String {
     format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
 }
 
+/// The first `most` of some texts, with `", "` or `"; "` between them, and how many more there are.
+pub fn some_of(texts: &[impl AsRef<str>], most: usize, between: &str) -> String {
+    let first: Vec<&str> = texts.iter().take(most).map(AsRef::as_ref).collect();
+    let first = first.join(between);
+    match texts.len().saturating_sub(most) {
+        0 => first,
+        more => format!("{first}{} and {more} more", between.trim_matches([',', ' '])),
+    }
+}
+
 /// Lays out a table: its head, then a line for each row. A column is as wide as its widest cell,
 /// and is aligned right if its head begins with `>`.
 pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {

@@ -61,7 +61,7 @@ pub use reference::{
 
 #[doc(hidden)]
 pub use compare::{Comparison, TestOptions, compare};
-pub(crate) use decide::interval::{reaches, wilson_of_groups};
+pub(crate) use decide::interval::{chance, reaches, wilson_of_groups};
 #[doc(hidden)]
 pub use decide::sticky::StickyFilter;
 #[doc(hidden)]

@@ -203,34 +203,13 @@ pub fn sources(
         }
         let (base, name) = (plain(&column.base), &column.name);
         let cells = head.cells(at);
+        let number = |cell: &Vec<u8>| number(cell, layout.delimiter);
         let is_surface = is_among(SURFACES, &base);
         if !column.is_numeric {
-            if is_time(&layout.columns, at) {
-                continue;
+            if !is_time(&layout.columns, at) {
+                let may_name = is_surface && labels[0].is_none();
+                notes.extend(of_texts(name, &cells, layout.delimiter, may_name)?);
             }
-            let numbers = || Numbers::new(layout.delimiter);
-            let Some(cell) = cells.iter().find(|cell| numbers().read(cell).is_err()) else {
-                continue;
-            };
-            let bare = bare(cell);
-            let (cell, is_number) = (shown(cell), numbers().read(bare).is_ok_and(|x| !x.is_nan()));
-            if is_number {
-                return Err(format!(
-                    "column `{name}` holds `{cell}`: remove what stands beside the number, or name the \
-                     columns to use by --source"
-                ));
-            }
-            if is_surface && labels[0].is_none() && cells.iter().any(|other| *other != cells[0]) {
-                let [first, other] =
-                    [Some(&cells[0]), cells.iter().find(|cell| **cell != cells[0])]
-                        .map(|cell| cell.map(|cell| shown(cell)).unwrap_or_default());
-                return Err(format!(
-                    "column `{name}` holds `{first}` and `{other}`: give --surface '{name}' if these are \
-                     surfaces, or name the columns to use by --source"
-                ));
-            }
-            let why = format!("most of its cells are no numbers: `{cell}`");
-            notes.push(format!("column `{name}` is left out, since {why}"));
             continue;
         }
         let is_pandas =
@@ -239,10 +218,11 @@ pub fn sources(
         let is_clock = is_time(&layout.columns, at)
             || at == 0 && layout.columns.len() > 1 && is_nameless(&column.base)
             || RUNNING.iter().any(|part| base.contains(part));
-        if is_clock && runs_on(&cells) {
+        let runs_on = || cells.iter().map(number).collect::<Option<Vec<_>>>().is_some_and(runs_on);
+        if is_clock && runs_on() {
             notes.push(format!("column `{name}` rises like a clock or a counter, and is left out"));
         } else if (is_counter || cells.len() >= SURELY_COUNTED) && counts(cells.iter())
-            || is_counter && runs_on(&cells)
+            || is_counter && runs_on()
         {
             notes.push(format!("column `{name}` only counts the rows, and is left out"));
         } else if is_surface || is_among(LABELS, &base) || is_label(&cells) {
@@ -285,6 +265,41 @@ pub fn sources(
         Ok((SourceId::new(&id).map_err(|error| error.to_string())?, columns))
     };
     Ok((sources.into_iter().map(named).collect::<Result<_, String>>()?, notes))
+}
+
+fn number(cell: &[u8], delimiter: u8) -> Option<f64> {
+    Numbers::new(delimiter).read(cell).ok().filter(|number| !number.is_nan())
+}
+
+/// What people should know about a column that mostly holds texts: that it is left out. An error if numbers
+/// with other signs are among them, or if it `may_name` surfaces and holds several texts.
+fn of_texts(
+    name: &str,
+    cells: &[Vec<u8>],
+    delimiter: u8,
+    may_name: bool,
+) -> Result<Option<String>, String> {
+    let is_text = |cell: &&Vec<u8>| number(cell, delimiter).is_none() && !is_missing(cell);
+    let Some(text) = cells.iter().find(is_text) else { return Ok(None) };
+    if number(bare(text), delimiter).is_some() {
+        return Err(format!(
+            "column `{name}` holds `{}`: remove what stands beside the number, or name the columns to use \
+             by --source",
+            shown(text)
+        ));
+    }
+    if let Some(other) = cells.iter().find(|cell| may_name && **cell != cells[0]) {
+        return Err(format!(
+            "column `{name}` holds `{}` and `{}`: give --surface '{name}' if these are surfaces, or name \
+             the columns to use by --source",
+            shown(&cells[0]),
+            shown(other)
+        ));
+    }
+    let text = shown(text);
+    Ok(Some(format!(
+        "column `{name}` is left out, since most of its cells are no numbers: `{text}`"
+    )))
 }
 
 /// The name of a column of texts that say what the value of a row is, and two of them: it is called so, or most
@@ -347,11 +362,9 @@ fn bare(cell: &[u8]) -> &[u8] {
     &cell[from..to]
 }
 
-/// Whether cells rise like a clock or a counter: they hardly ever fall, or mostly rise by one step, where a
+/// Whether numbers rise like a clock or a counter: they hardly ever fall, or mostly rise by one step, where a
 /// counter begins anew after some.
-fn runs_on(cells: &[Vec<u8>]) -> bool {
-    let values = cells.iter().map(|cell| shown(cell).replace(',', ".").parse::<f64>());
-    let Ok(values) = values.collect::<Result<Vec<f64>, _>>() else { return false };
+fn runs_on(values: Vec<f64>) -> bool {
     let mut steps: Vec<f64> = values.windows(2).map(|two| two[1] - two[0]).collect();
     steps.sort_by(f64::total_cmp);
     let Some(middle) = steps.get(steps.len() / 2) else { return false };

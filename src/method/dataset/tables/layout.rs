@@ -13,6 +13,16 @@ pub(super) const DELIMITERS: [u8; 5] = [b';', b'\t', b',', b'|', b' '];
 pub(super) const BOTH_COMMAS: &str = "commas may be decimal marks or separate columns: separate \
                                       columns by semicolons, or write decimal points";
 
+/// What a line below the names is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Line {
+    Row,
+    /// A blank line or a comment.
+    Nothing,
+    /// A text of another width without numbers, such as what a program prints between its rows.
+    Text,
+}
+
 #[derive(Clone, Debug)]
 pub struct Layout {
     /// The separator of cells; a space stands for any number of spaces and tabs.
@@ -132,29 +142,32 @@ impl Layout {
         Ok(Self { delimiter, has_arrows, columns, first, names_at, notes, is_typed: false })
     }
 
-    /// Splits a line into the cells of a row. `false` for a line that is no row: blank, a comment, or a text
-    /// of another width without numbers.
+    /// Splits a line into the cells of a row, and says what the line is.
     pub(crate) fn cells<'a>(
         &self,
         line: &'a [u8],
         cells: &mut Vec<&'a [u8]>,
-    ) -> Result<bool, String> {
+    ) -> Result<Line, String> {
         cells.clear();
+        let of = |cells: &[&[u8]]| match cells.iter().any(|cell| !cell.is_empty()) {
+            true => Line::Row,
+            false => Line::Nothing,
+        };
         if self.is_typed {
             cells.extend(line.split(|byte| *byte == self.delimiter).map(<[u8]>::trim_ascii));
-            return Ok(cells.iter().any(|cell| !cell.is_empty()));
+            return Ok(of(cells));
         }
         split(line, self.delimiter, self.has_arrows, cells);
         let width = self.columns.len();
         if cells.len() != width {
-            if is_comment(line) || cells.iter().all(|cell| cell.is_empty()) {
-                return Ok(false);
+            if is_comment(line) || of(cells) == Line::Nothing {
+                return Ok(Line::Nothing);
             }
             strip(cells, width);
             let found = cells.len();
             if found != width {
                 if !cells.iter().any(|cell| is_number(cell, self.delimiter)) {
-                    return Ok(false);
+                    return Ok(Line::Text);
                 }
                 let is_both = self.delimiter == b',' && found == 2 * width;
                 let both = if is_both { format!("; {BOTH_COMMAS}") } else { String::new() };
@@ -165,9 +178,9 @@ impl Layout {
         let begins_comment =
             matches!(cells.first(), Some([b'#' | b'%', ..]) | Some([b'/', b'/', ..]));
         if begins_comment && !is_missing(cells[0]) {
-            return Ok(false);
+            return Ok(Line::Nothing);
         }
-        Ok(cells.iter().any(|cell| !cell.is_empty()))
+        Ok(of(cells))
     }
 
     /// The place of a column by its name, or by its name without unit.
@@ -239,7 +252,7 @@ fn no_rows(head: &[(u64, Vec<u8>)]) -> String {
     format!("it holds no rows of numbers; expected a line for each sample (it begins with {first})")
 }
 
-pub(super) fn is_comment(line: &[u8]) -> bool {
+fn is_comment(line: &[u8]) -> bool {
     let line = line.trim_ascii_start();
     let line = line.strip_prefix(b"\"").unwrap_or(line);
     // A name such as `#` or `# of sample` alone before a separator is told by `Layout::cells`.

@@ -29,7 +29,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use gather::Rows;
-use layout::Layout;
+use layout::{Layout, Line};
 #[doc(hidden)]
 pub use mend::Gaps;
 use mend::{Piece, mend};
@@ -125,8 +125,8 @@ impl Head {
         for (number, line) in rows_in_it {
             let mut cells = Vec::new();
             match layout.cells(line, &mut cells) {
-                Ok(true) => rows.push(cells.into_iter().map(<[u8]>::to_vec).collect()),
-                Ok(false) => {}
+                Ok(Line::Row) => rows.push(cells.into_iter().map(<[u8]>::to_vec).collect()),
+                Ok(Line::Nothing | Line::Text) => {}
                 Err(_) if lines.is_cut() && head.last().is_some_and(|(last, _)| last == number) => {
                 }
                 Err(problem) => return Err(format!("line {number} {problem}")),
@@ -266,8 +266,7 @@ impl Form {
             SessionOf::Nothing => None,
             SessionOf::Names => self.of_name(path).ok().and_then(|[.., session]| session),
             SessionOf::Pattern(pattern) => {
-                let parts = pattern.parts(&name_of(path));
-                let [.., session] = parts.map_err(|why| why.replace("--names", "--session"))?;
+                let [.., session] = pattern.parts(&name_of(path), "--session")?;
                 session
             }
             SessionOf::File(folders) => {
@@ -282,7 +281,7 @@ impl Form {
 
     /// What the pattern reads in a file's path; nothing without a pattern.
     fn of_name(&self, path: &Path) -> Result<Parts, String> {
-        let parts = self.names.as_ref().map(|pattern| pattern.parts(&name_of(path)));
+        let parts = self.names.as_ref().map(|pattern| pattern.parts(&name_of(path), "--names"));
         Ok(parts.transpose()?.unwrap_or_default())
     }
 

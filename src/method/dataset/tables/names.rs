@@ -12,13 +12,13 @@ use crate::trial::{EXPERT, TrialKey, normal};
 pub struct NamePattern(pub String);
 
 impl NamePattern {
-    /// Reads surface, user, trial (text that ends with the number) and session from as many last parts
+    /// `option` is the option that gave the pattern. Reads surface, user, trial (text that ends with the number) and session from as many last parts
     /// of the path `name` as the pattern has. A trial of digits alone comes before other texts, and takes
     /// all of its digits.
     ///
     /// # Errors
     /// If the pattern does not fit, or fits in several ways.
-    pub(super) fn parts(&self, name: &str) -> Result<Parts, String> {
+    pub(super) fn parts(&self, name: &str, option: &str) -> Result<Parts, String> {
         let depth = self.0.matches('/').count();
         let from = name.rmatch_indices('/').nth(depth).map_or(0, |(at, _)| at + 1);
         let mut found = Fits { left: 100_000, all: Vec::new() };
@@ -31,7 +31,9 @@ impl NamePattern {
         let mut all = found.all.iter().filter(|parts| digits(parts) == most);
         let pattern = &self.0;
         match (all.next(), all.next()) {
-            (None, _) => Err(format!("its name does not fit the pattern `{pattern}`; see --names")),
+            (None, _) => {
+                Err(format!("its name does not fit the pattern `{pattern}`; see {option}"))
+            }
             (Some(only), None) if found.left > 0 => Ok(only.clone()),
             (Some(one), other) => {
                 let said = |parts: &Parts| {
@@ -43,7 +45,7 @@ impl NamePattern {
                         .join(", ")
                 };
                 Err(format!(
-                    "its name fits the pattern `{pattern}` in several ways ({} or {}); give --names a \
+                    "its name fits the pattern `{pattern}` in several ways ({} or {}); give {option} a \
                      pattern with as many separators as the name has",
                     said(one),
                     said(other.unwrap_or(one))
@@ -104,7 +106,7 @@ pub(super) fn name_of(path: &Path) -> String {
 /// The surface, user and number that the names of files give, before any is read.
 pub fn named(paths: &[PathBuf], names: &NamePattern) -> BTreeSet<TrialKey> {
     let key = |path: &PathBuf| {
-        let [surface, user, number, _] = names.parts(&name_of(path)).ok()?;
+        let [surface, user, number, _] = names.parts(&name_of(path), "--names").ok()?;
         let number = number.and_then(|text| trial_number(&text)).unwrap_or(1);
         let user = user.unwrap_or_else(|| EXPERT.into());
         Some(TrialKey::new(normal(&surface?), normal(&user), number))
@@ -136,7 +138,7 @@ mod tests {
             ("{surface}{trial}", "oak01", ["oak", "", "01", ""]),
             ("*_{surface}", "1_oak", ["oak", "", "", ""]),
         ] {
-            let parts = NamePattern(pattern.into()).parts(name).unwrap();
+            let parts = NamePattern(pattern.into()).parts(name, "--names").unwrap();
             assert_eq!(parts.map(Option::unwrap_or_default), found);
         }
         for (pattern, name, why) in [
@@ -144,7 +146,7 @@ mod tests {
             ("{surface}_{user}_{trial}", "cast_steel_ben_3".into(), "`cast`, `steel_ben`, `3` or"),
             ("{surface}x{user}x{trial}x*x*x*", "x".repeat(250), "in several ways"),
         ] {
-            let found = NamePattern(pattern.into()).parts(&name).unwrap_err();
+            let found = NamePattern(pattern.into()).parts(&name, "--names").unwrap_err();
             assert!(found.contains(why), "{found}");
         }
     }

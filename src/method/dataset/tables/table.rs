@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::cell::{Numbers, is_missing, thousands};
 use super::gather::{Gathered, Group};
-use super::layout::is_comment;
+use super::layout::Line;
 use super::mend::MOST_FILLED;
 use super::stamp::Stamps;
 use super::text::{Lines, shortened, shown};
@@ -79,10 +79,12 @@ impl<'a> Table<'a> {
         let mut list = Vec::new();
         while let Some((line, text)) = lines.next()? {
             let mut cells = reused(list);
-            let found =
-                if line < layout.first { Ok(false) } else { layout.cells(text, &mut cells) };
-            let there = match found {
-                Ok(there) => there,
+            let found = match line < layout.first {
+                true => Ok(Line::Nothing),
+                false => layout.cells(text, &mut cells),
+            };
+            let found = match found {
+                Ok(found) => found,
                 Err(problem) => {
                     let problem = format!("line {line} {problem}: {}", shortened(text));
                     list = reused(cells);
@@ -94,14 +96,11 @@ impl<'a> Table<'a> {
                     continue;
                 }
             };
-            // What a program prints between its rows, such as that another trial begins.
-            let is_text = !there && !is_comment(text) && cells.iter().any(|cell| !cell.is_empty());
-            if is_text && line > layout.first && cells.len() != layout.columns.len() {
-                gathered.said.no_rows += 1;
-                is_broken = true;
-            }
-            let are_names = there && text == self.head.names.as_slice();
-            is_broken |= are_names;
+            let is_text = found == Line::Text;
+            gathered.said.no_rows += usize::from(is_text);
+            let are_names = found == Line::Row && text == self.head.names.as_slice();
+            // Another trial may begin there.
+            is_broken |= are_names || is_text;
             // Where nothing else tells that a sample is missing, a row of empty cells does.
             let is_empty = || {
                 is_bare
@@ -109,7 +108,7 @@ impl<'a> Table<'a> {
                     && cells.len() > 1
                     && cells.iter().all(|cell| cell.is_empty())
             };
-            if are_names || !there && !is_empty() {
+            if are_names || found != Line::Row && !is_empty() {
                 list = reused(cells);
                 continue;
             }

@@ -6,6 +6,7 @@ use super::Audited;
 use super::finding::{Fault, FaultKind, Finding, Inspected, SHOWN, look};
 use crate::evaluate::leak::{Leaks, Shared};
 use crate::library::Entry;
+use crate::printable::some_of;
 use crate::trial::TrialKey;
 
 /// The copies among trials of one label, or of two.
@@ -49,19 +50,17 @@ pub(super) fn of_two_labels(
     let pairs = copies(inspected, leaks, false).map(|one| one.trials.map(name));
     let pairs: Vec<[String; 2]> = pairs.collect();
     let trials: BTreeSet<String> = pairs.iter().flatten().cloned().collect();
-    let shown: Vec<String> = pairs.iter().take(SHOWN).map(|pair| pair.join(" and ")).collect();
-    let more = match pairs.len() {
-        0 => return None,
-        n if n <= SHOWN => String::new(),
-        n => format!("; and {} more", n - SHOWN),
-    };
+    if pairs.is_empty() {
+        return None;
+    }
+    let shown: Vec<String> = pairs.iter().map(|pair| pair.join(" and ")).collect();
     let mislabelled = wrong.extract_if(.., |(trial, _)| trials.contains(trial));
     let mislabelled: Vec<String> = mislabelled.map(|(trial, _)| trial).collect();
     let which = match mislabelled.is_empty() {
         true => "see which label is right".into(),
         false => format!("{} mislabelled", look(&mislabelled)),
     };
-    let text = format!("copies under two labels: {}{more}; {which}", shown.join("; "));
+    let text = format!("copies under two labels: {}; {which}", some_of(&shown, SHOWN, "; "));
     let command = audited.command("remove", &mislabelled);
     Some(Finding { command, ..Finding::new(FaultKind::Copy, trials.into_iter().collect(), text) })
 }

@@ -15,7 +15,7 @@ use crate::evaluate::leak::Leaks;
 use crate::evaluate::loudness::{edge_hz, level_of};
 use crate::evaluate::still::Still;
 use crate::library::{Entry, LibraryError, Unreadable};
-use crate::printable::quoted;
+use crate::printable::{quoted, some_of};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, is_plain, usual_rests};
 
@@ -339,11 +339,10 @@ pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> 
 
 /// Text such as `a looks`, `2 trials (a, b) look` or `4 trials (a, b, c and 1 more) look`.
 pub(super) fn look(trials: &[String]) -> String {
-    let shown = trials.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+    let shown = some_of(trials, SHOWN, ", ");
     match trials.len() {
         1 => format!("{shown} looks"),
-        n if n <= SHOWN => format!("{n} trials ({shown}) look"),
-        n => format!("{n} trials ({shown} and {} more) look", n - SHOWN),
+        n => format!("{n} trials ({shown}) look"),
     }
 }
 
@@ -362,14 +361,11 @@ fn grouped(mut faults: Vec<Fault>, all: usize, audited: &Audited<'_>) -> Found {
     for ((kind, source, what), faults) in groups {
         let subject = source.as_ref().map_or_else(|| "a recording".into(), ToString::to_string);
         let count = faults.len();
-        let each = faults.iter().take(SHOWN).map(|fault| match fault.detail.as_str() {
+        let each = faults.iter().map(|fault| match fault.detail.as_str() {
             "" => fault.trial.clone(),
             detail => format!("{} ({detail})", fault.trial),
         });
-        let mut each = each.collect::<Vec<_>>().join("; ");
-        if count > SHOWN {
-            each += &format!("; and {} more", count - SHOWN);
-        }
+        let each = some_of(&each.collect::<Vec<_>>(), SHOWN, "; ");
         let trials = if count == 1 { "trial" } else { "trials" };
         let text = format!("{subject} {what} in {count} {trials}: {each}");
         // A copy says nothing about a sensor, however many there are.

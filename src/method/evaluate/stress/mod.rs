@@ -33,7 +33,7 @@ pub use self::report::StressReport;
 use self::report::{DisturbanceLevel, DisturbanceSeries, MethodReport, StressCell};
 use crate::evaluate::{EvaluateError, Evaluation, Fold, ProgressFn, Run, Share};
 use crate::library::Entry;
-use crate::recognise::{Method, Model, Ranking, RecogniseError};
+use crate::recognise::{Method, Model, Ranking, RecogniseError, chance};
 use crate::scene::Scene;
 use crate::seed;
 use crate::trial::Trial;
@@ -77,8 +77,7 @@ impl StressPlan<'_> {
         for &query in self.folds.iter().flat_map(|fold| &fold.queries) {
             *counts.entry(&self.entries[query].key.surface).or_default() += 1;
         }
-        let most = counts.values().copied().max().unwrap_or(0);
-        most as f64 / counts.values().sum::<usize>().max(1) as f64
+        chance(counts.values().copied())
     }
 
     /// For each entry, whether it is also compared with a library without its surface.

@@ -7,7 +7,7 @@ use super::{
     SourceDuration,
 };
 use crate::independence::algorithm1::Algorithm1Settings;
-use crate::printable::table;
+use crate::printable::{some_of, table};
 use crate::scene::SourceId;
 
 /// Most surfaces that a sentence names.
@@ -101,12 +101,7 @@ impl DurationReport {
         let without = rows().filter(|(d, _)| d.t_star_s.is_none());
         let without: Vec<&str> = without.map(|(d, _)| d.surface.as_str()).collect();
         if !without.is_empty() && !spacings.is_empty() {
-            let shown = without[..without.len().min(SHOWN)].join(", ");
-            let others = match without.len().saturating_sub(SHOWN) {
-                0 => String::new(),
-                more => format!(" and {more} more"),
-            };
-            let _ = write!(text, "; no T* on {shown}{others}");
+            let _ = write!(text, "; no T* on {}", some_of(&without, SHOWN, ", "));
         }
         if let Some(more) = more {
             let _ = write!(text, " (about {more} more trials would show it)");

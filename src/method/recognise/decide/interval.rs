@@ -34,6 +34,12 @@ pub(crate) fn wilson(share: f64, trials: f64) -> (f64, f64) {
     (((centre - spread) / scale).max(0.0), ((centre + spread) / scale).min(1.0))
 }
 
+/// The share that is named right if the most frequent of some surfaces is always named, from how often each
+/// occurs; 0 if none does.
+pub(crate) fn chance(counts: impl Iterator<Item = usize> + Clone) -> f64 {
+    counts.clone().max().unwrap_or(0) as f64 / counts.sum::<usize>().max(1) as f64
+}
+
 /// 95 % confidence interval of a success rate (Wilson 1927); (0, 1) if there are no trials.
 pub fn wilson_interval(successes: usize, trials: usize) -> (f64, f64) {
     wilson(successes as f64 / trials.max(1) as f64, trials as f64)

@@ -80,6 +80,14 @@ impl Rows {
         scans.retain(|rows| !rows.is_empty());
         scans
     }
+
+    /// Number of trials of each class among those whose `scans` begin with a row that `keep` chooses.
+    fn trials_of(&self, scans: &[Vec<usize>], keep: impl Fn(usize) -> bool) -> Vec<f64> {
+        let mut trials = vec![0.0; self.classes];
+        let kept = scans.iter().map(|scans| scans[0]).filter(|&row| keep(row));
+        kept.for_each(|row| trials[self.part[row]] += 1.0);
+        trials
+    }
 }
 
 impl Discriminant {
@@ -97,16 +105,10 @@ impl Discriminant {
         let scatter = lower_gram(&residuals.view());
         let shrinkage = shrinkage(&residuals, &scatter, &rows.trials);
         let scans = rows.scans();
-        let of =
-            |factor: &Array2<f64>, means: Array2<f64>, off: f64, keep: &dyn Fn(usize) -> bool| {
-                let mut trials = vec![0.0; rows.classes];
-                let kept = scans.iter().map(|scans| scans[0]).filter(|&row| keep(row));
-                kept.for_each(|row| trials[rows.part[row]] += 1.0);
-                Self::of_factor(factor, means, &trials, off)
-            };
+        let trials = rows.trials_of(&scans, |_| true);
         let all = total.and_then(|total| metric(scatter.clone(), &counts, total, shrinkage));
         let off = all.as_ref().map_or(0.0, |factor| {
-            let classes = counts[..rows.classes].iter().filter(|n| **n > 0.5).count();
+            let classes = trials.iter().filter(|n| **n > 0.5).count();
             off_mean(factor, &residuals, &scans, classes)
         });
         let without = |group: usize| {
@@ -115,10 +117,11 @@ impl Discriminant {
             let (lost, moved) = left_out(&residuals, rows, group, (&counts, &stay));
             let mut left = lower_gram(&lost.view());
             left.zip_mut_with(&scatter, |left, all| *left = all - *left);
-            of(&metric(left, &stay, total?, shrinkage)?, &means - &moved, off, &stays)
+            let factor = metric(left, &stay, total?, shrinkage)?;
+            Self::of_factor(&factor, &means - &moved, &rows.trials_of(&scans, stays), off)
         };
         let without = (0..groups).map(without).collect();
-        (all.and_then(|factor| of(&factor, means, off, &|_| true)), without)
+        (all.and_then(|factor| Self::of_factor(&factor, means, &trials, off)), without)
     }
 
     /// Takes the factor L of the metric, the mean of each part, the number of trials of each class, and how

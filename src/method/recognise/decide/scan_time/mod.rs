@@ -20,7 +20,7 @@ mod answer;
 pub use answer::{AccuracyAt, Goal, ScanTime, Shortfall};
 
 use super::LeftOutBy;
-use super::interval::{can_show, wilson, wilson_of_groups};
+use super::interval::{can_show, chance, wilson, wilson_of_groups};
 use super::settle::{FollowedTrial, looks_in};
 use crate::recognise::follow::LOOK_S;
 
@@ -199,8 +199,7 @@ impl LeftOutAccuracy {
 
     /// The share of trials that are named right if the most frequent surface is always named.
     fn chance(&self) -> f64 {
-        let counts = || self.library.surfaces.iter().map(|(_, trials)| *trials);
-        counts().max().unwrap_or(0) as f64 / counts().sum::<usize>().max(1) as f64
+        chance(self.library.surfaces.iter().map(|(_, trials)| *trials))
     }
 
     /// Surfaces with too few trials to leave one out, and the number of trials that each lacks.
