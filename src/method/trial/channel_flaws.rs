@@ -7,14 +7,18 @@
 
 use std::collections::HashMap;
 
+use multiversion::multiversion;
+
 use super::doubt::Doubt;
-use super::{Image, Series, Signal};
+use super::{Image, Series, Signal, less};
 use crate::scene::SourceId;
 
 /// A channel with fewer distinct values is a switch or a coarse converter, and may rest at its limits.
 const FEWEST_VALUES: usize = 16;
 /// Samples rest at a value if at least this many of them in a row have it.
 const RUN: usize = 3;
+/// Samples that are looked at together.
+const CHUNK: usize = 32;
 /// A channel is stuck if it is constant for at least this share of a scan, up to its end.
 const STUCK: f64 = 0.5;
 /// A channel is saturated if at least this share of its samples rests at its limits. At zero, where
@@ -41,29 +45,57 @@ struct ChannelFlaws {
     seen: Vec<f32>,
     low: f32,
     high: f32,
-    /// For the bits of each value, the number of samples in runs of at least [`RUN`] equal samples.
+    /// For the bits of each value, the number of samples in runs of at least [`RUN`] equal samples that have
+    /// ended.
     resting: HashMap<u32, usize>,
 }
 
 impl ChannelFlaws {
-    fn add(&mut self, samples: impl Iterator<Item = f32>) {
-        // Held apart, since a look into `resting` would write them to memory after each sample.
-        let (mut run, mut last, mut low, mut high) = (self.run, self.last, self.low, self.high);
-        for x in samples {
-            run = if run > 0 && x == last { run + 1 } else { 1 };
-            self.samples += 1;
-            last = x;
-            (low, high) = (low.min(x), high.max(x));
-            if run == 1 && self.varies_little() && !self.seen.contains(&x) {
-                self.seen.push(x);
-            }
-            if run >= RUN {
-                // Adding 0 turns -0 into 0, so that both count as one value.
-                let of_value = self.resting.entry((x + 0.0).to_bits()).or_default();
-                *of_value += if run == RUN { RUN } else { 1 };
+    fn add(&mut self, samples: &[f32]) {
+        let (chunks, rest) = samples.as_chunks();
+        for chunk in chunks {
+            match moving(self.last, chunk) {
+                Some((low, high)) if self.run > 0 && !self.varies_little() => {
+                    self.end_run();
+                    self.samples += CHUNK;
+                    (self.run, self.last) = (1, chunk[CHUNK - 1]);
+                    (self.low, self.high) = (self.low.min(low), self.high.max(high));
+                }
+                _ => self.add_each(chunk),
             }
         }
-        (self.run, self.last, self.low, self.high) = (run, last, low, high);
+        self.add_each(rest);
+    }
+
+    fn add_each(&mut self, samples: &[f32]) {
+        self.samples += samples.len();
+        for &x in samples {
+            if self.run > 0 && x == self.last {
+                self.run += 1;
+                continue;
+            }
+            self.end_run();
+            (self.run, self.last) = (1, x);
+            (self.low, self.high) = (self.low.min(x), self.high.max(x));
+            if self.varies_little() && !self.seen.contains(&x) {
+                self.seen.push(x);
+            }
+        }
+    }
+
+    /// Notes the latest run of equal samples.
+    fn end_run(&mut self) {
+        if self.run >= RUN {
+            // Adding 0 turns -0 into 0, so that both count as one value.
+            *self.resting.entry((self.last + 0.0).to_bits()).or_default() += self.run;
+        }
+    }
+
+    /// The number of resting samples of each value so far.
+    fn resting(&self) -> HashMap<u32, usize> {
+        let mut so_far = self.clone();
+        so_far.end_run();
+        so_far.resting
     }
 
     fn varies_little(&self) -> bool {
@@ -85,9 +117,10 @@ impl ChannelFlaws {
             return None;
         }
         let limits = [self.low, self.high].map(|limit| (limit + 0.0).to_bits());
-        let others = self.resting.iter().filter(|(value, _)| !limits.contains(value));
+        let resting = self.resting();
+        let others = resting.iter().filter(|(value, _)| !limits.contains(value));
         let others = others.map(|(_, count)| *count).max().unwrap_or(0);
-        let rests = |limit: &u32| self.resting.get(limit).copied().unwrap_or(0);
+        let rests = |limit: &u32| resting.get(limit).copied().unwrap_or(0);
         let outstanding = |limit: &u32| rests(limit) >= ABOVE_OTHERS * others;
         let (zeros, limits): (Vec<u32>, _) = limits.into_iter().partition(|limit| *limit == 0);
         let limits: Vec<u32> = limits.into_iter().filter(outstanding).collect();
@@ -106,12 +139,37 @@ impl ChannelFlaws {
         if self.run == self.samples {
             return 1.0;
         }
-        self.share(self.resting.values().copied().max().unwrap_or(0)) as f32
+        self.share(self.resting().values().copied().max().unwrap_or(0)) as f32
     }
 
     fn share(&self, samples: usize) -> f64 {
         samples as f64 / self.samples.max(1) as f64
     }
+}
+
+/// The least and the greatest of some samples, if each differs from the one before it; `last` precedes them.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn moving(last: f32, samples: &[f32; CHUNK]) -> Option<(f32, f32)> {
+    const LANES: usize = 8;
+    let mut before = [last; CHUNK];
+    for i in 1..CHUNK {
+        before[i] = samples[i - 1];
+    }
+    let mut equal = 0;
+    for i in 0..CHUNK {
+        equal |= u32::from(samples[i] == before[i]);
+    }
+    let (mut low, mut high) = ([samples[0]; LANES], [samples[0]; LANES]);
+    for i in 0..CHUNK {
+        // Unlike `f32::min`, one instruction.
+        let (x, low, high) = (samples[i], &mut low[i % LANES], &mut high[i % LANES]);
+        *low = if x < *low { x } else { *low };
+        *high = if x > *high { x } else { *high };
+    }
+    for lane in 1..LANES {
+        (low[0], high[0]) = (low[0].min(low[lane]), high[0].max(high[lane]));
+    }
+    (equal == 0).then_some((low[0], high[0]))
 }
 
 /// The `usual_rest` of each channel, from the rests of all channels in each trial.
@@ -191,10 +249,7 @@ impl SeriesFlaws {
     pub fn add(&mut self, frames: &[f32]) {
         let channels = self.0.len();
         for (c, channel) in self.0.iter_mut().enumerate() {
-            match channels {
-                1 => channel.add(frames.iter().copied()),
-                _ => channel.add(frames.chunks_exact(channels).map(|frame| frame[c])),
-            }
+            channel.add(&less(frames, (channels, c), 0.0));
         }
     }
 
@@ -241,5 +296,32 @@ mod tests {
         let usual = |share, rest: f32| stuck(share).is_usual(&[0.0, rest]);
         assert!(usual(0.49, 0.0) && !usual(0.5, 0.0) && !stuck(0.5).is_usual(&[]));
         assert!(usual(0.69, 0.4) && !usual(0.71, 0.4) && usual(1.0, 1.0));
+    }
+
+    #[test]
+    fn samples_that_are_looked_at_together_have_the_flaws_of_single_ones() {
+        // Runs of one to five samples between stretches that move; ±0 count as one value.
+        let value = |i: usize| match i % 400 {
+            0..100 => (i / 5 % 3) as f32 - 1.0,
+            100..104 => {
+                if i % 2 == 0 {
+                    0.0
+                } else {
+                    -0.0
+                }
+            }
+            _ => (i * 7919 % 1000) as f32 / 250.0 - 2.0,
+        };
+        let samples: Vec<f32> = (0..4000).map(value).collect();
+        let SeriesFlaws(mut single) = SeriesFlaws::new(1);
+        single[0].add_each(&samples);
+        for piece in [1, 31, 500, 4000] {
+            let SeriesFlaws(mut together) = SeriesFlaws::new(1);
+            samples.chunks(piece).for_each(|samples| together[0].add(samples));
+            assert_eq!(format!("{:?}", together[0].seen), format!("{:?}", single[0].seen));
+            let of = |flaws: &ChannelFlaws| (flaws.resting(), flaws.low, flaws.high, flaws.samples);
+            assert_eq!(of(&together[0]), of(&single[0]), "in pieces of {piece}");
+        }
+        assert!(single[0].resting().len() > 2 && !single[0].varies_little());
     }
 }

@@ -5,6 +5,8 @@
 
 use std::collections::HashMap;
 
+use multiversion::multiversion;
+
 use super::{Series, Signal, is_plain};
 
 /// Frames of a window.
@@ -48,12 +50,9 @@ impl Fingerprints {
                 Self { whole: (!is_plain(image)).then(whole), windows: Vec::new() }
             }
             Signal::Series(series) => {
-                let of_frame = |frame: &[f32]| {
-                    frame.iter().fold(0, |hash, x| mixed(hash, u64::from(x.to_bits())))
-                };
-                let frames: Vec<u64> =
-                    series.samples().chunks(series.channels()).map(of_frame).collect();
-                let whole = || frames.iter().fold(frames.len() as u64, |hash, x| mixed(hash, *x));
+                let mut frames = vec![0; series.frames()];
+                hash_frames(series.samples(), series.channels(), &mut frames);
+                let whole = || of_all(&frames);
                 let whole = tells(series, 0, frames.len()).then(whole);
                 Self { whole, windows: windows(&frames, most) }
             }
@@ -61,23 +60,46 @@ impl Fingerprints {
     }
 }
 
-/// The smallest hashes of windows of the frames with these hashes.
+/// The hash of each frame of interleaved samples.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+fn hash_frames(samples: &[f32], channels: usize, hashes: &mut [u64]) {
+    for channel in 0..channels {
+        let samples = &samples[channel..];
+        for i in 0..hashes.len() {
+            hashes[i] = mixed(hashes[i], u64::from(samples[i * channels].to_bits()));
+        }
+    }
+}
+
+/// One hash of many, in order; by four hashes, so that no step waits for the one before.
+fn of_all(hashes: &[u64]) -> u64 {
+    let (chunks, rest) = hashes.as_chunks::<4>();
+    let mut lanes = [0; 4];
+    for chunk in chunks {
+        for lane in 0..4 {
+            lanes[lane] = mixed(lanes[lane], chunk[lane]);
+        }
+    }
+    lanes.iter().chain(rest).fold(hashes.len() as u64, |hash, x| mixed(hash, *x))
+}
+
+/// The smallest hashes of windows of the frames with these hashes. The hash of a window is the exclusive or
+/// of its frames' hashes, each rotated by its place.
 fn windows(frames: &[u64], most: usize) -> Vec<(u64, usize)> {
-    let oldest = BASE.wrapping_pow(WINDOW as u32);
-    let changes = |at: usize| usize::from(at > 0 && frames[at] != frames[at - 1]);
     // Hashes are spread evenly, so this leaves four times as many as are kept.
     let below = (u64::MAX / frames.len().max(1) as u64).saturating_mul(4 * most as u64);
-    let (mut hash, mut lively) = (0u64, 0);
+    let add = |hash: u64, frame: &u64| hash.rotate_left(1) ^ frame;
+    let (mut hash, mut gone) = (frames.iter().take(WINDOW - 1).fold(0, add), 0);
     let mut found = Vec::new();
-    for (at, &frame) in frames.iter().enumerate() {
-        hash = hash.wrapping_mul(BASE).wrapping_add(frame);
-        lively += changes(at);
-        if at >= WINDOW {
-            hash = hash.wrapping_sub(frames[at - WINDOW].wrapping_mul(oldest));
-            lively -= changes(at - WINDOW);
-        }
-        if at + 1 >= WINDOW && lively >= LIVELY && hash <= below {
-            found.push((hash, at + 1 - WINDOW));
+    for (begin, window) in frames.windows(WINDOW).enumerate() {
+        hash = add(hash, &window[WINDOW - 1]) ^ gone;
+        gone = window[0].rotate_left(WINDOW as u32);
+        if hash <= below && is_lively(&frames[begin.saturating_sub(1)..begin + WINDOW]) {
+            found.push((hash, begin));
         }
     }
     if found.len() > most {
@@ -89,7 +111,12 @@ fn windows(frames: &[u64], most: usize) -> Vec<(u64, usize)> {
     found
 }
 
+fn is_lively(frames: &[u64]) -> bool {
+    frames.windows(2).filter(|two| two[0] != two[1]).count() >= LIVELY
+}
+
 /// Adds a number to a hash, and spreads its bits over all others.
+#[inline(always)]
 fn mixed(hash: u64, x: u64) -> u64 {
     let product = (hash.rotate_left(23) ^ x).wrapping_mul(BASE);
     product ^ (product >> 32)

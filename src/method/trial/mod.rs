@@ -264,6 +264,18 @@ pub struct Image {
     rgb: Vec<u8>,
 }
 
+/// One channel of interleaved samples, minus `reference`.
+pub(crate) fn less(
+    samples: &[f32],
+    (channels, channel): (usize, usize),
+    reference: f32,
+) -> Vec<f32> {
+    if channels == 1 {
+        return samples.iter().map(|x| x - reference).collect();
+    }
+    samples.chunks_exact(channels).map(|frame| frame[channel] - reference).collect()
+}
+
 impl Image {
     pub const ROWS: usize = 480;
     pub const COLS: usize = 320;

@@ -13,8 +13,9 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use super::lanes::dot;
-use super::moments::{less, means};
+use super::moments::means;
 use crate::seed;
+use crate::trial::less;
 
 const EXCERPTS: usize = 3;
 

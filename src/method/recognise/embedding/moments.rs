@@ -11,6 +11,7 @@ use super::growing::joined;
 use super::lanes::{about, dot, extremes, powers};
 use super::quantiles::{Histograms, QUANTILES};
 use crate::recognise::features::windowed_frames::sum;
+use crate::trial::less;
 
 /// Number of lags of the products x_t·x_{t−l}: 0 … 3 samples.
 const LAGS: usize = 4;
@@ -245,8 +246,10 @@ impl GrowingMoments {
         let mut blocks = all.chunks_exact(size);
         for block in &mut blocks {
             let reference = self.reference.get_or_insert_with(|| means(block, channels));
-            let counts = self.sums.add(&block_sums(block, &self.before, reference, channels));
-            self.histograms.add(counts, block, &self.before, reference);
+            let planes = planes(block, &self.before, reference);
+            let past = self.before.len() / channels;
+            let counts = self.sums.add(&block_sums(&planes, past));
+            self.histograms.add(counts, &planes, past);
             let kept = block.len().min((LAGS - 1) * channels);
             self.before.extend_from_slice(&block[block.len() - kept..]);
             let surplus = self.before.len().saturating_sub((LAGS - 1) * channels);
@@ -260,8 +263,9 @@ impl GrowingMoments {
         let reference = self.reference.clone().unwrap_or_else(|| means(&self.pending, channels));
         let (mut sums, mut histograms) = (self.sums.clone(), self.histograms.clone());
         if !self.pending.is_empty() {
-            let counts = sums.add(&block_sums(&self.pending, &self.before, &reference, channels));
-            histograms.add(counts, &self.pending, &self.before, &reference);
+            let planes = planes(&self.pending, &self.before, &reference);
+            let past = self.before.len() / channels;
+            histograms.add(sums.add(&block_sums(&planes, past)), &planes, past);
         }
         Moments {
             sums: sums.values.iter().copied().map(held).collect(),
@@ -283,15 +287,19 @@ pub(super) fn means(samples: &[f32], channels: usize) -> Vec<f32> {
     (0..channels).map(mean).collect()
 }
 
-fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usize) -> Vec<f32> {
+/// Each channel of a block minus `reference`, preceded by its samples before the block.
+fn planes(block: &[f32], before: &[f32], reference: &[f32]) -> Vec<Vec<f32>> {
+    let (channels, all) = (reference.len(), [before, block].concat());
+    let plane = |(c, reference): (usize, &f32)| less(&all, (channels, c), *reference);
+    reference.iter().enumerate().map(plane).collect()
+}
+
+/// The sums of a block. It follows the first `past` samples of each channel.
+fn block_sums(all: &[Vec<f32>], past: usize) -> Vec<f32> {
+    let channels = all.len();
     let mut sums = vec![0.0; width(channels)];
-    let frames = samples.len() / channels;
+    let frames = all[0].len() - past;
     sums[0] = frames as f32;
-    let past = before.len() / channels;
-    // Each channel, preceded by the samples before the block that lagged products need.
-    let with_before = [before, samples].concat();
-    let all: Vec<Vec<f32>> =
-        (0..channels).map(|c| less(&with_before, (channels, c), reference[c])).collect();
     for (c, of_channel) in all.iter().enumerate() {
         let of_block = &of_channel[past..];
         let [sum, cubes, fourths] = powers(of_block);
@@ -330,18 +338,6 @@ fn block_sums(samples: &[f32], before: &[f32], reference: &[f32], channels: usiz
     }
     sums.iter_mut().for_each(|x| *x = x.clamp(-f32::MAX, f32::MAX));
     sums
-}
-
-/// One channel of interleaved samples, minus `reference`.
-pub(super) fn less(
-    samples: &[f32],
-    (channels, channel): (usize, usize),
-    reference: f32,
-) -> Vec<f32> {
-    if channels == 1 {
-        return samples.iter().map(|x| x - reference).collect();
-    }
-    samples.chunks_exact(channels).map(|frame| frame[channel] - reference).collect()
 }
 
 #[cfg(test)]

@@ -18,23 +18,21 @@ const BINS: usize = 64 << 3;
 /// then steps.
 #[derive(Clone, Debug)]
 pub(super) struct Histograms {
-    channels: usize,
     counts: Vec<u32>,
 }
 
 impl Histograms {
     pub(super) fn new(channels: usize) -> Self {
-        Self { channels, counts: vec![0; 3 * BINS * channels] }
+        Self { counts: vec![0; 3 * BINS * channels] }
     }
 
-    /// Counts a block of interleaved samples, minus `reference`. `before` holds the samples before it.
-    /// `counts` tells whether the block counts, and whether the blocks before it do.
+    /// Counts a block. `planes` holds the samples of each channel minus its reference; the first `past` of
+    /// them precede the block. `counts` tells whether the block counts, and whether the blocks before it do.
     pub(super) fn add(
         &mut self,
         (counts, earlier): (bool, bool),
-        block: &[f32],
-        before: &[f32],
-        reference: &[f32],
+        planes: &[Vec<f32>],
+        past: usize,
     ) {
         if !earlier {
             self.counts.fill(0);
@@ -42,17 +40,14 @@ impl Histograms {
         if !counts {
             return;
         }
-        let channels = self.channels;
-        for (c, bins) in self.counts.chunks_exact_mut(3 * BINS).enumerate() {
-            let mut last = before.len().checked_sub(channels).map(|at| before[at + c]);
-            for &x in block.iter().skip(c).step_by(channels) {
-                let value = x - reference[c];
-                let bin = bin_of(value.abs());
-                bins[if value < 0.0 { BINS - 1 - bin } else { BINS + bin }] += 1;
-                if let Some(last) = last {
-                    bins[2 * BINS + bin_of((x - last).abs())] += 1;
-                }
-                last = Some(x);
+        for (bins, plane) in self.counts.chunks_exact_mut(3 * BINS).zip(planes) {
+            let (values, steps) = bins.split_at_mut(2 * BINS);
+            for x in &plane[past..] {
+                let bin = bin_of(x.abs());
+                values[if *x < 0.0 { BINS - 1 - bin } else { BINS + bin }] += 1;
+            }
+            for two in plane[past.saturating_sub(1)..].windows(2) {
+                steps[bin_of((two[1] - two[0]).abs())] += 1;
             }
         }
     }
@@ -116,13 +111,12 @@ mod tests {
 
     #[test]
     fn quantiles_are_those_of_the_sorted_values_and_steps() {
-        let series: Vec<f32> = (0..2000).map(|i| (i as f32 * 0.377).sin() * 3.0 + 7.0).collect();
+        let series: Vec<f32> = (0..2000).map(|i| (i as f32 * 0.377).sin() * 3.0 - 0.1).collect();
         let mut histograms = Histograms::new(1);
-        let (first, second) = series.split_at(700);
-        histograms.add((true, true), first, &[], &[7.1]);
-        histograms.add((true, true), second, first, &[7.1]);
+        histograms.add((true, true), &[series[..700].to_vec()], 0);
+        histograms.add((true, true), &[series[697..].to_vec()], 3);
         let found = histograms.quantiles();
-        let mut values: Vec<f32> = series.iter().map(|x| x - 7.1).collect();
+        let mut values = series.clone();
         let mut steps: Vec<f32> = series.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
         values.sort_by(f32::total_cmp);
         steps.sort_by(f32::total_cmp);
@@ -132,15 +126,15 @@ mod tests {
             let step = steps[(share * 1999.0) as usize];
             assert!((found[QUANTILES + k] - step).abs() < 0.05, "{share}: step");
         }
-        histograms.add((true, false), &[2.0, 2.0], &[2.0], &[2.0]);
+        histograms.add((true, false), &[vec![0.0; 3]], 1);
         assert_eq!(histograms.quantiles()[QUANTILES + 3], edge(1) / 2.0, "only the last block");
     }
 
     #[test]
     fn any_finite_value_has_a_bin() {
         let mut histograms = Histograms::new(2);
-        let block = [0.0, f32::MAX, -0.0, f32::MIN, 1e-38, -1e-30];
-        histograms.add((true, true), &block, &[], &[0.0; 2]);
+        let planes = [vec![0.0, -0.0, 1e-38], vec![f32::MAX, f32::MIN, -1e-30]];
+        histograms.add((true, true), &planes, 0);
         assert!(histograms.quantiles().iter().all(|x| x.is_finite()));
         assert!(Histograms::new(1).quantiles().iter().all(|x| *x == 0.0));
     }

@@ -24,6 +24,7 @@ use crate::trial::Image;
 
 pub(super) const CHANNELS: usize = 3;
 const SIDE: usize = 64;
+const HALF: usize = SIDE / 2;
 const HOP: usize = SIDE / 2;
 /// Number of tiles in a column of tiles, and in a row.
 const TILES: [usize; 2] = [(Image::ROWS - SIDE) / HOP + 1, (Image::COLS - SIDE) / HOP + 1];
@@ -75,11 +76,10 @@ pub struct PixelStatistics {
 
 impl PictureTiles {
     pub fn new(image: &Image) -> Self {
-        let mut planes = planes(image);
-        let reference = planes.each_ref().map(|plane| (sum(plane) / plane.len() as f64) as f32);
-        for (plane, mean) in planes.iter_mut().zip(reference) {
-            plane.iter_mut().for_each(|x| *x -= mean);
-        }
+        let (pixels, _) = image.rgb().as_chunks();
+        let reference = means(pixels);
+        let mut planes = reference.map(|_| vec![0.0; pixels.len()]);
+        fill_planes(pixels, reference, &mut planes);
         let rows: Vec<Vec<f32>> =
             (0..TILES[0]).into_par_iter().map(|row| tile_row(&planes, row)).collect();
         let quarters = (0..4).into_par_iter().map(|q| PixelSums::new(&planes, q)).collect();
@@ -88,7 +88,7 @@ impl PictureTiles {
 
     /// Number of values of one tile: the bands of all channels.
     pub fn width() -> usize {
-        CHANNELS * rings().count
+        CHANNELS * rings().bands.len()
     }
 
     /// Histograms of ln power of all tiles, or of the tiles within one of the four quarters.
@@ -126,20 +126,47 @@ fn pixels_of(quarter: usize) -> (Range<usize>, Range<usize>) {
     (half(Image::ROWS, quarter / 2 % 2 == 1), half(Image::COLS, quarter % 2 == 1))
 }
 
-/// The three channels of a picture, each row by row.
-fn planes(image: &Image) -> [Vec<f32>; CHANNELS] {
-    const UNIT: f32 = 1.0 / 255.0;
-    let (pixels, _) = image.rgb().as_chunks::<3>();
-    let mut planes = [(); CHANNELS].map(|()| vec![0.0; pixels.len()]);
-    let [brightness, red_green, yellow_blue] = &mut planes;
-    let slots = brightness.iter_mut().zip(red_green).zip(yellow_blue);
-    for (pixel, ((brightness, red_green), yellow_blue)) in pixels.iter().zip(slots) {
-        let [r, g, b] = pixel.map(|x| f32::from(x) * UNIT);
-        *brightness = (r + g + b) * (1.0 / 3.0);
-        *red_green = r - g;
-        *yellow_blue = (r + g) * 0.5 - b;
+/// Brightness, R − G and (R+G)/2 − B of a pixel.
+#[inline(always)]
+fn channels(r: f32, g: f32, b: f32) -> (f32, f32, f32) {
+    ((r + g + b) * (1.0 / 3.0), r - g, (r + g) * 0.5 - b)
+}
+
+/// The mean of each channel of some pixels.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn means(pixels: &[[u8; 3]]) -> [f32; CHANNELS] {
+    let mut sums = [0u64; 3];
+    // So few that their sum fits into 32 bits.
+    for chunk in pixels.chunks(4096) {
+        let (mut r, mut g, mut b) = (0u32, 0u32, 0u32);
+        for i in 0..chunk.len() {
+            r += u32::from(chunk[i][0]);
+            g += u32::from(chunk[i][1]);
+            b += u32::from(chunk[i][2]);
+        }
+        sums[0] += u64::from(r);
+        sums[1] += u64::from(g);
+        sums[2] += u64::from(b);
     }
-    planes
+    let [r, g, b] = sums.map(|sum| (sum as f64 / (255.0 * pixels.len() as f64)) as f32);
+    channels(r, g, b).into()
+}
+
+/// Writes the channels of some pixels minus `reference`, each in a list of its own.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn fill_planes(pixels: &[[u8; 3]], reference: [f32; CHANNELS], planes: &mut [Vec<f32>; CHANNELS]) {
+    const UNIT: f32 = 1.0 / 255.0;
+    let [first, second, third] = planes;
+    let (first, second) = (&mut first[..pixels.len()], &mut second[..pixels.len()]);
+    let third = &mut third[..pixels.len()];
+    for i in 0..pixels.len() {
+        let [r, g, b] = pixels[i];
+        let (r, g, b) = (f32::from(r) * UNIT, f32::from(g) * UNIT, f32::from(b) * UNIT);
+        let (x, y, z) = channels(r, g, b);
+        first[i] = x - reference[0];
+        second[i] = y - reference[1];
+        third[i] = z - reference[2];
+    }
 }
 
 impl PixelSums {
@@ -270,13 +297,10 @@ fn add_products(rows: &[&[f32]], lanes: &mut Lanes) {
     }
 }
 
-/// The band of each bin of a transformed tile.
+/// The bands of a transformed tile.
 struct Rings {
-    /// Row, column and band of each bin in the upper half plane that belongs to a band.
-    bins: Vec<(usize, usize, usize)>,
-    sizes: Vec<f32>,
-    /// Number of bands with at least one bin.
-    count: usize,
+    /// For each band with at least one bin, the places of its bins in [`pair_powers`].
+    bands: Vec<Vec<usize>>,
     window: Vec<f32>,
     /// Factor from |X|² to power: 2/(N·Σw²).
     scale: f32,
@@ -292,7 +316,7 @@ impl Rings {
     fn new() -> Self {
         let half = SIDE as i32 / 2;
         let (from, to) = RADII;
-        let mut bins = Vec::new();
+        let mut bands = vec![Vec::new(); RINGS * DIRECTIONS];
         for fy in 0..half {
             for fx in 1 - half..half {
                 let radius = f64::from(fx * fx + fy * fy).sqrt();
@@ -302,25 +326,15 @@ impl Rings {
                 let ring = ((radius / from).ln() / (to / from).ln() * RINGS as f64) as usize;
                 let angle = f64::from(fy).atan2(f64::from(fx)) / std::f64::consts::PI;
                 let direction = (angle * DIRECTIONS as f64).round() as usize % DIRECTIONS;
-                let place = |f: i32| f.rem_euclid(SIDE as i32) as usize;
-                bins.push((place(fy), place(fx), ring * DIRECTIONS + direction));
+                let row = fx.rem_euclid(SIDE as i32) as usize;
+                bands[ring * DIRECTIONS + direction].push(row * HALF + fy as usize);
             }
         }
-        let mut used: Vec<usize> = bins.iter().map(|bin| bin.2).collect();
-        used.sort_unstable();
-        used.dedup();
-        let mut sizes = vec![0.0; used.len()];
-        for bin in &mut bins {
-            // Always found, since `used` holds the band of every bin.
-            bin.2 = used.binary_search(&bin.2).unwrap_or(0);
-            sizes[bin.2] += 1.0;
-        }
+        bands.retain(|bins| !bins.is_empty());
         let hann = |n: usize| 0.5 - 0.5 * (std::f64::consts::TAU * n as f64 / SIDE as f64).cos();
         let power: f64 = (0..SIDE).map(|n| hann(n).powi(2)).sum();
         Self {
-            bins,
-            count: used.len(),
-            sizes,
+            bands,
             window: (0..SIDE).map(|n| hann(n) as f32).collect(),
             scale: (2.0 / ((SIDE * SIDE) as f64 * power * power)) as f32,
             plan: FftPlanner::new().plan_fft_forward(SIDE),
@@ -336,21 +350,50 @@ impl Rings {
             }
         }
         self.plan.process_with_scratch(pair, scratch);
-        let mut powers = [vec![0f32; self.count], vec![0f32; self.count]];
-        for &(row, column, band) in &self.bins {
-            // Rows and columns have been swapped.
-            let here = pair[column * SIDE + row];
-            let there = pair[(SIDE - column) % SIDE * SIDE + (SIDE - row) % SIDE].conj();
-            powers[0][band] += 0.25 * (here + there).norm_sqr();
-            powers[1][band] += 0.25 * (here - there).norm_sqr();
-        }
-        for power in &mut powers {
-            for (power, size) in power.iter_mut().zip(&self.sizes) {
-                *power = (*power * self.scale / size + POWER_FLOOR).ln();
-            }
-        }
-        powers
+        let powers = pair_powers(pair);
+        powers.map(|of_tile| {
+            let ln_power = |bins: &Vec<usize>| {
+                (sum_of(&of_tile, bins) * self.scale / bins.len() as f32 + POWER_FLOOR).ln()
+            };
+            self.bands.iter().map(ln_power).collect()
+        })
     }
+}
+
+/// The sum of the values at some places, by four sums, so that no addition waits for the one before.
+fn sum_of(values: &[f32], places: &[usize]) -> f32 {
+    let (chunks, rest) = places.as_chunks::<4>();
+    let mut lanes = [0f32; 4];
+    for chunk in chunks {
+        for lane in 0..4 {
+            lanes[lane] += values[chunk[lane]];
+        }
+    }
+    lanes.iter().sum::<f32>() + rest.iter().map(|place| values[*place]).sum::<f32>()
+}
+
+/// |X|² of the bins of two real tiles that were transformed as the real and imaginary parts of `pair`, whose
+/// rows and columns are swapped: rows of [`HALF`] bins with vertical frequencies from 0.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn pair_powers(pair: &[Complex<f32>]) -> [Vec<f32>; 2] {
+    let [mut first, mut second] = [vec![0f32; SIDE * HALF], vec![0f32; SIDE * HALF]];
+    let (first_rows, _) = first.as_chunks_mut::<HALF>();
+    let (second_rows, _) = second.as_chunks_mut::<HALF>();
+    let (rows, _) = pair.as_chunks::<SIDE>();
+    for row in 0..SIDE {
+        let (here, mirrored) = (&rows[row], &rows[(SIDE - row) % SIDE]);
+        let mut there = [mirrored[0]; HALF];
+        for i in 1..HALF {
+            there[i] = mirrored[SIDE - i];
+        }
+        for i in 0..HALF {
+            let (a, b) = (here[i].re + there[i].re, here[i].im - there[i].im);
+            let (c, d) = (here[i].re - there[i].re, here[i].im + there[i].im);
+            first_rows[row][i] = 0.25 * (a * a + b * b);
+            second_rows[row][i] = 0.25 * (c * c + d * d);
+        }
+    }
+    [first, second]
 }
 
 /// Writes two tiles, without their means and windowed, as the real and imaginary parts of `pair`. A tile
@@ -421,10 +464,11 @@ mod tests {
             [(128.0 + 60.0 * phase.sin()).round() as u8; 3]
         });
         let values = stripes.tiles.part(PictureTiles::width(), 0..1);
-        let brightest = (0..rings().count).max_by(|&a, &b| values[a].total_cmp(&values[b]));
-        let (_, _, band) = rings().bins.iter().find(|bin| (bin.0, bin.1) == (0, 8)).unwrap();
-        assert_eq!(brightest, Some(*band));
-        assert!(values[rings().count..].iter().all(|x| *x < -20.0), "grey has no colour");
+        let bands = &rings().bands;
+        let brightest = (0..bands.len()).max_by(|&a, &b| values[a].total_cmp(&values[b]));
+        let band = bands.iter().position(|bins| bins.contains(&(8 * HALF)));
+        assert_eq!(brightest, band);
+        assert!(values[bands.len()..].iter().all(|x| *x < -20.0), "grey has no colour");
     }
 
     #[test]

@@ -10,12 +10,16 @@
 use std::borrow::Cow;
 use std::cell::RefCell;
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 use multiversion::multiversion;
 use rayon::prelude::*;
-use realfft::num_complex::Complex;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use realfft::{ComplexToReal, RealFftPlanner};
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+
+use crate::trial::less;
 
 /// Added to the power of each band, so that the logarithm of a silent band is finite.
 const POWER_FLOOR: f32 = 1e-14;
@@ -106,10 +110,10 @@ impl FrameView {
         }
         let mut padded = vec![0.0; self.points * channels];
         for c in 0..channels {
-            let of_channel = of_channel(samples, c, channels);
-            let mean = mean(&of_channel);
+            let own = less(samples, (channels, c), 0.0);
+            let mean = mean(&own);
             let slots = padded.iter_mut().skip(c).step_by(channels);
-            slots.zip(&of_channel).for_each(|(slot, x)| *slot = x - mean);
+            slots.zip(&own).for_each(|(slot, x)| *slot = x - mean);
         }
         self.whole_frames(&padded)
     }
@@ -140,7 +144,7 @@ impl FrameView {
         // Each channel in one piece, since every sample is read twice.
         let planes: Vec<Cow<'_, [f32]>> = match channels {
             1 => vec![samples.into()],
-            _ => (0..channels).map(|c| of_channel(samples, c, channels).into()).collect(),
+            _ => (0..channels).map(|c| less(samples, (channels, c), 0.0).into()).collect(),
         };
         let task = |task: usize, rows: &mut [f32], parts: &mut [f32]| {
             WORKSPACES.with_borrow_mut(|all| {
@@ -205,13 +209,21 @@ fn band_edges(points: usize, rate_hz: f64, band_hz: (f64, f64), bands: usize) ->
 }
 
 /// An FFT plan and its buffers. Each thread has its own.
+///
+/// A frame is transformed as half as many complex numbers: even samples are their real parts, odd ones the
+/// imaginary. Only the bins that are asked for are then told apart.
 struct Workspace {
-    plan: Arc<dyn RealToComplex<f32>>,
+    /// The transform of L/2 complex numbers.
+    plan: Arc<dyn Fft<f32>>,
     window: Vec<f32>,
+    /// −i/2·e^(−2πik/L) of each bin k.
+    turns: Vec<Complex<f32>>,
     /// Factor from |X|² to power: 2/(L·Σw²).
     scale: f32,
-    input: Vec<f32>,
-    output: Vec<Complex<f32>>,
+    /// The transformed numbers, and the first once more.
+    half: Vec<Complex<f32>>,
+    /// The bins, as far as asked for.
+    bins: Vec<Complex<f32>>,
     scratch: Vec<Complex<f32>>,
     /// The transform back to a number of samples, made when first needed.
     back: HashMap<usize, Arc<dyn ComplexToReal<f32>>>,
@@ -223,16 +235,18 @@ thread_local! {
 
 impl Workspace {
     fn new(points: usize) -> Self {
-        let plan = RealFftPlanner::<f32>::new().plan_fft_forward(points);
-        let hann =
-            |n: usize| 0.5 - 0.5 * (2.0 * std::f64::consts::PI * n as f64 / points as f64).cos();
+        let plan = FftPlanner::<f32>::new().plan_fft_forward(points / 2);
+        let angle = |n: usize| 2.0 * std::f64::consts::PI * n as f64 / points as f64;
+        let hann = |n: usize| 0.5 - 0.5 * angle(n).cos();
         let power: f64 = (0..points).map(|n| hann(n).powi(2)).sum();
+        let turn = |k| Complex::new((-0.5 * angle(k).sin()) as f32, (-0.5 * angle(k).cos()) as f32);
         Self {
             window: (0..points).map(|n| hann(n) as f32).collect(),
+            turns: (0..=points / 2).map(turn).collect(),
             scale: (2.0 / (points as f64 * power)) as f32,
-            input: plan.make_input_vec(),
-            output: plan.make_output_vec(),
-            scratch: plan.make_scratch_vec(),
+            half: vec![Complex::default(); points / 2 + 1],
+            bins: vec![Complex::default(); points / 2 + 1],
+            scratch: vec![Complex::default(); plan.get_inplace_scratch_len()],
             back: HashMap::new(),
             plan,
         }
@@ -247,16 +261,16 @@ impl Workspace {
         row: &mut [f32],
         part: &mut [f32],
     ) {
+        let within = view.edges[0]..view.edges[view.edges.len() - 1];
         let channels = row.chunks_exact_mut(view.bands()).zip(samples);
         for (channel, (bands, samples)) in channels.enumerate() {
-            self.input.copy_from_slice(samples);
-            let mean = windowed(&mut self.input, &self.window);
-            self.plan
-                .process_with_scratch(&mut self.input, &mut self.output, &mut self.scratch)
-                // Fails only if a buffer has another length.
-                .expect("buffers of the plan's own lengths");
+            let last = self.half.len() - 1;
+            let mean = windowed(samples, &self.window, &mut self.half[..last]);
+            self.plan.process_with_scratch(&mut self.half[..last], &mut self.scratch);
+            self.half[last] = self.half[0];
+            tell_apart(&self.half, &self.turns, within.clone(), &mut self.bins);
             for (band, slot) in bands.iter_mut().enumerate() {
-                let bins = &self.output[view.edges[band]..view.edges[band + 1]];
+                let bins = &self.bins[view.edges[band]..view.edges[band + 1]];
                 let power = power(bins);
                 // Samples far above full scale must not give infinite values.
                 *slot = (power * self.scale / bins.len() as f32).min(f32::MAX);
@@ -268,7 +282,7 @@ impl Workspace {
         }
     }
 
-    /// Writes the samples of one channel within the bands, from the spectrum in `output` and the mean of
+    /// Writes the samples of one channel within the bands, from the spectrum in `bins` and the mean of
     /// the frame.
     fn pass_back(&mut self, view: &FrameView, mean: f32, part: &mut [f32], channel: usize) {
         let points = part.len() / view.channels;
@@ -277,7 +291,7 @@ impl Workspace {
         let mut bins = plan.make_input_vec();
         let (first, end) = (view.edges[0], view.edges[view.edges.len() - 1].min(bins.len()));
         let scale = 1.0 / view.points as f32;
-        let within = bins[first..end].iter_mut().zip(&self.output[first..end]);
+        let within = bins[first..end].iter_mut().zip(&self.bins[first..end]);
         within.for_each(|(bin, x)| *bin = x * scale);
         // The transform of real samples has real ends.
         bins[0].im = 0.0;
@@ -293,28 +307,47 @@ impl Workspace {
     }
 }
 
-/// One channel of interleaved samples.
-fn of_channel(samples: &[f32], channel: usize, channels: usize) -> Vec<f32> {
-    samples.iter().skip(channel).step_by(channels).copied().collect()
-}
-
-/// Subtracts the mean of a frame, which is given, and multiplies the frame by a window.
+/// Subtracts the mean of a frame, which is given, and multiplies the frame by a window. Even samples become
+/// real parts, odd ones imaginary parts.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-fn windowed(frame: &mut [f32], window: &[f32]) -> f32 {
-    let mean = mean(frame);
-    for i in 0..frame.len().min(window.len()) {
-        frame[i] = (frame[i] - mean) * window[i];
+fn windowed(samples: &[f32], window: &[f32], half: &mut [Complex<f32>]) -> f32 {
+    let mean = mean(samples);
+    let ((samples, _), (window, _)) = (samples.as_chunks::<2>(), window.as_chunks::<2>());
+    for i in 0..half.len().min(samples.len()).min(window.len()) {
+        half[i].re = (samples[i][0] - mean) * window[i][0];
+        half[i].im = (samples[i][1] - mean) * window[i][1];
     }
     mean
 }
 
-/// Σ |X|², by four sums, so that no addition waits for the one before.
+/// The bins `within` of the transform of real samples, from that of pairs of them: with Z of the pairs, Z* its
+/// conjugate and `turns` as in [`Workspace`], X_k = (Z_k + Z*_(L/2−k))/2 + turn_k·(Z_k − Z*_(L/2−k)).
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn tell_apart(
+    half: &[Complex<f32>],
+    turns: &[Complex<f32>],
+    within: Range<usize>,
+    bins: &mut [Complex<f32>],
+) {
+    let mirrored = &half[half.len() - within.end..half.len() - within.start];
+    let (half, turns) = (&half[within.clone()], &turns[within.clone()]);
+    let bins = &mut bins[within];
+    let count = bins.len().min(half.len()).min(turns.len()).min(mirrored.len());
+    for k in 0..count {
+        let (here, there, turn) = (half[k], mirrored[count - 1 - k], turns[k]);
+        let (re, im) = (here.re - there.re, here.im + there.im);
+        bins[k].re = 0.5 * (here.re + there.re) + turn.re * re - turn.im * im;
+        bins[k].im = 0.5 * (here.im - there.im) + turn.re * im + turn.im * re;
+    }
+}
+
+/// Σ |X|², by eight sums, so that no addition waits for the one before.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 fn power(bins: &[Complex<f32>]) -> f32 {
-    let (chunks, rest) = bins.as_chunks::<4>();
-    let mut lanes = [0f32; 4];
+    let (chunks, rest) = bins.as_chunks::<8>();
+    let mut lanes = [0f32; 8];
     for chunk in chunks {
-        for lane in 0..4 {
+        for lane in 0..8 {
             lanes[lane] += chunk[lane].norm_sqr();
         }
     }
@@ -447,6 +480,33 @@ mod tests {
             .sum();
         // Mean square of the windowed sine over that of the window: 0.1²/2.
         assert!((power / 0.005 - 1.0).abs() < 1e-3, "{power}");
+    }
+
+    #[test]
+    fn bins_are_those_of_the_transform_by_its_definition() {
+        for points in [4, 32] {
+            let samples: Vec<f32> =
+                (0..points).map(|i| ((i * i) as f32 * 0.7).sin() + 0.3).collect();
+            let mut workspace = Workspace::new(points);
+            let last = points / 2;
+            let mean = windowed(&samples, &workspace.window, &mut workspace.half[..last]);
+            workspace.plan.process(&mut workspace.half[..last]);
+            workspace.half[last] = workspace.half[0];
+            let Workspace { half, turns, bins, window, .. } = &mut workspace;
+            for within in [0..last + 1, 1..last] {
+                bins.fill(Complex::default());
+                tell_apart(half, turns, within.clone(), bins);
+                for k in 0..=last {
+                    let term = |n: usize| {
+                        let angle = std::f32::consts::TAU * (n * k % points) as f32 / points as f32;
+                        Complex::from_polar((samples[n] - mean) * window[n], -angle)
+                    };
+                    let exact: Complex<f32> = (0..points).map(term).sum();
+                    let wanted = if within.contains(&k) { exact } else { Complex::default() };
+                    assert!((bins[k] - wanted).norm() < 1e-5, "{k} of {points}");
+                }
+            }
+        }
     }
 
     #[test]
