@@ -3,8 +3,6 @@
 //! Of each series, some windows are taken, chosen by their content, so that two recordings choose the
 //! same windows of what they share (Broder 1997, "On the resemblance and containment of documents").
 
-use std::collections::HashMap;
-
 use multiversion::multiversion;
 
 use super::{Series, Signal, is_plain};
@@ -21,7 +19,10 @@ const LEAST_BITS: f64 = 120.0;
 /// The same in series that are equal from begin to end: a library has fewer than 2^35 pairs of series.
 const LEAST_BITS_OF_ALL: f64 = 60.0;
 /// Steps are compared in this part of their range, so that a ramp has steps of one size.
-const STEP: f32 = 1.0 / 1024.0;
+const STEP: f32 = 1.0 / SIZES as f32;
+const SIZES: usize = 1024;
+/// Frames that are hashed together.
+const CHUNK: usize = 4096;
 /// Frames of a run that are looked at for its information.
 const ENOUGH_FRAMES: usize = 4096;
 
@@ -41,20 +42,36 @@ impl Fingerprints {
     pub(crate) fn of(signal: &Signal, most: usize) -> Self {
         match signal {
             Signal::Image(image) => {
-                let word = |hash: u64, bytes: &[u8]| {
+                let word = |bytes: &[u8]| {
                     let mut word = [0; 8];
                     word[..bytes.len()].copy_from_slice(bytes);
-                    mixed(hash, u64::from_le_bytes(word))
+                    u64::from_le_bytes(word)
                 };
-                let whole = || image.rgb().chunks(8).fold(0, word);
+                let words: Vec<u64> = (image.rgb().chunks(8).map(word)).collect();
+                let whole = || of_all(&words);
                 Self { whole: (!is_plain(image)).then(whole), windows: Vec::new() }
             }
             Signal::Series(series) => {
-                let mut frames = vec![0; series.frames()];
-                hash_frames(series.samples(), series.channels(), &mut frames);
-                let whole = || of_all(&frames);
-                let whole = tells(series, 0, frames.len()).then(whole);
-                Self { whole, windows: windows(&frames, most) }
+                let (samples, channels) = (series.samples(), series.channels());
+                let frames = series.frames();
+                // Hashes are spread evenly, so this leaves four times as many as are kept.
+                let below = (u64::MAX / frames as u64).saturating_mul(4 * most as u64);
+                let (mut whole, mut found, mut hashes) = (frames as u64, Vec::new(), Vec::new());
+                for begin in (0..frames).step_by(CHUNK) {
+                    let first = begin.saturating_sub(1);
+                    let end = (begin + CHUNK + WINDOW - 1).min(frames);
+                    hashes.clear();
+                    hashes.resize(end - first, 0);
+                    hash_frames(&samples[first * channels..end * channels], channels, &mut hashes);
+                    let own = &hashes[begin - first..];
+                    whole = mixed(whole, of_all(&own[..own.len().min(CHUNK)]));
+                    let windows = windows(&hashes, begin - first, below);
+                    found.extend(windows.into_iter().map(|(hash, at)| (hash, first + at)));
+                }
+                Self {
+                    whole: tells(series, 0, frames).then_some(whole),
+                    windows: smallest(found, most),
+                }
             }
         }
     }
@@ -87,21 +104,26 @@ fn of_all(hashes: &[u64]) -> u64 {
     lanes.iter().chain(rest).fold(hashes.len() as u64, |hash, x| mixed(hash, *x))
 }
 
-/// The smallest hashes of windows of the frames with these hashes. The hash of a window is the exclusive or
-/// of its frames' hashes, each rotated by its place.
-fn windows(frames: &[u64], most: usize) -> Vec<(u64, usize)> {
-    // Hashes are spread evenly, so this leaves four times as many as are kept.
-    let below = (u64::MAX / frames.len().max(1) as u64).saturating_mul(4 * most as u64);
+/// The windows that begin at frame `first` or later and have hashes up to `below`: their hashes, and the
+/// frames where they begin. The hash of a window is the exclusive or of its frames' hashes, each rotated
+/// by its place.
+fn windows(frames: &[u64], first: usize, below: u64) -> Vec<(u64, usize)> {
     let add = |hash: u64, frame: &u64| hash.rotate_left(1) ^ frame;
-    let (mut hash, mut gone) = (frames.iter().take(WINDOW - 1).fold(0, add), 0);
+    let (mut hash, mut gone) = (frames.iter().skip(first).take(WINDOW - 1).fold(0, add), 0);
     let mut found = Vec::new();
-    for (begin, window) in frames.windows(WINDOW).enumerate() {
+    for (at, window) in frames[first..].windows(WINDOW).enumerate() {
         hash = add(hash, &window[WINDOW - 1]) ^ gone;
         gone = window[0].rotate_left(WINDOW as u32);
+        let begin = first + at;
         if hash <= below && is_lively(&frames[begin.saturating_sub(1)..begin + WINDOW]) {
             found.push((hash, begin));
         }
     }
+    found
+}
+
+/// The smallest hashes, at most this many, sorted.
+fn smallest(mut found: Vec<(u64, usize)>, most: usize) -> Vec<(u64, usize)> {
     if found.len() > most {
         found.select_nth_unstable(most);
         found.truncate(most);
@@ -137,13 +159,16 @@ pub(crate) fn tells(series: &Series, begin: usize, frames: usize) -> bool {
         if !(grain > 0.0 && grain.is_finite()) {
             return 0.0;
         }
-        let mut sizes: HashMap<i32, usize> = HashMap::new();
+        // No step is larger than the range.
+        let mut counts = [0usize; 2 * SIZES + 1];
         for step in values.windows(2) {
-            *sizes.entry(((step[1] - step[0]) / grain).round() as i32).or_default() += 1;
+            let size = ((step[1] - step[0]) / grain).round() + SIZES as f32;
+            counts[(size as usize).min(2 * SIZES)] += 1;
         }
         let steps = (values.len() - 1) as f64;
-        let equal: f64 = sizes.values().map(|&count| (count as f64 / steps).powi(2)).sum();
-        if sizes.len() >= LEAST_SIZES { -equal.log2() * steps } else { 0.0 }
+        let sizes = counts.iter().filter(|count| **count > 0);
+        let equal: f64 = sizes.clone().map(|&count| (count as f64 / steps).powi(2)).sum();
+        if sizes.count() >= LEAST_SIZES { -equal.log2() * steps } else { 0.0 }
     };
     if frames < series.frames() {
         return (0..channels).any(|channel| bits(channel) >= LEAST_BITS);

@@ -200,7 +200,10 @@ impl Series {
         if !samples.len().is_multiple_of(channels) {
             return Err(SignalError::Ragged { len: samples.len(), channels });
         }
-        if let Some(at) = samples.iter().position(|x| !x.is_finite()) {
+        // Almost always all are, and this way several are looked at together.
+        let are_finite = samples.iter().fold(true, |all, x| all & x.is_finite());
+        let first_other = || samples.iter().position(|x| !x.is_finite());
+        if let Some(at) = (!are_finite).then(first_other).flatten() {
             let (frame, channel) = (at / channels + 1, at % channels + 1);
             return Err(SignalError::NotFinite { channel, frame, value: samples[at] });
         }

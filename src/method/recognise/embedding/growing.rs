@@ -102,19 +102,14 @@ impl Growing {
             true => PackedFrames::default(),
             false => PackedFrames::new(&self.views.frames[number].frames(&self.pending[number])),
         };
-        let moments = match &self.passed {
-            None => self.moments.so_far(),
-            Some(passed) => {
-                let rest = match self.begun[0] {
-                    true => passed.edge(),
-                    false => passed::short(&self.views.frames[0], &self.pending[0]),
-                };
-                let mut moments = self.moments.clone();
-                moments.extend(&rest);
-                moments.so_far()
-            }
-        };
+        let mut moments = self.moments.clone();
+        if let Some(passed) = &self.passed {
+            moments.extend(&match self.begun[0] {
+                true => passed.edge(),
+                false => passed::short(&self.views.frames[0], &self.pending[0]),
+            });
+        }
         let places = self.places.as_ref().map(GrowingPlaces::means).unwrap_or_default();
-        Piece { frames: [0, 1].map(padded), moments, places }
+        Piece { frames: [0, 1].map(padded), moments: moments.ended(), places }
     }
 }

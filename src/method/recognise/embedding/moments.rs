@@ -258,18 +258,21 @@ impl GrowingMoments {
         self.pending = blocks.remainder().to_vec();
     }
 
-    pub(super) fn so_far(&self) -> Moments {
-        let channels = self.sums.channels;
-        let reference = self.reference.clone().unwrap_or_else(|| means(&self.pending, channels));
-        let (mut sums, mut histograms) = (self.sums.clone(), self.histograms.clone());
+    /// The moments of the samples so far, if the series ends here.
+    pub(super) fn ended(mut self) -> Moments {
+        let reference = match self.reference.take() {
+            Some(reference) => reference,
+            None => means(&self.pending, self.sums.channels),
+        };
         if !self.pending.is_empty() {
             let planes = planes(&self.pending, &self.before, &reference);
-            let past = self.before.len() / channels;
-            histograms.add(sums.add(&block_sums(&planes, past)), &planes, past);
+            let past = self.before.len() / self.sums.channels;
+            let counts = self.sums.add(&block_sums(&planes, past));
+            self.histograms.add(counts, &planes, past);
         }
         Moments {
-            sums: sums.values.iter().copied().map(held).collect(),
-            quantiles: histograms.quantiles(),
+            sums: self.sums.values.into_iter().map(held).collect(),
+            quantiles: self.histograms.quantiles(),
             reference,
         }
     }
@@ -356,7 +359,7 @@ mod tests {
     fn whole(channels: usize, block: usize, samples: &[f32]) -> Moments {
         let mut growing = GrowingMoments::new(channels, block);
         growing.extend(samples);
-        growing.so_far()
+        growing.ended()
     }
 
     fn statistics(channels: usize, block: usize, samples: &[f32]) -> Statistics {
@@ -450,7 +453,7 @@ mod tests {
         let samples = series(1000, 3);
         let mut growing = GrowingMoments::new(3, 48);
         samples.chunks(3 * 7).for_each(|piece| growing.extend(piece));
-        assert_eq!(growing.so_far(), whole(3, 48, &samples));
+        assert_eq!(growing.ended(), whole(3, 48, &samples));
     }
 
     #[test]

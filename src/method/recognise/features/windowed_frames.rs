@@ -226,8 +226,11 @@ struct Workspace {
     bins: Vec<Complex<f32>>,
     scratch: Vec<Complex<f32>>,
     /// The transform back to a number of samples, made when first needed.
-    back: HashMap<usize, Arc<dyn ComplexToReal<f32>>>,
+    back: HashMap<usize, Back>,
 }
+
+/// Bins, samples, scratch memory and plan of a transform back.
+type Back = (Vec<Complex<f32>>, Vec<f32>, Vec<Complex<f32>>, Arc<dyn ComplexToReal<f32>>);
 
 thread_local! {
     static WORKSPACES: RefCell<HashMap<usize, Workspace>> = RefCell::new(HashMap::new());
@@ -286,24 +289,27 @@ impl Workspace {
     /// the frame.
     fn pass_back(&mut self, view: &FrameView, mean: f32, part: &mut [f32], channel: usize) {
         let points = part.len() / view.channels;
-        let plan = self.back.entry(points);
-        let plan = plan.or_insert_with(|| RealFftPlanner::new().plan_fft_inverse(points));
-        let mut bins = plan.make_input_vec();
+        let back = self.back.entry(points).or_insert_with(|| {
+            let plan = RealFftPlanner::new().plan_fft_inverse(points);
+            (plan.make_input_vec(), plan.make_output_vec(), plan.make_scratch_vec(), plan)
+        });
+        let (bins, samples, scratch, plan) = back;
         let (first, end) = (view.edges[0], view.edges[view.edges.len() - 1].min(bins.len()));
         let scale = 1.0 / view.points as f32;
+        bins.fill(Complex::default());
         let within = bins[first..end].iter_mut().zip(&self.bins[first..end]);
         within.for_each(|(bin, x)| *bin = x * scale);
         // The transform of real samples has real ends.
         bins[0].im = 0.0;
         bins[points / 2].im = 0.0;
-        let mut samples = plan.make_output_vec();
-        // Fails only if a buffer has another length.
-        plan.process(&mut bins, &mut samples).expect("buffers of the plan's own lengths");
+        plan.process_with_scratch(bins, samples, scratch)
+            // Fails only if a buffer has another length.
+            .expect("buffers of the plan's own lengths");
         let mean = if view.holds_mean { mean } else { 0.0 };
         let step = view.points / points;
         let slots = part[channel..].iter_mut().step_by(view.channels);
         let window = self.window.iter().step_by(step);
-        slots.zip(&samples).zip(window).for_each(|((slot, x), w)| *slot = x + mean * w);
+        slots.zip(samples.iter()).zip(window).for_each(|((slot, x), w)| *slot = x + mean * w);
     }
 }
 
