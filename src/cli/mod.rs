@@ -123,6 +123,7 @@ commands! {
 const DAMAGED: u8 = 3;
 
 pub fn run() -> ExitCode {
+    surfaced_method::system::keep_freed_memory();
     say::start_log();
     let Cli { command, verbose, strict } = Cli::parse();
     say::be_verbose(verbose);

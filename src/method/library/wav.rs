@@ -34,6 +34,7 @@ fn decode_wav(file: &mut impl Read, data: WavData) -> io::Result<Vec<f32>> {
     let bytes = usize::from(container);
     let logarithmic: Vec<f32> = (0..=255).map(|code| expanded(format, code)).collect();
     let scale = 1.0 / 2f64.powi(i32::from(container) * 8 - 1);
+    let integer = |x: i32| (f64::from(x) * scale) as f32;
     let mut samples = Vec::with_capacity(length as usize / bytes);
     let mut block = [0; BLOCK];
     let mut left = length;
@@ -41,28 +42,24 @@ fn decode_wav(file: &mut impl Read, data: WavData) -> io::Result<Vec<f32>> {
         let block = &mut block[..left.min(BLOCK as u64) as usize];
         file.read_exact(block)?;
         left -= block.len() as u64;
-        samples.extend(block.chunks_exact(bytes).map(|sample| match (format, sample) {
-            (FLOAT, &[a, b, c, d]) => f32::from_le_bytes([a, b, c, d]),
-            (FLOAT, &[a, b, c, d, e, f, g, h]) => {
-                f64::from_le_bytes([a, b, c, d, e, f, g, h]) as f32
-            }
-            (A_LAW | MU_LAW, &[code]) => logarithmic[usize::from(code)],
-            _ => (f64::from(integer(sample)) * scale) as f32,
-        }));
+        let to = &mut samples;
+        match (format, bytes) {
+            (FLOAT, 4) => extend(to, block, f32::from_le_bytes),
+            (FLOAT, 8) => extend(to, block, |x| f64::from_le_bytes(x) as f32),
+            (A_LAW | MU_LAW, 1) => extend(to, block, |[code]| logarithmic[usize::from(code)]),
+            // Unsigned: 128 stands for 0.
+            (_, 1) => extend(to, block, |[x]| integer(i32::from(x) - 128)),
+            (_, 2) => extend(to, block, |x| integer(i16::from_le_bytes(x).into())),
+            (_, 3) => extend(to, block, |[a, b, c]| integer(i32::from_le_bytes([0, a, b, c]) >> 8)),
+            (_, 4) => extend(to, block, |x| integer(i32::from_le_bytes(x))),
+            _ => unreachable!("`parse_format` lets 1 to 4 bytes pass"),
+        }
     }
     Ok(samples)
 }
 
-/// Converts a sample of 1 to 4 little-endian bytes. A single byte is unsigned: 128 stands for 0.
-#[inline]
-fn integer(sample: &[u8]) -> i32 {
-    match *sample {
-        [a] => i32::from(a) - 128,
-        [a, b] => i16::from_le_bytes([a, b]).into(),
-        [a, b, c] => i32::from_le_bytes([0, a, b, c]) >> 8,
-        [a, b, c, d] => i32::from_le_bytes([a, b, c, d]),
-        _ => unreachable!("`parse_format` lets 1 to 4 bytes pass"),
-    }
+fn extend<const N: usize>(samples: &mut Vec<f32>, bytes: &[u8], sample: impl Fn([u8; N]) -> f32) {
+    samples.extend(bytes.as_chunks().0.iter().map(|bytes| sample(*bytes)));
 }
 
 /// The sample of an A-law or µ-law code (ITU-T G.711), as a fraction of full scale; 0 for other formats.

@@ -83,6 +83,18 @@ impl Drop for Locked {
     }
 }
 
+/// Has glibc's allocator keep freed memory for the next use, up to the limits that it would choose by itself
+/// once a large buffer was freed. Fresh memory for each recording takes some 3 % of a library's processor
+/// time. [`give_back_memory`] returns it.
+pub fn keep_freed_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: `mallopt` takes no pointer, and any thread may call it at any time.
+    unsafe {
+        libc::mallopt(libc::M_MMAP_THRESHOLD, 32 << 20);
+        libc::mallopt(libc::M_TRIM_THRESHOLD, 64 << 20);
+    }
+}
+
 /// Returns freed memory to the system, which the allocator of glibc would keep.
 pub fn give_back_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]

@@ -145,7 +145,8 @@ impl Trained {
             let own = (0..vectors.len()).filter(|&at| labels.group[vectors[at].0] == group);
             let own: Vec<usize> = own.collect();
             let views: Vec<ArrayView1<'_, f32>> = own.iter().map(|&at| vectors[at].1).collect();
-            let answers = without.as_ref().map(|without| without.answers(&views));
+            let without = without.as_ref().filter(|_| !own.is_empty());
+            let answers = without.map(|without| without.answers(&views));
             own.into_iter().zip(answers.unwrap_or_default()).collect::<Vec<_>>()
         };
         self.without.iter().enumerate().flat_map(of_group).collect()
