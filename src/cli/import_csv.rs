@@ -277,8 +277,11 @@ fn understood(args: &CsvArgs, tables: &[PathBuf], bad: &mut Vec<LibraryError>) -
             let found = columns::clock(&head, args.time_unit, args.from_1904).map_err(fail)?;
             let unknown = "the rate is not known: give --rate HZ, or --time COLUMN for a column of \
                            times";
-            let column = found.ok_or_else(|| Failure::usage(unknown))?;
-            Clock::Times { column, unit_s: args.time_unit }
+            match (found, head.layout.rate_hz) {
+                (Some(column), _) => Clock::Times { column, unit_s: args.time_unit },
+                (None, Some(rate_hz)) => Clock::Rate(rate_hz),
+                (None, None) => return Err(Failure::usage(unknown)),
+            }
         }
     };
     head.layout.notes.iter().for_each(|note| say!("{}: {note}", path.display()));

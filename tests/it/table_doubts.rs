@@ -291,6 +291,23 @@ fn lines_that_are_no_rows_are_left_out_and_said() {
     let between =
         lines[..151].join("\n") + "\n# trial 2\nButton pressed!\n" + &lines[151..].join("\n");
     assert_eq!(frames(&between).0, [150, 150], "another trial may begin there");
+    // Four trials below each other, divided by empty lines, comments, or a clock that begins anew.
+    let rows = &lines[1..];
+    let divided = |between: &str| {
+        let parts = rows.chunks(ROWS / 4).map(|part| part.join("\n")).collect::<Vec<_>>();
+        frames(&format!("{}\n{}\n", lines[0], parts.join(between)))
+    };
+    for between in ["\n\n", "\n\n\n", "\n# next\n"] {
+        let (found, told) = divided(between);
+        assert_eq!(found, [ROWS / 4; 4], "{between:?}");
+        says(&told, &["where another trial may begin: 1 trial"]);
+    }
+    let anew = table("time,ax,ay,az\n", |i, cells| {
+        format!("{:.2},{}", 0.01 * (i % (ROWS / 4)) as f64, cells.join(","))
+    });
+    assert_eq!(frames(&anew).0, [ROWS / 4; 4]);
+    let double = lines.join("\n\n");
+    assert_eq!(frames(&double).0, [ROWS], "an empty line after each row divides nothing");
     let (_dir, path) = temp();
     let pauses = table("surface,ax\n", |i, [x, ..]| {
         format!("{},{x}", ["oak", "", "felt"][(i / 100).min(2)])
@@ -309,6 +326,21 @@ fn lines_that_are_no_rows_are_left_out_and_said() {
     let entries = open(&out).unwrap().entries;
     let keys: Vec<String> = entries.iter().map(|entry| entry.key.to_string()).collect();
     assert_eq!(keys, ["felt · anna · trial 1", "oak · anna · trial 1"]);
+}
+
+#[test]
+fn a_start_and_a_rate_above_the_rows_are_read_as_such() {
+    let rows = table("1544027337.0, 1544027337.0\n32.0, 32.0\n", |_, [x, y, _]| format!("{x},{y}"));
+    let imported = import("oak/1.csv", rows.as_bytes(), &[]);
+    says(&imported.said(), &["the first two rows are when it began and its rate, 32 Hz"]);
+    let trial = imported.library().entries[0].load().unwrap();
+    let Signal::Series(series) = &trial.signals["sensor"] else { panic!("no series") };
+    assert_eq!((series.frames(), series.channels(), series.rate_hz()), (ROWS, 2, 32.0));
+    let imported = import("oak/1.csv", rows.as_bytes(), &["--rate", "64"]);
+    says(&imported.said(), &["its second row says 32 Hz, but it would be read at 64 Hz"]);
+    // Values that are times themselves go on.
+    let times = table("", |i, _| format!("{}", 1_544_027_337.5 + i as f64));
+    says(&import("oak/1.csv", times.as_bytes(), &[]).said(), &["error"]);
 }
 
 #[test]

@@ -90,7 +90,12 @@ impl Summary {
         for (what, count, thing, then) in [
             ("repeated times", said.repeated, "row", "; of each time, the last row is used"),
             ("filled in by straight lines", said.filled, "value", "; trial.toml says which"),
-            ("cut at gaps", said.cut, "trial", "; each part is a trial"),
+            (
+                "cut at gaps, or where another trial may begin",
+                said.cut,
+                "trial",
+                "; each part is one",
+            ),
             ("too short between gaps", said.too_short, "part", "; left out"),
             ("text, or cut off", said.no_rows, "line", "; left out"),
             ("without a label", said.unlabelled, "row", "; left out"),

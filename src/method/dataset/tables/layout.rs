@@ -35,6 +35,8 @@ pub struct Layout {
     pub names_at: u64,
     /// Remarks on how the table was understood.
     pub notes: Vec<String>,
+    /// Rows a second, where the lines above the rows say it.
+    pub rate_hz: Option<f64>,
     /// Whether the lines are made of cells with types: without comments and quotes.
     is_typed: bool,
 }
@@ -50,7 +52,8 @@ impl Layout {
         let mut notes = Vec::new();
         distinct(&mut columns, &mut notes);
         let (delimiter, first) = (Self::BETWEEN, 1);
-        Self { delimiter, has_arrows: false, columns, first, names_at: 0, notes, is_typed: true }
+        let (has_arrows, names_at, rate_hz) = (false, 0, None);
+        Self { delimiter, has_arrows, columns, first, names_at, notes, rate_hz, is_typed: true }
     }
 
     /// Finds out the layout from the `head` of a file: its first lines with their numbers.
@@ -122,10 +125,16 @@ impl Layout {
             notes.push("the numbers in the first line are names of the columns".to_string());
             start = 1;
         }
-        let Some(first) = lines.get(start).map(|line| line.number) else {
+        let (above, mut lines) = lines.split_at(start);
+        let rate_hz = start_and_rate(lines, delimiter);
+        if let Some(rate_hz) = rate_hz {
+            notes.push(format!("the first two rows are when it began and its rate, {rate_hz} Hz"));
+            lines = &lines[2..];
+        }
+        let Some(first) = lines.first().map(|line| line.number) else {
             return Err(no_rows(head));
         };
-        let mut names = Names::of(&lines[..start], width, &is_numeric, &lines[start..], delimiter)?;
+        let mut names = Names::of(above, width, &is_numeric, lines, delimiter)?;
         if names.rows.is_empty() {
             let comments = head.iter().filter(|(number, line)| *number < first && is_comment(line));
             names = comments
@@ -139,7 +148,16 @@ impl Layout {
         }
         distinct(&mut columns, &mut notes);
         let names_at = names.at;
-        Ok(Self { delimiter, has_arrows, columns, first, names_at, notes, is_typed: false })
+        Ok(Self {
+            delimiter,
+            has_arrows,
+            columns,
+            first,
+            names_at,
+            notes,
+            rate_hz,
+            is_typed: false,
+        })
     }
 
     /// Splits a line into the cells of a row, and says what the line is.
@@ -244,6 +262,21 @@ fn has_split_decimals(lines: &[HeadLine]) -> bool {
         && wholes().all(is_whole)
         && parts().any(|cell| cell.len() > 1 && cell[0] == b'0')
         && !wholes().any(|cell| cell.len() > 1 && cell[0] == b'0')
+}
+
+/// The rate in Hz, if a first row repeats one time since 1970 and a second row one rate, as Empatica's wristbands
+/// write them for each channel.
+fn start_and_rate(rows: &[HeadLine], delimiter: u8) -> Option<f64> {
+    let mut numbers = Numbers::new(delimiter);
+    let mut repeated = |line: &HeadLine| {
+        let (first, rest) = line.cells.split_first()?;
+        rest.iter().all(|cell| cell == first).then(|| numbers.read(first).ok()).flatten()
+    };
+    let is_start = |x: f64| (9e8..4.2e9).contains(&x);
+    let [first, second, third, ..] = rows else { return None };
+    repeated(first).filter(|x| is_start(*x))?;
+    let goes_on = repeated(third).is_some_and(is_start);
+    repeated(second).filter(|hz| !goes_on && (0.01..1e6).contains(hz))
 }
 
 fn no_rows(head: &[(u64, Vec<u8>)]) -> String {

@@ -20,7 +20,12 @@ pub(super) struct Table<'a> {
     pub said: Option<String>,
     /// The columns of all sources, in their order.
     values: Vec<usize>,
+    /// A column of times that are not used, since the rate is given.
+    unused_clock: Option<usize>,
 }
+
+/// Rows after which an empty line or a comment may divide trials. Some programs write one after each few rows.
+const FEWEST_DIVIDED: usize = 16;
 
 impl<'a> Table<'a> {
     pub(super) fn new(head: &'a Head, form: &Form) -> Result<Self, String> {
@@ -28,6 +33,14 @@ impl<'a> Table<'a> {
         let mut labels = [None; 4];
         for (column, label) in labels.iter_mut().zip(&form.labels) {
             *column = label.as_ref().map(|label| layout.column(label)).transpose()?;
+        }
+        if let (Some(own), Clock::Rate(given)) = (layout.rate_hz, &form.clock)
+            && own != *given
+        {
+            return Err(format!(
+                "its second row says {own} Hz, but it would be read at {given} Hz; import the tables of each \
+                 rate on their own"
+            ));
         }
         let (mut stamps, mut said) = (None, None);
         if let Clock::Times { column, unit_s } = &form.clock {
@@ -53,7 +66,10 @@ impl<'a> Table<'a> {
                 ));
             }
         }
-        Ok(Self { head, labels, stamps, said, values })
+        let unused = columns::clock(head, None, form.from_1904).ok().flatten();
+        let unused = unused.filter(|_| stamps.is_none()).map(|name| layout.column(&name));
+        let unused_clock = unused.transpose()?.filter(|at| !values.contains(at));
+        Ok(Self { head, labels, stamps, said, values, unused_clock })
     }
 
     /// Reads all rows into their groups. `scratch` is a folder for rows that do not fit into memory.
@@ -76,6 +92,8 @@ impl<'a> Table<'a> {
         let is_bare = self.stamps.is_none() && self.labels == [None; 4];
         // Whether the next row does not follow the one before it in its trial.
         let mut is_broken = false;
+        // Rows since an empty line or a comment, and the first and the latest of the unused times.
+        let (mut undivided, mut times) = (0, None::<(f64, f64)>);
         let mut list = Vec::new();
         while let Some((line, text)) = lines.next()? {
             let mut cells = reused(list);
@@ -101,6 +119,10 @@ impl<'a> Table<'a> {
             let are_names = found == Line::Row && text == self.head.names.as_slice();
             // Another trial may begin there.
             is_broken |= are_names || is_text;
+            if found == Line::Nothing {
+                is_broken |= undivided >= FEWEST_DIVIDED && self.labels[2].is_none();
+                undivided = 0;
+            }
             // Where nothing else tells that a sample is missing, a row of empty cells does.
             let is_empty = || {
                 is_bare
@@ -176,6 +198,15 @@ impl<'a> Table<'a> {
                 })?;
                 *value = number as f32;
                 steps.add(number);
+            }
+            undivided += 1;
+            let unused = self.unused_clock.and_then(|column| numbers.read(cells[column]).ok());
+            if let Some(time) = unused.filter(|time| !time.is_nan()) {
+                let (first, last) = times.unwrap_or((time, time));
+                // Not where two rows are swapped.
+                let begins_anew = time < last && time - first < 0.5 * (last - first);
+                is_broken |= begins_anew && self.labels[2].is_none();
+                times = Some((if begins_anew { time } else { first }, time));
             }
             let full = |error| {
                 format!("line {line}: cannot keep its rows in {}: {error}", scratch.display())
