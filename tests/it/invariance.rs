@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use surfaced::device::Replay;
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    Embedding, EmbeddingOptions, LibraryShape, Method, PositionMode, Ranking, Reference,
+    LibraryShape, Method, MethodName, MethodSpec, PositionMode, Ranking, Reference,
     ReferenceOptions,
 };
 use surfaced::scan::{Event, Options, Session};
@@ -75,8 +75,7 @@ proptest! {
 
 /// The same recordings under other labels and numbers get the same answers.
 #[test]
-fn names_and_numbers_of_trials_do_not_matter_to_the_default_method() {
-    let method = Embedding::new(Scene::lmt108(), EmbeddingOptions::default());
+fn names_and_numbers_of_trials_do_not_matter() {
     // Lengths differ, since `common::trial` draws the same samples for names of one length.
     let surfaces = ["ash", "cedar", "juniper"];
     let others = ["zinc", "beech", "maple"];
@@ -89,10 +88,18 @@ fn names_and_numbers_of_trials_do_not_matter_to_the_default_method() {
     });
     let (plain, renamed): (Vec<_>, Vec<_>) =
         (trials().map(Entry::in_memory).collect(), renamed.collect());
-    for query in ["ash", "juniper", "sycamores"].map(|surface| common::trial(surface, "user1", 5)) {
-        let (a, b) = (name(&method, &plain, &query, 1), name(&method, &renamed, &query, 2));
-        let place = |names: &[&str], r: &Ranking| names.iter().position(|n| *n == r.surface());
-        assert_eq!(place(&surfaces, &a), place(&others, &b));
-        assert_eq!((a.confidence, a.p_value, a.margin), (b.confidence, b.p_value, b.margin));
+    let queries = ["ash", "juniper", "sycamores"].map(|name| common::trial(name, "user1", 5));
+    // The paper's method draws the samples of a trial by its name.
+    let methods = MethodName::ALL.into_iter().filter(|method| *method != MethodName::Reference);
+    for method in methods {
+        let built = MethodSpec::from(method).build(&Scene::lmt108());
+        for query in &queries {
+            let (a, b) = (name(&*built, &plain, query, 1), name(&*built, &renamed, query, 2));
+            let place = |names: &[&str], r: &Ranking| names.iter().position(|n| *n == r.surface());
+            let method = method.as_str();
+            assert_eq!(place(&surfaces, &a), place(&others, &b), "{method}");
+            let of = |r: &Ranking| (r.confidence, r.p_value, r.margin);
+            assert_eq!(of(&a), of(&b), "{method}");
+        }
     }
 }

@@ -18,7 +18,6 @@ use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1};
 
-use super::embedding::labels::places;
 use super::error::{RecogniseError, check_surfaces, nothing_in_common};
 use super::features::FeatureVector;
 use super::method::{Method, Model};
@@ -91,9 +90,9 @@ pub(crate) struct TrainingSet {
     /// Standardised features, shape (trials, features).
     features: Array2<f64>,
     class: Vec<usize>,
-    /// The surfaces, sorted.
+    /// The surfaces, in the order of their first trials.
     surfaces: Vec<String>,
-    /// The trials, sorted.
+    /// The trials, in an order that no name decides.
     keys: Vec<TrialKey>,
 }
 
@@ -231,7 +230,11 @@ impl Method for OnFeatures {
     ) -> Result<Arc<dyn Model>, RecogniseError> {
         let library = library.iter().map(|trial| trial.features(self.name()).cloned());
         let mut library: Vec<Arc<FeatureVector>> = library.collect::<Result<_, _>>()?;
-        library.sort_by(|a, b| a.key.cmp(&b.key));
+        library.sort_by_cached_key(|vector| {
+            let values = vector.sources.values().flat_map(|source| &source.values);
+            let bytes = values.flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
+            (seed::stable_hash(&[&bytes]), vector.key.clone())
+        });
         let keys: Vec<TrialKey> = library.iter().map(|v| v.key.clone()).collect();
         check_surfaces(keys.iter())?;
         let columns = columns(&library)?;
@@ -239,8 +242,15 @@ impl Method for OnFeatures {
         for (mut row, vector) in features.rows_mut().into_iter().zip(&library) {
             row.assign(&standardised(&columns, vector)?);
         }
-        let (surfaces, class) = places(keys.iter().map(|key| key.surface.as_str()));
-        let surfaces = surfaces.into_iter().map(String::from).collect();
+        let mut surfaces = Vec::<String>::new();
+        let class = keys.iter().map(|key| {
+            let known = surfaces.iter().position(|surface| *surface == key.surface);
+            known.unwrap_or_else(|| {
+                surfaces.push(key.surface.clone());
+                surfaces.len() - 1
+            })
+        });
+        let class = class.collect();
         let training = Arc::new(TrainingSet { features, class, surfaces, keys });
         let scorer = self.classifier.learn(&training);
         Ok(Arc::new(FeatureModel { method: self.clone(), columns, training, scorer }))
