@@ -8,7 +8,7 @@
 //!    │
 //! surfaced-station   device ─► ring ─► scan ─► station ─► history
 //!    │
-//! surfaced-method    recognise · independence (T*) · evaluate, on kernel · library · dataset · record
+//! surfaced-method    recognise · independence (T*) · evaluate, on features · kernel · library · dataset · record
 //! ```
 //!
 //! No folder imports what stands above it. Whoever works with recordings alone needs only
@@ -43,5 +43,5 @@ pub use surfaced_method::{
 };
 use surfaced_method::{draw, jpeg, printable};
 #[doc(hidden)] // For the project's own tests and tools.
-pub use surfaced_method::{replication, seed, spectrum};
+pub use surfaced_method::{features, replication, seed, spectrum};
 pub use surfaced_station::{device, history, ring, scan, station};

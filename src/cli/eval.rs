@@ -16,7 +16,7 @@ use crate::evaluate::{
     EnrolmentOutcome, EvaluateError, EvaluatedTrials, Evaluation, Fold, Leaks, Over, Prediction,
     SettledOutcome, Split, UnknownOutcome, better_plain, enrol, still,
 };
-use crate::recognise::features::{FeatureVector, SourceFeatures};
+use crate::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{MethodName, MethodSpec, RecogniseError};
 use crate::record::edit::LibraryLock;
 use crate::replication::Shard;

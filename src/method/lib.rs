@@ -55,6 +55,8 @@ pub mod dataset;
 #[doc(hidden)]
 pub mod draw;
 pub mod evaluate;
+#[doc(hidden)]
+pub mod features;
 pub mod independence;
 #[doc(hidden)]
 pub mod jpeg;

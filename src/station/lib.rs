@@ -16,7 +16,7 @@
 extern crate self as surfaced;
 
 #[cfg(test)]
-use surfaced_method::{dataset, seed};
+use surfaced_method::{dataset, features, seed};
 use surfaced_method::{
     evaluate, independence, jpeg, library, printable, recognise, record, scene, spectrum, system,
     trial,

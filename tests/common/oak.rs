@@ -4,8 +4,8 @@ use std::any::Any;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use surfaced::features::FeatureVector;
 use surfaced::library::Entry;
-use surfaced::recognise::features::FeatureVector;
 use surfaced::recognise::{Evidence, Model, Prepared, RankedSurface, Ranking, RecogniseError};
 use surfaced::trial::{Trial, TrialKey};
 

@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use ndarray::Array2;
+use surfaced::features::hsv;
 use surfaced::recognise::{
-    DomainSamples, QuerySet, SampleSet, Scratch, SumPrecision, hsv, image_grid, score_samples,
+    DomainSamples, QuerySet, SampleSet, Scratch, SumPrecision, image_grid, score_samples,
 };
 use surfaced::scene::Colour;
 use surfaced::spectrum::amplitude_spectrum;

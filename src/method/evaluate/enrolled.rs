@@ -89,7 +89,7 @@ impl EnrolmentOutcome {
 mod tests {
     use super::*;
     use crate::evaluate::{EvaluatedTrials, Evaluation, Protocol, folds};
-    use crate::recognise::features::{FeatureVector, SourceFeatures};
+    use crate::features::{FeatureVector, SourceFeatures};
     use crate::recognise::{MethodName, MethodSpec};
     use crate::scene::{Scene, SourceId};
     use crate::trial::EXPERT;

@@ -12,8 +12,8 @@ use std::time::Instant;
 
 use super::outcome::{Outcome, Prediction};
 use super::{EvaluateError, Fold};
+use crate::features::FeatureVector;
 use crate::library::Entry;
-use crate::recognise::features::FeatureVector;
 use crate::recognise::{
     LibraryShape, Method, Model, Prepared, PreparedLibrary, RecogniseError, if_enough,
     prepare_library, without_flawed,

@@ -9,6 +9,7 @@ pub(crate) mod loader;
 mod lossy;
 pub mod recording;
 pub(crate) mod series_file;
+pub(crate) mod shape;
 pub(crate) mod wav;
 
 pub use about::{ABOUT_FILE, About};

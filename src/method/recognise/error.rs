@@ -1,18 +1,19 @@
 //! Why trials cannot be compared, and the checks for this.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
-use rayon::prelude::*;
-
+use crate::features::sources::SourceError;
 use crate::library::LibraryError;
-use crate::scene::{Domain, Scene, SourceId, SourceSpec};
-use crate::trial::{Doubt, Signal, Trial, TrialKey};
+use crate::scene::SourceId;
+use crate::trial::{Doubt, TrialKey};
 
 /// Why a trial cannot be named.
 #[derive(Debug, thiserror::Error)]
 pub enum RecogniseError {
     #[error(transparent)]
     Library(#[from] LibraryError),
+    #[error(transparent)]
+    Source(#[from] SourceError),
     #[error(
         "the library holds {trials} trial(s) of {surfaces} surface(s); naming needs trials of at \
          least two surfaces: enrol more, or open another library. The folder that holds a trial names its \
@@ -35,10 +36,6 @@ pub enum RecogniseError {
     PreparedByAnother { method: &'static str, by: &'static str, trial: String },
     #[error("{}", Doubt::TooLittle.text())]
     TooLittle,
-    #[error("{source_name}: {found} channel(s) in {trial}, but the scene says {expected}")]
-    Channels { source_name: SourceId, found: usize, expected: usize, trial: String },
-    #[error("{source_name}: {trial} holds {found}, but the scene says {expected}")]
-    Kind { source_name: SourceId, trial: String, found: &'static str, expected: &'static str },
 }
 
 /// `None` for a query that says too little to be named.
@@ -56,48 +53,6 @@ impl From<RecogniseError> for Doubt {
             RecogniseError::TooLittle => Self::TooLittle,
             other => Self::NotNamed { why: other.to_string() },
         }
-    }
-}
-
-/// Applies `make`, in parallel, to each source of a trial that the scene describes.
-///
-/// # Errors
-/// If a source has another kind or another number of channels than the scene says.
-pub(super) fn of_known_sources<T: Send>(
-    key: &TrialKey,
-    trial: &Trial,
-    scene: &Scene,
-    make: impl Fn(&SourceSpec, &Signal) -> T + Sync,
-) -> Result<BTreeMap<SourceId, T>, RecogniseError> {
-    let known: Vec<(&SourceSpec, &Signal)> = (trial.signals.iter())
-        .filter_map(|(id, signal)| Some((scene.get(id.as_str())?, signal)))
-        .collect();
-    let make = |(spec, signal): (&SourceSpec, &Signal)| {
-        check_signal(spec, signal, key)?;
-        Ok((spec.id.clone(), make(spec, signal)))
-    };
-    known.into_par_iter().map(make).collect()
-}
-
-fn check_signal(spec: &SourceSpec, signal: &Signal, key: &TrialKey) -> Result<(), RecogniseError> {
-    let kind = |found, expected| RecogniseError::Kind {
-        source_name: spec.id.clone(),
-        trial: key.to_string(),
-        found,
-        expected,
-    };
-    match (signal, spec.domain == Domain::Image) {
-        (Signal::Image(_), false) => Err(kind("an image", "a series")),
-        (Signal::Series(_), true) => Err(kind("a series", "an image")),
-        (Signal::Series(series), false) if series.channels() != spec.channels => {
-            Err(RecogniseError::Channels {
-                source_name: spec.id.clone(),
-                found: series.channels(),
-                expected: spec.channels,
-                trial: key.to_string(),
-            })
-        }
-        _ => Ok(()),
     }
 }
 

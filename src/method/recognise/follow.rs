@@ -7,9 +7,6 @@
 use super::decide::conformal::Rejection;
 use crate::scene::SourceId;
 
-/// Scan time from one look (renewal of the guess) to the next, in seconds.
-pub const LOOK_S: f64 = 0.1;
-
 /// The next frames of one source of a scan.
 #[derive(Clone, Copy, Debug)]
 pub struct FreshFrames<'a> {

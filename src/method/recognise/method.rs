@@ -6,8 +6,8 @@ use std::sync::Arc;
 use super::error::RecogniseError;
 use super::prepared::Prepared;
 use super::rank::Ranking;
-use super::shape::LibraryShape;
 use crate::library::Entry;
+use crate::library::shape::LibraryShape;
 use crate::scene::SourceId;
 use crate::trial::Trial;
 

@@ -15,8 +15,6 @@ mod compare;
 mod decide;
 pub(crate) mod embedding;
 mod error;
-#[doc(hidden)]
-pub mod features;
 mod follow;
 mod method;
 mod model_file;
@@ -25,9 +23,10 @@ mod rank;
 mod ready_model;
 #[doc(hidden)]
 pub mod reference;
-mod shape;
 mod spec;
 
+pub use crate::features::sources::SourceError;
+pub use crate::library::shape::{LibraryShape, SourceShape};
 pub use decide::LeftOutBy;
 pub use decide::conformal::{Rejection, RejectionError};
 pub use decide::interval::wilson_interval;
@@ -43,17 +42,12 @@ pub use prepared::Prepared;
 pub use rank::{Candidate, RankedSurface, Ranking};
 pub use ready_model::{PreparedLibrary, ReadyModel, prepare_library, ready_model};
 pub use reference::{PositionMode, Reference, ReferenceOptions, SumPrecision};
-pub use shape::{LibraryShape, SourceShape};
 pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};
 
+#[doc(hidden)]
+pub use crate::features::frames::{LOOK_S, TrialFrames};
 #[doc(hidden)] // For the project's own tests and tools.
 pub use decide::dead_sensor::without_flawed;
-#[doc(hidden)]
-pub use embedding::TrialFrames;
-#[doc(hidden)]
-pub use features::hsv;
-#[doc(hidden)]
-pub use follow::LOOK_S;
 #[doc(hidden)]
 pub use reference::{
     DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, image_grid, score_samples,

@@ -35,9 +35,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::method::Model;
-use super::shape::LibraryShape;
 use super::spec::MethodSpec;
 use crate::library::files;
+use crate::library::shape::LibraryShape;
 use crate::scene::{LibraryToml, Scene, SourceId};
 use crate::system::persist;
 

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::embedding::frames::TrialFrames;
 use super::error::RecogniseError;
-use super::features::FeatureVector;
 use super::reference::prepared_trial::PreparedTrial;
+use crate::features::FeatureVector;
+use crate::features::frames::TrialFrames;
 use crate::library::Entry;
 use crate::trial::TrialKey;
 

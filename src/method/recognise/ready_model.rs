@@ -11,10 +11,10 @@ use rayon::prelude::*;
 use super::error::RecogniseError;
 use super::method::{Method, Model};
 use super::prepared::{FORMAT, Prepared};
-use super::shape::LibraryShape;
 use crate::library::Entry;
 use crate::library::cache::{Cache, Record};
 use crate::library::files::program_stamp;
+use crate::library::shape::LibraryShape;
 use crate::seed;
 
 const RECORD: &str = "model";

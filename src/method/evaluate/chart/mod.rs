@@ -16,8 +16,8 @@ use crate::evaluate::loudness::level_of;
 use crate::evaluate::{
     EvaluateError, EvaluatedTrials, Evaluation, Interval, LeftOutSources, Measured, Over, Split,
 };
+use crate::features::{FeatureVector, SourceFeatures};
 use crate::library::Entry;
-use crate::recognise::features::{FeatureVector, SourceFeatures};
 use crate::recognise::{MethodName, MethodSpec, RecogniseError, ReferenceOptions, STAGES};
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
 use crate::trial::Signal;

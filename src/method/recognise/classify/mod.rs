@@ -1,5 +1,5 @@
 //! The paper's comparison classifiers: naive Bayes, a support vector machine, nearest neighbours,
-//! AdaBoost and a random forest, on hand-made [features](super::features).
+//! AdaBoost and a random forest, on hand-made [features](crate::features).
 //!
 //! ```text
 //! trial ─► FeatureVector ─► standardised on the library alone ─► Scorer ─► scores ─► rank
@@ -19,12 +19,12 @@ use std::sync::Arc;
 use ndarray::{Array1, Array2, ArrayView1};
 
 use super::error::{RecogniseError, check_surfaces, nothing_in_common};
-use super::features::FeatureVector;
 use super::method::{Method, Model};
 use super::prepared::Prepared;
 use super::rank::{Candidate, Ranking, rank};
-use super::shape::LibraryShape;
+use crate::features::FeatureVector;
 use crate::library::Entry;
+use crate::library::shape::LibraryShape;
 use crate::scene::{Scene, SourceId};
 use crate::seed;
 use crate::trial::{Trial, TrialKey};

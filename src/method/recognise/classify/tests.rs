@@ -1,7 +1,7 @@
 //! Tests that every comparison classifier must pass.
 
 use super::*;
-use crate::recognise::features::SourceFeatures;
+use crate::features::SourceFeatures;
 
 /// Four surfaces with six trials each. Each trial has three features; the last feature is constant.
 fn library() -> Vec<Prepared> {

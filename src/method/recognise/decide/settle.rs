@@ -11,7 +11,8 @@
 //! takes 0.2 % of a core (processor time over scan time).
 
 use super::interval::jeffreys_quantile;
-use crate::recognise::follow::{FollowOptions, LOOK_S};
+use crate::features::frames::LOOK_S;
+use crate::recognise::follow::FollowOptions;
 
 /// Hold times to try: how long the label must stay the same, in seconds of scan time.
 const HOLDS_S: [f64; 5] = [0.3, 0.6, 1.0, 1.5, 2.0];

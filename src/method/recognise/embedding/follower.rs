@@ -6,18 +6,19 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use super::band_sums::Counts;
-use super::frames::{SourceViews, samples_by};
-use super::growing::Growing;
 use super::joint::{Present, SourceEmbedder, Stretch};
 use super::model::{EmbeddingModel, Posterior};
 use super::series::SeriesEmbedder;
-use super::tiles::PictureTiles;
+use crate::features::counts::Counts;
+use crate::features::frames::{LOOK_S, SourceViews, samples_by};
+use crate::features::growing::Growing;
+use crate::features::sources::SourceError;
+use crate::features::tiles::PictureTiles;
 use crate::recognise::decide::conformal::Rejection;
 use crate::recognise::decide::dead_sensor::left_out;
 use crate::recognise::decide::settle::{Look, Settling, Watch};
 use crate::recognise::error::RecogniseError;
-use crate::recognise::follow::{FollowOptions, FreshFrames, GuessSoFar, LOOK_S};
+use crate::recognise::follow::{FollowOptions, FreshFrames, GuessSoFar};
 use crate::recognise::rank::Ranking;
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Doubt, Image, SeriesFlaws, Signal, Trial, is_plain};
@@ -136,12 +137,13 @@ impl Follower {
         let Some(stretch) = self.model.joint.stretch(source) else { return Ok(()) };
         if stretch.spec.channels != channels {
             self.scan.failed = true;
-            return Err(RecogniseError::Channels {
+            let error = SourceError::Channels {
                 source_name: source.clone(),
                 found: channels,
                 expected: stretch.spec.channels,
                 trial: "the scan".into(),
-            });
+            };
+            return Err(error.into());
         }
         let series = self.scan.series.entry(source.clone()).or_insert_with(|| {
             let views = SourceViews::new(&stretch.spec, (rate_hz, 0), &self.model.shape);

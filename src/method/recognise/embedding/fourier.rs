@@ -7,14 +7,13 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::features::counts::LANES;
+
 /// The lower frequency, in radians per standard deviation.
 const OMEGA: f32 = 0.6;
 
 /// Number of features of one band: cosine and sine at both frequencies.
 pub(super) const BAND_FEATURES: usize = 4;
-
-/// Number of values that are computed together. With 8, the compiler makes no vectors of some builds.
-pub(super) const LANES: usize = 16;
 
 /// Scales that turn the values of the bands of one view into angles.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -8,13 +8,12 @@ use ndarray::{Array2, ArrayView1, ArrayViewMut1, ArrayViewMut2, s};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::band_sums::Counts;
-use super::copies::Copy;
-use super::frames::{SeriesFrames, SourceFrames, TrialFrames, samples_by};
 use super::picture::PictureEmbedder;
 use super::series::SeriesEmbedder;
+use crate::features::copies::Copy;
+use crate::features::counts::Counts;
+use crate::features::frames::{LOOK_S, SeriesFrames, SourceFrames, TrialFrames, samples_by};
 use crate::recognise::error::{RecogniseError, nothing_in_common};
-use crate::recognise::follow::LOOK_S;
 use crate::scene::{Phase, Scene, SourceId, SourceSpec};
 use crate::trial::TrialKey;
 

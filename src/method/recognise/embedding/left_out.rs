@@ -8,15 +8,14 @@ use ndarray::ArrayView1;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::copies::SHARE;
 use super::ensemble::{Answer, Ensemble};
-use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present};
 use super::labels::Labels;
 use super::temperature::Temperature;
 use super::training::Training;
+use crate::features::copies::SHARE;
+use crate::features::frames::{LOOK_S, TrialFrames};
 use crate::recognise::decide::conformal::{Calibration, Conformity};
-use crate::recognise::follow::LOOK_S;
 
 /// Each left-out trial is also examined after these shares of the median length of a drag.
 const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];

@@ -1,58 +1,49 @@
 //! The method `embedding` (`src/method/README.md` §4 and §5): puts all sources of a trial into one vector (`joint`),
 //! and tells surfaces apart with many small shrinkage discriminants (`ensemble`).
 //!
-//! The vector holds Fourier features of log-band frames (`band_sums`): kernel mean embeddings, with
-//! MMD² as squared distance. It also holds the moments, the quantiles and the lag covariance of each
+//! A trial comes as frames and sums, made by [`features`](crate::features). The vector holds Fourier
+//! features of log-band frames (`view`): kernel mean embeddings, with MMD² as squared distance. It also holds the moments, the quantiles and the lag covariance of each
 //! series (`series`). Pictures have the same features, with tiles as frames (`picture`). Each feature occurs
 //! in *shape*, relative to the recording's own level, and in *level*. The discriminants are trained
-//! on whole trials and on augmented copies (`copies`). The gain of copies varies, so that they learn
+//! on whole trials and on augmented copies (`features::copies`). The gain of copies varies, so that they learn
 //! how much to trust level; they are stored beside the library. The temperature of
 //! probabilities (`temperature`), the stopping rule and the threshold of `unknown` come from leaving out
 //! library trials, by user or else by session if there are several (`left_out`). If a source is missing,
 //! only its columns are left out.
 //!
 //! The score of a surface is 1/posterior, so that smaller means more alike, as in every method. The
-//! margin is the log of the odds. Only the band of a source's configuration is used (`passed`).
+//! margin is the log of the odds. Only the band of a source's configuration is used (`features::passed`).
 
-mod band_sums;
-mod copies;
 pub(crate) mod discriminant;
 mod eigen;
 mod ensemble;
 mod follower;
 mod fourier;
-pub(super) mod frames;
-mod growing;
 mod joint;
 pub(super) mod labels;
-mod lanes;
 mod left_out;
 pub(crate) mod linear;
 mod model;
-mod moments;
-mod packed;
-mod passed;
 mod picture;
 mod places;
-mod quantiles;
 mod series;
 mod temperature;
-mod tiles;
 mod together;
 mod training;
+mod view;
 
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 pub use self::follower::Follower;
-pub use self::frames::TrialFrames;
 pub use self::model::{EmbeddingModel, QueryVector};
 use super::error::{RecogniseError, check_surfaces};
 use super::method::{Method, Model};
 use super::prepared::Prepared;
-use super::shape::LibraryShape;
+use crate::features::frames::TrialFrames;
 use crate::library::Entry;
+use crate::library::shape::LibraryShape;
 use crate::scene::Scene;
 use crate::seed;
 use crate::trial::Trial;

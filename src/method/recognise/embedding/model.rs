@@ -11,22 +11,22 @@ use serde::Deserialize;
 
 use super::NAME;
 use super::ensemble::Answer;
-use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch, columns};
 use super::labels::Labels;
 use super::left_out::{LeftOut, Trained, evenly};
 use super::together::together;
 use super::training::Training;
+use crate::features::frames::{LOOK_S, TrialFrames};
 use crate::library::Entry;
+use crate::library::shape::LibraryShape;
 use crate::recognise::decide::conformal::{Rejection, RejectionError};
 use crate::recognise::decide::scan_time::{Goal, LeftOutAccuracy, LibraryCounts, ScanTime};
 use crate::recognise::decide::settle::{FollowedTrial, LeftOutLook, Settling, looks_in};
 use crate::recognise::error::RecogniseError;
-use crate::recognise::follow::{FollowOptions, LOOK_S};
+use crate::recognise::follow::FollowOptions;
 use crate::recognise::method::{Evidence, Model, SourceEvidence};
 use crate::recognise::prepared::Prepared;
 use crate::recognise::rank::{Candidate, Ranking, rank};
-use crate::recognise::shape::LibraryShape;
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Trial, TrialKey};
 

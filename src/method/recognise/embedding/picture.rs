@@ -3,9 +3,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::band_sums::{Counts, ViewEmbedder};
 use super::eigen::{EigenPairs, push_upper};
-use super::tiles::{CHANNELS, PictureTiles, STACKED};
+use super::view::ViewEmbedder;
+use crate::features::counts::Counts;
+use crate::features::tiles::{CHANNELS, PictureTiles, STACKED};
 
 /// Added to the eigenvalues of a covariance after they are divided by their unit.
 const RIDGE: f64 = 1e-4;

@@ -1,7 +1,7 @@
 //! Turns a series, a copy or a beginning into a vector (README §4): Fourier features of its
 //! log-band frames, moments, quantiles and lag covariance. Features that depend on loudness occur in
 //! shape (relative to the series' own level) and in level. The means of channels join them, except
-//! where a source is compared in only part of its spectrum ([`super::passed`]).
+//! where a source is compared in only part of its spectrum ([`crate::features::passed`]).
 
 use std::borrow::Cow;
 
@@ -9,15 +9,16 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::band_sums::{Counts, ViewEmbedder, median};
 use super::eigen::{EigenPairs, push_upper};
-use super::frames::{SeriesFrames, SourceViews};
-use super::growing::Piece;
-use super::moments::{LOUDNESS, MOMENTS, MOST_LAGGED, Moments, Statistics};
-use super::packed::PackedFrames;
 use super::places::PlaceEmbedder;
-use super::quantiles::QUANTILES;
-use crate::recognise::features::windowed_frames::{FrameView, ln};
+use super::view::{ViewEmbedder, median};
+use crate::features::counts::Counts;
+use crate::features::frames::{SeriesFrames, SourceViews};
+use crate::features::growing::Piece;
+use crate::features::moments::{LOUDNESS, MOMENTS, MOST_LAGGED, Moments, Statistics};
+use crate::features::packed::PackedFrames;
+use crate::features::quantiles::QUANTILES;
+use crate::features::windowed_frames::{FrameView, ln};
 use crate::trial::usual_rests;
 
 /// Lags in samples; the joint covariance is of the series shifted by each of them.

@@ -4,29 +4,13 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
+use crate::features::frames::TrialFrames;
+use crate::features::prints::Prints;
 
-use super::frames::TrialFrames;
-use crate::trial::{Fingerprints, Signal};
-
-/// Windows that are kept of a series.
-const MOST: usize = 64;
 /// Fewest equal windows of two trials, and the least share of the windows that are kept. A few short runs
 /// of a sensor at rest are equal by chance.
 const FEWEST: usize = 2;
 const LEAST_SHARE: f64 = 0.1;
-
-/// Hash of a signal, and sorted hashes of windows; none of those that can be equal by chance.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Prints(Option<u64>, Vec<u64>);
-
-impl Prints {
-    pub(super) fn of(signal: &Signal) -> Self {
-        let Fingerprints { whole, windows } = Fingerprints::of(signal, MOST);
-        let windows = windows.into_iter().filter(|_| whole.is_some());
-        Self(whole, windows.map(|(hash, _)| hash).collect())
-    }
-}
 
 /// For each trial, the first one with which it shares samples, directly or by way of others.
 pub(super) fn together(library: &[Arc<TrialFrames>]) -> Vec<usize> {

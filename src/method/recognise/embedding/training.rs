@@ -7,13 +7,13 @@ use std::sync::Arc;
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use serde::{Deserialize, Serialize};
 
-use super::copies::Copy;
 use super::discriminant::Rows;
 use super::ensemble::Ensemble;
-use super::frames::TrialFrames;
 use super::joint::{JointEmbedder, Present, columns, place};
 use super::labels::Labels;
-use super::packed;
+use crate::features::copies::Copy;
+use crate::features::frames::TrialFrames;
+use crate::features::packed;
 use crate::system::give_back_memory;
 
 /// Whole scans whose features differ by less, in standard deviations over scans and copies, are alike.

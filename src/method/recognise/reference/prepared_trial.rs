@@ -5,8 +5,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::sample_set::SampleSet;
 use super::sampling::DomainSamples;
+use crate::features::sources::of_known_sources;
 use crate::library::Entry;
-use crate::recognise::error::{RecogniseError, nothing_in_common, of_known_sources};
+use crate::recognise::error::{RecogniseError, nothing_in_common};
 use crate::scene::{Scene, SourceId, SourceSpec};
 use crate::seed;
 use crate::trial::{Signal, Trial, TrialKey};

@@ -5,7 +5,7 @@ use ndarray::Array2;
 use rand::RngExt;
 use rand::seq::index;
 
-use crate::recognise::features::hsv;
+use crate::features::hsv;
 use crate::scene::{Colour, Domain, SourceId, SourceSpec};
 use crate::seed;
 use crate::spectrum::amplitude_spectrum;

@@ -22,7 +22,7 @@ pub use answer::{AccuracyAt, Goal, ScanTime, Shortfall};
 use super::LeftOutBy;
 use super::interval::{can_show, chance, wilson, wilson_of_groups};
 use super::settle::{FollowedTrial, looks_in};
-use crate::recognise::follow::LOOK_S;
+use crate::features::frames::LOOK_S;
 
 /// Largest ratio of successive scan times. The first times are one look (0.1 s) apart.
 const RATIO: f64 = 1.15;

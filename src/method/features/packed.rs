@@ -83,7 +83,7 @@ pub(super) mod list {
 }
 
 /// A matrix, row by row.
-pub(super) mod matrix {
+pub(crate) mod matrix {
     use super::*;
     use ndarray::Array2;
 

@@ -15,14 +15,16 @@ use super::copies::{self, Copy, copies};
 use super::growing::{Growing, Piece};
 use super::packed::PackedFrames;
 use super::places::Places;
+use super::prints::Prints;
+use super::sources::{SourceError, of_known_sources};
 use super::tiles::PictureTiles;
-use super::together::Prints;
-use crate::recognise::error::{RecogniseError, of_known_sources};
-use crate::recognise::features::windowed_frames::{FEWEST, FrameView};
-use crate::recognise::follow::LOOK_S;
-use crate::recognise::shape::{LibraryShape, SourceShape};
+use super::windowed_frames::{FEWEST, FrameView};
+use crate::library::shape::{LibraryShape, SourceShape};
 use crate::scene::{Phase, Scene, SourceId, SourceSpec};
 use crate::trial::{Series, SeriesFlaws, Signal, Trial, TrialKey};
+
+/// Scan time from one look (renewal of the guess) to the next, in seconds.
+pub const LOOK_S: f64 = 0.1;
 
 /// Duration of a long frame in seconds, if that is enough samples.
 const FRAME_S: f64 = 0.0464;
@@ -205,7 +207,7 @@ pub struct TrialFrames {
 }
 
 impl TrialFrames {
-    pub(super) fn forget_copies(&mut self) {
+    pub(crate) fn forget_copies(&mut self) {
         for source in self.sources.values_mut() {
             if let SourceFrames::Series(series) = source {
                 series.copies = Vec::new();
@@ -224,7 +226,7 @@ impl TrialFrames {
         scene: &Scene,
         shape: &LibraryShape,
         seed: Option<u64>,
-    ) -> Result<Self, RecogniseError> {
+    ) -> Result<Self, SourceError> {
         // Only copies and the order of a library need it.
         let digest = seed.map_or(0, |_| digest(trial));
         let copies = seed.map_or_else(Vec::new, |seed| copies(digest, seed, shape.trials));

@@ -12,11 +12,12 @@ use std::ops::Range;
 use std::sync::OnceLock;
 
 use multiversion::multiversion;
-use serde::{Deserialize, Serialize};
 
-use super::fourier::{BAND_FEATURES, BandScale, LANES, add_up};
-use super::lanes::{extremes, total};
-use crate::recognise::features::windowed_frames::ln;
+use super::lanes::extremes;
+use super::windowed_frames::ln;
+
+/// Number of values that are computed together. With 8, the compiler makes no vectors of some builds.
+pub(crate) const LANES: usize = 16;
 
 /// Number of bins in one unit of ln power.
 const BINS: f32 = 8.0;
@@ -29,26 +30,26 @@ const MOST: f64 = 5.540_622_384_393_51e34;
 
 /// Histograms of the frames of one view of a series, or of the tiles of a picture. They grow with it.
 #[derive(Clone, Debug)]
-pub(super) struct Counts {
-    channels: usize,
+pub(crate) struct Counts {
+    pub channels: usize,
     /// Number of bands of all channels together.
-    width: usize,
-    frames: usize,
+    pub width: usize,
+    pub frames: usize,
     /// The first bin has ln power `first`/[`BINS`].
     first: i32,
-    bins: usize,
+    pub bins: usize,
     /// Shape (width, bins).
-    counts: Vec<f32>,
+    pub counts: Vec<f32>,
 }
 
 impl Counts {
     /// Starts without frames; `width` is the number of bands of all channels together.
-    pub(super) fn new(channels: usize, width: usize) -> Self {
+    pub(crate) fn new(channels: usize, width: usize) -> Self {
         Self { channels, width, frames: 0, first: 0, bins: 0, counts: Vec::new() }
     }
 
     /// Adds frames of ln power, shape (frames, width).
-    pub(super) fn add(&mut self, values: &[f32]) {
+    pub(crate) fn add(&mut self, values: &[f32]) {
         if let Some((first, last)) = values.chunks_exact(self.width).map(reached).reduce(wider) {
             self.reach(first, last);
         }
@@ -77,7 +78,7 @@ impl Counts {
         (self.first, self.bins, self.counts) = (first, bins, counts);
     }
 
-    fn bands(&self) -> usize {
+    pub(crate) fn bands(&self) -> usize {
         self.width / self.channels
     }
 
@@ -100,7 +101,7 @@ impl Counts {
     }
 
     /// ln of each channel's mean power over frames and bands.
-    pub(super) fn ln_mean_power(&self) -> Vec<f64> {
+    pub(crate) fn ln_mean_power(&self) -> Vec<f64> {
         let power: Vec<f64> = self.powers().collect();
         let of_channel = |counts: &[f32]| {
             let mut of_bins = vec![0f32; self.bins];
@@ -115,7 +116,7 @@ impl Counts {
     }
 
     /// ln(P/P̄ + 1e-4) of each bin; `ln_mean` gives ln P̄ of each channel. Shape (channels, bins).
-    fn relative(&self, ln_mean: &[f64]) -> Vec<f32> {
+    pub(crate) fn relative(&self, ln_mean: &[f64]) -> Vec<f32> {
         let powers: Vec<f64> = self.powers().collect();
         let mut relative = vec![0.0; ln_mean.len() * self.bins];
         for (of_channel, mean) in relative.chunks_exact_mut(self.bins.max(1)).zip(ln_mean) {
@@ -126,7 +127,7 @@ impl Counts {
     }
 
     /// For each band: the sum over frames of the values in `table`, and the sum of their squares.
-    fn sums(&self, table: &[f32]) -> Vec<(f64, f64)> {
+    pub(crate) fn sums(&self, table: &[f32]) -> Vec<(f64, f64)> {
         let of_band = |(band, counts): (usize, &[f32])| {
             let values = &table[band / self.bands() * self.bins..][..self.bins];
             counts.iter().zip(values).fold((0.0, 0.0), |(sum, square), (n, x)| {
@@ -215,103 +216,49 @@ fn floor(x: f32) -> i32 {
     towards_zero - i32::from(towards_zero as f32 > x)
 }
 
-/// Turns the frames of one view into features. Each band gives features in shape (relative to the
-/// series' own mean power) and in level (relative to the library's).
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct ViewEmbedder {
-    shape: BandScale,
-    level: BandScale,
-    /// The library's median of the ln mean power of each channel.
-    ln_power: Vec<f64>,
-}
-
-impl ViewEmbedder {
-    /// Takes means and deviations from the counted frames of library series, at least one.
-    pub(super) fn new(pieces: &[Counts]) -> Self {
-        let own: Vec<Vec<f64>> = pieces.iter().map(Counts::ln_mean_power).collect();
-        let median = |c: usize| median(own.iter().map(|powers| powers[c]).collect());
-        let ln_power: Vec<f64> = (0..pieces[0].channels).map(median).collect();
-        let shape = scale(pieces, |i| &own[i]);
-        Self { level: scale(pieces, |_| &ln_power), shape, ln_power }
-    }
-
-    pub(super) fn dims(&self) -> usize {
-        2 * BAND_FEATURES * self.shape.width()
-    }
-
-    /// Appends the means of cos ωz and sin ωz over the counted frames, as if their samples were
-    /// multiplied by e^`ln_gain`.
-    pub(super) fn push(&self, counts: &Counts, ln_gain: f64, vector: &mut Vec<f32>) {
-        let own = counts.ln_mean_power();
-        let library: Vec<f64> = self.ln_power.iter().map(|power| power - 2.0 * ln_gain).collect();
-        for (scale, ln_mean) in [(&self.shape, &own), (&self.level, &library)] {
-            let mut sums = vec![0.0; BAND_FEATURES * counts.width];
-            let table = counts.relative(ln_mean);
-            add_bands(&counts.counts, (counts.bins, counts.bands()), &table, scale, &mut sums);
-            let frames = counts.frames.max(1) as f64;
-            vector.extend(sums.iter().map(|sum| (sum / frames) as f32));
-        }
-    }
-}
-
-/// Mean and deviation of each band over the frames of `pieces`, relative to mean powers `ln_mean`.
-fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64>) -> BandScale {
-    let width = pieces[0].width;
-    let (mut total, mut frames) = (vec![(0.0, 0.0); width], 0);
-    for (i, piece) in pieces.iter().enumerate() {
-        let sums = piece.sums(&piece.relative(ln_mean(i)));
-        for (total, (sum, square)) in total.iter_mut().zip(sums) {
-            *total = (total.0 + sum, total.1 + square);
-        }
-        frames += piece.frames;
-    }
-    let n = frames.max(1) as f64;
-    let mean = |(sum, _): &(f64, f64)| (sum / n) as f32;
-    let deviation =
-        |(sum, square): &(f64, f64)| (square / n - (sum / n).powi(2)).max(0.0).sqrt() as f32;
-    let deviations: Vec<f32> = total.iter().map(deviation).collect();
-    BandScale::new(total.iter().map(mean).collect(), &deviations)
-}
-
-/// The median of `values`: the upper middle value if their number is even, 0 if there are none.
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
-/// Adds the features of all bands to `sums`, shape ([`BAND_FEATURES`], width). `counts` has shape
-/// (width, bins). `table` holds the value of each bin, shape (channels, bins).
-#[multiversion(targets(
-    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
-    "x86_64+avx2+fma",
-    "aarch64+neon"
-))]
-fn add_bands(
-    counts: &[f32],
-    (bins, bands): (usize, usize),
-    table: &[f32],
-    scale: &BandScale,
-    sums: &mut [f64],
-) {
-    let width = scale.width();
-    for (band, counts) in counts.chunks_exact(bins.max(1)).enumerate() {
-        let values = table[band / bands * bins..][..bins].as_chunks().0;
-        let counts = counts.as_chunks().0;
-        let mut acc = [[0f32; LANES]; BAND_FEATURES];
-        for i in 0..counts.len().min(values.len()) {
-            let mut counted = false;
-            for n in &counts[i] {
-                counted |= *n != 0.0;
-            }
-            if counted {
-                add_up(scale, band, &counts[i], &values[i], &mut acc);
-            }
-        }
-        for feature in 0..BAND_FEATURES {
-            sums[feature * width + band] += total(&acc[feature]);
-        }
-    }
-}
-
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_whole_series_is_counted_as_if_it_had_grown() {
+        for (n, width) in [(0, 6), (1, 6), (2, 6), (7, 2), (240, 6)] {
+            // Steps of 1/512, like packed frames, so that counts are the same to the last bit.
+            let step = |i: usize| ((i * 7919) % 4096) as f32 / 512.0;
+            let off = |i: usize| if i / width % 5 == 3 { 9.0 } else { (i / width % 3) as f32 };
+            let values: Vec<f32> = (0..n * width).map(|i| step(i) - off(i)).collect();
+            let (mut grown, mut whole) = (Counts::new(2, width), Counts::new(2, width));
+            values.chunks(3 * width).for_each(|piece| grown.add(piece));
+            whole.add(&values);
+            assert_eq!((grown.frames, grown.first), (whole.frames, whole.first), "{n}");
+            assert_eq!(grown.ln_mean_power(), whole.ln_mean_power(), "{n}");
+            let bins = (grown.bins.max(1), whole.bins.max(1));
+            let bands = grown.counts.chunks(bins.0).zip(whole.counts.chunks(bins.1));
+            for (grown, whole) in bands {
+                let shared = grown.len().min(whole.len());
+                assert_eq!(grown[..shared], whole[..shared], "{n}");
+                assert!(grown[shared..].iter().chain(&whole[shared..]).all(|x| *x == 0.0));
+            }
+        }
+    }
+
+    #[test]
+    fn a_quiet_frame_counts_like_any_other_whatever_the_gain() {
+        for gain in [0.0, -12.0, 7.5] {
+            let values = [0.0, 0.2, -20.0, -19.8].map(|x: f32| x + gain);
+            let mut counts = Counts::new(1, 2);
+            counts.add(&values);
+            let power: f64 = values.iter().map(|&x| f64::from(x).exp()).sum::<f64>() / 4.0;
+            assert_eq!(counts.frames, 2);
+            assert!((counts.ln_mean_power()[0] - power.ln()).abs() < 3e-3, "{gain}");
+        }
+    }
+
+    #[test]
+    fn a_scan_that_is_silent_throughout_is_kept() {
+        let mut counts = Counts::new(1, 1);
+        counts.add(&[-32.2; 7]);
+        assert_eq!(counts.frames, 7);
+        assert_eq!(Counts::new(1, 1).frames, 0);
+    }
+}

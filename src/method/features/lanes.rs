@@ -23,7 +23,7 @@ pub(super) fn chunks<const N: usize>(x: &[f32], padding: f32) -> (&[[f32; N]], [
 
 /// The sum of all lanes: halves are added until one is left, so that no addition waits for all others.
 #[inline(always)]
-pub(super) fn total<const N: usize, T: Copy + Into<f64>>(lanes: &[T; N]) -> f64 {
+pub(crate) fn total<const N: usize, T: Copy + Into<f64>>(lanes: &[T; N]) -> f64 {
     let mut sums = [0f64; N];
     for lane in 0..N {
         sums[lane] = lanes[lane].into();
@@ -60,7 +60,7 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f64 {
     "x86_64+avx2+fma",
     "aarch64+neon"
 ))]
-pub(super) fn products(rows: &[f32], vector: &[f32]) -> Vec<f64> {
+pub(crate) fn products(rows: &[f32], vector: &[f32]) -> Vec<f64> {
     const WIDE: usize = 32;
     let (b, last_b) = chunks::<WIDE>(vector, 0.0);
     let mut all = Vec::with_capacity(rows.len() / vector.len());

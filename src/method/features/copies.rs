@@ -27,7 +27,7 @@ const COPIES: usize = EXCERPTS + 1;
 const MOST_COPIES: usize = 1600;
 
 /// Length of an excerpt, as a share of its trial.
-pub(super) const SHARE: f64 = 0.4;
+pub(crate) const SHARE: f64 = 0.4;
 
 /// Standard deviation of ln gain of a copy: 2 dB, like the force of a hand.
 const LN_GAIN: f64 = 0.25;

@@ -5,7 +5,7 @@
 const SHARES: [f32; QUANTILES] = [0.02, 0.1, 0.25, 0.5, 0.75, 0.9, 0.98];
 
 /// Number of quantiles of the values of a channel, and of its steps.
-pub(super) const QUANTILES: usize = 7;
+pub(crate) const QUANTILES: usize = 7;
 
 /// A bin holds the values whose bits are alike above this place: exponent and three bits.
 const SHIFT: u32 = 20;

@@ -15,14 +15,13 @@ use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 use serde::{Deserialize, Serialize};
 
-use super::band_sums::Counts;
-use super::fourier::LANES;
+use super::counts::{Counts, LANES};
 use super::lanes::{chunks, dot, powers, total};
 use super::packed::PackedFrames;
-use crate::recognise::features::windowed_frames::sum;
+use super::windowed_frames::sum;
 use crate::trial::Image;
 
-pub(super) const CHANNELS: usize = 3;
+pub(crate) const CHANNELS: usize = 3;
 const SIDE: usize = 64;
 const HALF: usize = SIDE / 2;
 const HOP: usize = SIDE / 2;
@@ -42,7 +41,7 @@ const REACH: usize = 16;
 /// Step between the rows of pixels that enter the covariance.
 const ROW_STEP: usize = 4;
 /// Number of channels of all displaced pixels together.
-pub(super) const STACKED: usize = CHANNELS * DISPLACED.len();
+pub(crate) const STACKED: usize = CHANNELS * DISPLACED.len();
 
 /// A picture, reduced to its tiles and its statistics.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -92,7 +91,7 @@ impl PictureTiles {
     }
 
     /// Histograms of ln power of all tiles, or of the tiles within one of the four quarters.
-    pub(super) fn counts(&self, quarter: Option<usize>) -> Counts {
+    pub(crate) fn counts(&self, quarter: Option<usize>) -> Counts {
         let part = quarter.map(pixels_of);
         let lies = |at: usize, within: &Range<usize>| within.start <= at && at + SIDE <= within.end;
         let mut counts = Counts::new(CHANNELS, Self::width());

@@ -13,8 +13,8 @@ use crate::seed;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LibraryShape {
     /// Number of trials.
-    pub(super) trials: usize,
-    pub(super) sources: BTreeMap<SourceId, SourceShape>,
+    pub(crate) trials: usize,
+    pub(crate) sources: BTreeMap<SourceId, SourceShape>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

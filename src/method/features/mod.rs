@@ -1,5 +1,22 @@
-//! Hand-made features of a trial, for the comparison classifiers, and log-band frames, which
-//! `embedding` uses too. A [`FeatureVector`] holds these features:
+//! Turns one recording into numbers. Nothing here knows of labels, models or rankings.
+//!
+//! For the method `embedding` (`src/method/README.md` §4), a trial becomes [`frames::TrialFrames`]:
+//!
+//! | file | holds |
+//! |---|---|
+//! | `sources` | the sources of a trial, checked against the scene |
+//! | `frames` | how long frames are, and a trial as frames and sums, with its copies and beginnings |
+//! | `growing` | a series as it grows: every recording goes this way |
+//! | `windowed_frames` | log-band frames, which hand-made features have too |
+//! | `passed` | the part of a series within its band |
+//! | `moments`, `quantiles`, `places` | sums of a series, and what they say |
+//! | `tiles` | a picture as frames, and its sums |
+//! | `counts` | histograms of frames and tiles |
+//! | `copies` | augmented copies of a library's trials |
+//! | `prints` | what tells whether two trials share samples |
+//! | `packed`, `lanes` | numbers in few bytes, and fast sums |
+//!
+//! A [`FeatureVector`] holds hand-made features, for the comparison classifiers:
 //!
 //! | source | features, for each channel | |
 //! |---|---|---|
@@ -10,19 +27,32 @@
 //!
 //! The features of a trial do not depend on other trials.
 
-pub(crate) mod picture_statistics;
-pub(crate) mod series_statistics;
-pub(super) mod windowed_frames;
+pub(crate) mod copies;
+pub(crate) mod counts;
+pub(crate) mod frames;
+pub(crate) mod growing;
+pub(crate) mod lanes;
+pub(crate) mod moments;
+pub(crate) mod packed;
+mod passed;
+mod picture_statistics;
+pub(crate) mod places;
+pub(crate) mod prints;
+pub(crate) mod quantiles;
+mod series_statistics;
+pub(crate) mod sources;
+pub(crate) mod tiles;
+pub(crate) mod windowed_frames;
 
 use std::collections::BTreeMap;
 
-use crate::recognise::error::{RecogniseError, of_known_sources};
+use self::sources::{SourceError, of_known_sources};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{Signal, Trial, TrialKey};
 
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SourceFeatures {
-    /// The values, in the order of the table at the top of this module.
+    /// The values, in the order of the second table at the top of this module.
     pub values: Vec<f64>,
     /// The recording's rate in Hz; 0 for pictures and for features that were read from a table.
     pub rate_hz: f64,
@@ -39,7 +69,7 @@ impl FeatureVector {
     ///
     /// # Errors
     /// If a source has another kind or another number of channels than the scene says.
-    pub fn new(key: &TrialKey, trial: &Trial, scene: &Scene) -> Result<Self, RecogniseError> {
+    pub fn new(key: &TrialKey, trial: &Trial, scene: &Scene) -> Result<Self, SourceError> {
         let sources = of_known_sources(key, trial, scene, |spec, signal| match signal {
             Signal::Image(image) => {
                 SourceFeatures { values: picture_statistics::features(image), rate_hz: 0.0 }

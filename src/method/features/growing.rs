@@ -39,7 +39,7 @@ pub(super) fn joined<'a>(pending: &mut Vec<f32>, samples: &'a [f32]) -> Cow<'a, 
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct Growing {
+pub(crate) struct Growing {
     views: SourceViews,
     /// For each view, the samples that later frames need; all samples, until one frame is complete.
     pending: [Vec<f32>; 2],
@@ -52,7 +52,7 @@ pub(super) struct Growing {
 }
 
 impl Growing {
-    pub(super) fn new(views: &SourceViews) -> Self {
+    pub(crate) fn new(views: &SourceViews) -> Self {
         Self {
             pending: Default::default(),
             begun: [false; 2],
@@ -64,7 +64,7 @@ impl Growing {
     }
 
     /// Adds interleaved samples. Gives the frames of each view that they complete.
-    pub(super) fn add(&mut self, samples: &[f32]) -> [PackedFrames; 2] {
+    pub(crate) fn add(&mut self, samples: &[f32]) -> [PackedFrames; 2] {
         if self.passed.is_none() {
             self.moments.extend(samples);
         }
@@ -97,7 +97,7 @@ impl Growing {
     }
 
     /// The padded frames and the moments of a series that ends here, without its complete frames.
-    pub(super) fn end(&self) -> Piece {
+    pub(crate) fn end(&self) -> Piece {
         let padded = |number: usize| match self.begun[number] {
             true => PackedFrames::default(),
             false => PackedFrames::new(&self.views.frames[number].frames(&self.pending[number])),

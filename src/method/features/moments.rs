@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::growing::joined;
 use super::lanes::{about, dot, extremes, powers};
 use super::quantiles::{Histograms, QUANTILES};
-use crate::recognise::features::windowed_frames::sum;
+use super::windowed_frames::sum;
 use crate::trial::less;
 
 /// Number of lags of the products x_t·x_{t−l}: 0 … 3 samples.
@@ -18,16 +18,16 @@ const LAGS: usize = 4;
 
 /// Sources with more channels than this have lagged products of each channel with itself alone: those of
 /// pairs grow with the square.
-pub(super) const MOST_LAGGED: usize = 16;
+pub(crate) const MOST_LAGGED: usize = 16;
 
 /// Keeps logarithms finite; far below one step of a 24-bit converter.
 const FLOOR: f64 = 1e-9;
 
 /// Number of statistics of one channel, see [`Statistics::moments`].
-pub(super) const MOMENTS: usize = 9;
+pub(crate) const MOMENTS: usize = 9;
 
 /// Indices of ln deviation and ln drift, the statistics that depend on gain.
-pub(super) const LOUDNESS: [usize; 2] = [0, 8];
+pub(crate) const LOUDNESS: [usize; 2] = [0, 8];
 
 /// The sums of a channel, in the order in which they are stored. `Root` is Σ √|x − m|.
 #[derive(Clone, Copy)]

@@ -10,7 +10,7 @@
 use std::ops::Range;
 
 use super::moments::means;
-use crate::recognise::features::windowed_frames::FrameView;
+use super::windowed_frames::FrameView;
 
 /// A band-limited series that grows frame by frame.
 #[derive(Clone, Debug)]
