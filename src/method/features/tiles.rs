@@ -138,10 +138,10 @@ fn means(pixels: &[[u8; 3]]) -> [f32; CHANNELS] {
     // So few that their sum fits into 32 bits.
     for chunk in pixels.chunks(4096) {
         let (mut r, mut g, mut b) = (0u32, 0u32, 0u32);
-        for i in 0..chunk.len() {
-            r += u32::from(chunk[i][0]);
-            g += u32::from(chunk[i][1]);
-            b += u32::from(chunk[i][2]);
+        for pixel in chunk {
+            r += u32::from(pixel[0]);
+            g += u32::from(pixel[1]);
+            b += u32::from(pixel[2]);
         }
         sums[0] += u64::from(r);
         sums[1] += u64::from(g);

@@ -152,9 +152,7 @@ impl ChannelFlaws {
 fn moving(last: f32, samples: &[f32; CHUNK]) -> Option<(f32, f32)> {
     const LANES: usize = 8;
     let mut before = [last; CHUNK];
-    for i in 1..CHUNK {
-        before[i] = samples[i - 1];
-    }
+    before[1..].copy_from_slice(&samples[..CHUNK - 1]);
     let mut equal = 0;
     for i in 0..CHUNK {
         equal |= u32::from(samples[i] == before[i]);
@@ -304,7 +302,7 @@ mod tests {
         let value = |i: usize| match i % 400 {
             0..100 => (i / 5 % 3) as f32 - 1.0,
             100..104 => {
-                if i % 2 == 0 {
+                if i.is_multiple_of(2) {
                     0.0
                 } else {
                     -0.0
