@@ -1,15 +1,13 @@
 //! A series as it grows: cut into frames and summed, in pieces of any size. Whole recordings, copies,
 //! beginnings and scans in progress all go this way, so that they cannot differ.
 
-use std::borrow::Cow;
-
 use serde::{Deserialize, Serialize};
 
-use super::frames::SourceViews;
-use super::moments::{GrowingMoments, Moments};
+use super::moments::{GrowingMoments, Moments, joined};
 use super::packed::PackedFrames;
 use super::passed::{self, Passed};
 use super::places::GrowingPlaces;
+use super::views::SourceViews;
 
 /// The frames and moments of a whole series, of a copy, or of a beginning. A series shorter than a frame
 /// of a view has one zero-padded frame of that view.
@@ -27,15 +25,6 @@ impl Piece {
         let frames = growing.add(samples);
         growing.ended(frames)
     }
-}
-
-/// The samples that waited, and those after them; if none waited, nothing is copied.
-pub(super) fn joined<'a>(pending: &mut Vec<f32>, samples: &'a [f32]) -> Cow<'a, [f32]> {
-    if pending.is_empty() {
-        return samples.into();
-    }
-    pending.extend_from_slice(samples);
-    std::mem::take(pending).into()
 }
 
 #[derive(Clone, Debug)]

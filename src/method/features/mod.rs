@@ -5,7 +5,8 @@
 //! | file | holds |
 //! |---|---|
 //! | `sources` | the sources of a trial, checked against the scene |
-//! | `frames` | how long frames are, and a trial as frames and sums, with its copies and beginnings |
+//! | `frames` | a trial as frames and sums, with its copies and beginnings |
+//! | `views` | how long frames are |
 //! | `growing` | a series as it grows: every recording goes this way |
 //! | `windowed_frames` | log-band frames, which hand-made features have too |
 //! | `passed` | the part of a series within its band |
@@ -42,6 +43,7 @@ pub(crate) mod quantiles;
 mod series_statistics;
 pub(crate) mod sources;
 pub(crate) mod tiles;
+pub(crate) mod views;
 pub(crate) mod windowed_frames;
 
 use std::collections::BTreeMap;

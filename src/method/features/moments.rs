@@ -5,9 +5,10 @@
 //! a scan that grows is not known yet, so mean magnitude, crossings and drift are about the means of
 //! blocks. They are defined so for finished series, too: a look then says what the end would say.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
-use super::growing::joined;
 use super::lanes::{about, dot, extremes, powers};
 use super::quantiles::{Histograms, QUANTILES};
 use super::windowed_frames::sum;
@@ -276,6 +277,15 @@ impl GrowingMoments {
             reference,
         }
     }
+}
+
+/// The samples that waited, and those after them; if none waited, nothing is copied.
+pub(super) fn joined<'a>(pending: &mut Vec<f32>, samples: &'a [f32]) -> Cow<'a, [f32]> {
+    if pending.is_empty() {
+        return samples.into();
+    }
+    pending.extend_from_slice(samples);
+    std::mem::take(pending).into()
 }
 
 /// Limits x to finite f32, since powers of samples far beyond full scale may overflow.

@@ -9,11 +9,13 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::series::STILL;
 use crate::features::moments::Statistics;
 use crate::features::places::Places;
 use crate::features::windowed_frames::sum;
 use crate::seed;
+
+/// A channel with at most this standard deviation counts as constant.
+pub(super) const STILL: f64 = 2e-9;
 
 /// Number of times that all trials are turned.
 const TURNS: u64 = 99;

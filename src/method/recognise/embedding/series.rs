@@ -10,14 +10,15 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::eigen::{EigenPairs, push_upper};
-use super::places::PlaceEmbedder;
+use super::places::{PlaceEmbedder, STILL};
 use super::view::{ViewEmbedder, median};
 use crate::features::counts::Counts;
-use crate::features::frames::{SeriesFrames, SourceViews};
+use crate::features::frames::SeriesFrames;
 use crate::features::growing::Piece;
 use crate::features::moments::{LOUDNESS, MOMENTS, MOST_LAGGED, Moments, Statistics};
 use crate::features::packed::PackedFrames;
 use crate::features::quantiles::QUANTILES;
+use crate::features::views::SourceViews;
 use crate::features::windowed_frames::{FrameView, ln};
 use crate::trial::usual_rests;
 
@@ -35,9 +36,6 @@ const RIDGE: f64 = 1e-3;
 
 /// Correlations are clipped to ± this value before their inverse hyperbolic tangent.
 const MOST_CORRELATED: f64 = 0.99;
-
-/// A channel with at most this standard deviation counts as constant.
-pub(super) const STILL: f64 = 2e-9;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct SeriesEmbedder {
