@@ -61,6 +61,7 @@ pub mod independence;
 #[doc(hidden)]
 pub mod jpeg;
 pub mod kernel;
+mod lanes;
 pub mod library;
 #[doc(hidden)]
 pub mod printable;

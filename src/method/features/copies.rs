@@ -12,10 +12,9 @@ use std::sync::LazyLock;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::lanes::dot;
 use super::moments::means;
+use crate::lanes::{dot, less};
 use crate::seed;
-use crate::trial::less;
 
 const EXCERPTS: usize = 3;
 

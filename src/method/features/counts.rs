@@ -13,8 +13,8 @@ use std::sync::OnceLock;
 
 use multiversion::multiversion;
 
-use super::lanes::extremes;
 use super::windowed_frames::ln;
+use crate::lanes::extremes;
 
 /// Number of values that are computed together. With 8, the compiler makes no vectors of some builds.
 pub(crate) const LANES: usize = 16;

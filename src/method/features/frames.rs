@@ -8,13 +8,12 @@ use serde::{Deserialize, Serialize};
 use super::copies::{self, Copy, copies};
 use super::growing::{Growing, Piece};
 use super::packed::PackedFrames;
-use super::prints::Prints;
 use super::sources::{SourceError, of_known_sources};
 use super::tiles::PictureTiles;
 use super::views::SourceViews;
 use crate::library::shape::{LibraryShape, SourceShape};
 use crate::scene::{Phase, Scene, SourceId, SourceSpec};
-use crate::trial::{Series, SeriesFlaws, Signal, Trial, TrialKey};
+use crate::trial::{Fingerprints, Series, SeriesFlaws, Signal, Trial, TrialKey};
 
 /// Scan time from one look (renewal of the guess) to the next, in seconds.
 pub const LOOK_S: f64 = 0.1;
@@ -102,6 +101,21 @@ pub enum SourceFrames {
 impl SourceFrames {
     pub fn series(&self) -> Option<&SeriesFrames> {
         if let Self::Series(series) = self { Some(series) } else { None }
+    }
+}
+
+/// Windows that tell of a series whether it shares samples with another.
+const MOST_WINDOWS: usize = 64;
+
+/// Hash of a signal, and sorted hashes of windows; none of those that can be equal by chance.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Prints(pub Option<u64>, pub Vec<u64>);
+
+impl Prints {
+    fn of(signal: &Signal) -> Self {
+        let Fingerprints { whole, windows } = Fingerprints::of(signal, MOST_WINDOWS);
+        let windows = windows.into_iter().filter(|_| whole.is_some());
+        Self(whole, windows.map(|(hash, _)| hash).collect())
     }
 }
 

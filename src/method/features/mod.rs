@@ -14,8 +14,7 @@
 //! | `tiles` | a picture as frames, and its sums |
 //! | `counts` | histograms of frames and tiles |
 //! | `copies` | augmented copies of a library's trials |
-//! | `prints` | what tells whether two trials share samples |
-//! | `packed`, `lanes` | numbers in few bytes, and fast sums |
+//! | `packed` | numbers in few bytes |
 //!
 //! A [`FeatureVector`] holds hand-made features, for the comparison classifiers:
 //!
@@ -32,13 +31,11 @@ pub(crate) mod copies;
 pub(crate) mod counts;
 pub(crate) mod frames;
 pub(crate) mod growing;
-pub(crate) mod lanes;
 pub(crate) mod moments;
 pub(crate) mod packed;
 mod passed;
 mod picture_statistics;
 pub(crate) mod places;
-pub(crate) mod prints;
 pub(crate) mod quantiles;
 mod series_statistics;
 pub(crate) mod sources;

@@ -9,10 +9,8 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
-use super::lanes::{about, dot, extremes, powers};
 use super::quantiles::{Histograms, QUANTILES};
-use super::windowed_frames::sum;
-use crate::trial::less;
+use crate::lanes::{about, dot, extremes, less, powers, sum};
 
 /// Number of lags of the products x_t·x_{t−l}: 0 … 3 samples.
 const LAGS: usize = 4;
@@ -246,11 +244,7 @@ impl GrowingMoments {
         let all = joined(&mut self.pending, samples);
         let mut blocks = all.chunks_exact(size);
         for block in &mut blocks {
-            let reference = self.reference.get_or_insert_with(|| means(block, channels));
-            let planes = planes(block, &self.before, reference);
-            let past = self.before.len() / channels;
-            let counts = self.sums.add(&block_sums(&planes, past));
-            self.histograms.add(counts, &planes, past);
+            self.add(block);
             let kept = block.len().min((LAGS - 1) * channels);
             self.before.extend_from_slice(&block[block.len() - kept..]);
             let surplus = self.before.len().saturating_sub((LAGS - 1) * channels);
@@ -261,21 +255,26 @@ impl GrowingMoments {
 
     /// The moments of the samples so far, if the series ends here.
     pub(super) fn ended(mut self) -> Moments {
-        let reference = match self.reference.take() {
-            Some(reference) => reference,
-            None => means(&self.pending, self.sums.channels),
-        };
-        if !self.pending.is_empty() {
-            let planes = planes(&self.pending, &self.before, &reference);
-            let past = self.before.len() / self.sums.channels;
-            let counts = self.sums.add(&block_sums(&planes, past));
-            self.histograms.add(counts, &planes, past);
+        let pending = std::mem::take(&mut self.pending);
+        if !pending.is_empty() {
+            self.add(&pending);
         }
+        let channels = self.sums.channels;
         Moments {
             sums: self.sums.values.into_iter().map(held).collect(),
             quantiles: self.histograms.quantiles(),
-            reference,
+            reference: self.reference.unwrap_or_else(|| means(&[], channels)),
         }
+    }
+
+    /// Adds the sums of a block.
+    fn add(&mut self, block: &[f32]) {
+        let channels = self.sums.channels;
+        let reference = self.reference.get_or_insert_with(|| means(block, channels));
+        let planes = planes(block, &self.before, reference);
+        let past = self.before.len() / channels;
+        let counts = self.sums.add(&block_sums(&planes, past));
+        self.histograms.add(counts, &planes, past);
     }
 }
 

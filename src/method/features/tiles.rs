@@ -16,9 +16,8 @@ use rustfft::{Fft, FftPlanner};
 use serde::{Deserialize, Serialize};
 
 use super::counts::{Counts, LANES};
-use super::lanes::{chunks, dot, powers, total};
 use super::packed::PackedFrames;
-use super::windowed_frames::sum;
+use crate::lanes::{chunks, dot, powers, sum, total};
 use crate::trial::Image;
 
 pub(crate) const CHANNELS: usize = 3;

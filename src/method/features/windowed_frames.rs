@@ -19,7 +19,7 @@ use realfft::{ComplexToReal, RealFftPlanner};
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 
-use crate::trial::less;
+use crate::lanes::{less, sum};
 
 /// Added to the power of each band, so that the logarithm of a silent band is finite.
 const POWER_FLOOR: f32 = 1e-14;
@@ -267,11 +267,7 @@ impl Workspace {
         let within = view.edges[0]..view.edges[view.edges.len() - 1];
         let channels = row.chunks_exact_mut(view.bands()).zip(samples);
         for (channel, (bands, samples)) in channels.enumerate() {
-            let last = self.half.len() - 1;
-            let mean = windowed(samples, &self.window, &mut self.half[..last]);
-            self.plan.process_with_scratch(&mut self.half[..last], &mut self.scratch);
-            self.half[last] = self.half[0];
-            tell_apart(&self.half, &self.turns, within.clone(), &mut self.bins);
+            let mean = self.transform(samples, within.clone());
             for (band, slot) in bands.iter_mut().enumerate() {
                 let bins = &self.bins[view.edges[band]..view.edges[band + 1]];
                 let power = power(bins);
@@ -283,6 +279,16 @@ impl Workspace {
                 self.pass_back(view, mean, part, channel);
             }
         }
+    }
+
+    /// Transforms L samples, without their mean and windowed, into the bins `within`; the mean is given.
+    fn transform(&mut self, samples: &[f32], within: Range<usize>) -> f32 {
+        let last = self.half.len() - 1;
+        let mean = windowed(samples, &self.window, &mut self.half[..last]);
+        self.plan.process_with_scratch(&mut self.half[..last], &mut self.scratch);
+        self.half[last] = self.half[0];
+        tell_apart(&self.half, &self.turns, within, &mut self.bins);
+        mean
     }
 
     /// Writes the samples of one channel within the bands, from the spectrum in `bins` and the mean of
@@ -363,22 +369,6 @@ fn power(bins: &[Complex<f32>]) -> f32 {
 #[inline(always)]
 fn mean(samples: &[f32]) -> f32 {
     (sum(samples) / samples.len().max(1) as f64) as f32
-}
-
-/// Sum of the samples, by eight sums in f64, so that no addition waits for the one before.
-#[inline(always)]
-pub(crate) fn sum(samples: &[f32]) -> f64 {
-    let mut lanes = [0f64; 8];
-    let (chunks, rest) = samples.as_chunks::<8>();
-    for chunk in chunks {
-        for lane in 0..8 {
-            lanes[lane] += f64::from(chunk[lane]);
-        }
-    }
-    for lane in 0..rest.len() {
-        lanes[lane] += f64::from(rest[lane]);
-    }
-    lanes.iter().sum()
 }
 
 /// ln x of a positive normal number, with an error of 1e-15 or of as much of ln x; NaN of what is not
@@ -494,14 +484,10 @@ mod tests {
             let samples: Vec<f32> =
                 (0..points).map(|i| ((i * i) as f32 * 0.7).sin() + 0.3).collect();
             let mut workspace = Workspace::new(points);
-            let last = points / 2;
-            let mean = windowed(&samples, &workspace.window, &mut workspace.half[..last]);
-            workspace.plan.process(&mut workspace.half[..last]);
-            workspace.half[last] = workspace.half[0];
-            let Workspace { half, turns, bins, window, .. } = &mut workspace;
-            for within in [0..last + 1, 1..last] {
-                bins.fill(Complex::default());
-                tell_apart(half, turns, within.clone(), bins);
+            for within in [0..points / 2 + 1, 1..points / 2] {
+                workspace.bins.fill(Complex::default());
+                let mean = workspace.transform(&samples, within.clone());
+                let Workspace { bins, window, .. } = &workspace;
                 for (k, bin) in bins.iter().enumerate() {
                     let term = |n: usize| {
                         let angle = std::f32::consts::TAU * (n * k % points) as f32 / points as f32;

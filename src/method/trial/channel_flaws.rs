@@ -10,7 +10,8 @@ use std::collections::HashMap;
 use multiversion::multiversion;
 
 use super::doubt::Doubt;
-use super::{Image, Series, Signal, less};
+use super::{Image, Series, Signal};
+use crate::lanes::{extremes, less};
 use crate::scene::SourceId;
 
 /// A channel with fewer distinct values is a switch or a coarse converter, and may rest at its limits.
@@ -54,15 +55,15 @@ impl ChannelFlaws {
     fn add(&mut self, samples: &[f32]) {
         let (chunks, rest) = samples.as_chunks();
         for chunk in chunks {
-            match moving(self.last, chunk) {
-                Some((low, high)) if self.run > 0 && !self.varies_little() => {
-                    self.end_run();
-                    self.samples += CHUNK;
-                    (self.run, self.last) = (1, chunk[CHUNK - 1]);
-                    (self.low, self.high) = (self.low.min(low), self.high.max(high));
-                }
-                _ => self.add_each(chunk),
+            if self.run == 0 || self.varies_little() || !differ(self.last, chunk) {
+                self.add_each(chunk);
+                continue;
             }
+            self.end_run();
+            self.samples += CHUNK;
+            (self.run, self.last) = (1, chunk[CHUNK - 1]);
+            let (low, high) = extremes(chunk);
+            (self.low, self.high) = (self.low.min(low), self.high.max(high));
         }
         self.add_each(rest);
     }
@@ -147,27 +148,16 @@ impl ChannelFlaws {
     }
 }
 
-/// The least and the greatest of some samples, if each differs from the one before it; `last` precedes them.
+/// Whether each sample differs from the one before it; `last` precedes them.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-fn moving(last: f32, samples: &[f32; CHUNK]) -> Option<(f32, f32)> {
-    const LANES: usize = 8;
+fn differ(last: f32, samples: &[f32; CHUNK]) -> bool {
     let mut before = [last; CHUNK];
     before[1..].copy_from_slice(&samples[..CHUNK - 1]);
     let mut equal = 0;
     for i in 0..CHUNK {
         equal |= u32::from(samples[i] == before[i]);
     }
-    let (mut low, mut high) = ([samples[0]; LANES], [samples[0]; LANES]);
-    for i in 0..CHUNK {
-        // Unlike `f32::min`, one instruction.
-        let (x, low, high) = (samples[i], &mut low[i % LANES], &mut high[i % LANES]);
-        *low = if x < *low { x } else { *low };
-        *high = if x > *high { x } else { *high };
-    }
-    for lane in 1..LANES {
-        (low[0], high[0]) = (low[0].min(low[lane]), high[0].max(high[lane]));
-    }
-    (equal == 0).then_some((low[0], high[0]))
+    equal == 0
 }
 
 /// The `usual_rest` of each channel, from the rests of all channels in each trial.
@@ -301,13 +291,7 @@ mod tests {
         // Runs of one to five samples between stretches that move; ±0 count as one value.
         let value = |i: usize| match i % 400 {
             0..100 => (i / 5 % 3) as f32 - 1.0,
-            100..104 => {
-                if i.is_multiple_of(2) {
-                    0.0
-                } else {
-                    -0.0
-                }
-            }
+            100..104 => [0.0, -0.0][i % 2],
             _ => (i * 7919 % 1000) as f32 / 250.0 - 2.0,
         };
         let samples: Vec<f32> = (0..4000).map(value).collect();

@@ -47,33 +47,32 @@ impl Fingerprints {
                     word[..bytes.len()].copy_from_slice(bytes);
                     u64::from_le_bytes(word)
                 };
-                let words: Vec<u64> = (image.rgb().chunks(8).map(word)).collect();
-                let whole = || of_all(&words);
+                let whole = || of_all(&image.rgb().chunks(8).map(word).collect::<Vec<_>>());
                 Self { whole: (!is_plain(image)).then(whole), windows: Vec::new() }
             }
-            Signal::Series(series) => {
-                let (samples, channels) = (series.samples(), series.channels());
-                let frames = series.frames();
-                // Hashes are spread evenly, so this leaves four times as many as are kept.
-                let below = (u64::MAX / frames as u64).saturating_mul(4 * most as u64);
-                let (mut whole, mut found, mut hashes) = (frames as u64, Vec::new(), Vec::new());
-                for begin in (0..frames).step_by(CHUNK) {
-                    let first = begin.saturating_sub(1);
-                    let end = (begin + CHUNK + WINDOW - 1).min(frames);
-                    hashes.clear();
-                    hashes.resize(end - first, 0);
-                    hash_frames(&samples[first * channels..end * channels], channels, &mut hashes);
-                    let own = &hashes[begin - first..];
-                    whole = mixed(whole, of_all(&own[..own.len().min(CHUNK)]));
-                    let windows = windows(&hashes, begin - first, below);
-                    found.extend(windows.into_iter().map(|(hash, at)| (hash, first + at)));
-                }
-                Self {
-                    whole: tells(series, 0, frames).then_some(whole),
-                    windows: smallest(found, most),
-                }
-            }
+            Signal::Series(series) => Self::of_series(series, most),
         }
+    }
+
+    fn of_series(series: &Series, most: usize) -> Self {
+        let (samples, channels, frames) = (series.samples(), series.channels(), series.frames());
+        // Hashes are spread evenly, so this leaves four times as many as are kept.
+        let below = (u64::MAX / frames as u64).saturating_mul(4 * most as u64);
+        let (mut whole, mut found, mut hashes) = (frames as u64, Vec::new(), Vec::new());
+        for begin in (0..frames).step_by(CHUNK) {
+            // With the frame before the first window, and the end of the last one.
+            let first = begin.saturating_sub(1);
+            let end = (begin + CHUNK + WINDOW - 1).min(frames);
+            hashes.clear();
+            hashes.resize(end - first, 0);
+            hash_frames(&samples[first * channels..end * channels], channels, &mut hashes);
+            let own = &hashes[begin - first..];
+            whole = mixed(whole, of_all(&own[..own.len().min(CHUNK)]));
+            let windows = windows(&hashes, begin - first, below);
+            found.extend(windows.into_iter().map(|(hash, at)| (hash, first + at)));
+        }
+        let whole = tells(series, 0, frames).then_some(whole);
+        Self { whole, windows: smallest(found, most) }
     }
 }
 

@@ -200,10 +200,10 @@ impl Series {
         if !samples.len().is_multiple_of(channels) {
             return Err(SignalError::Ragged { len: samples.len(), channels });
         }
-        // Almost always all are, and this way several are looked at together.
-        let are_finite = samples.iter().fold(true, |all, x| all & x.is_finite());
-        let first_other = || samples.iter().position(|x| !x.is_finite());
-        if let Some(at) = (!are_finite).then(first_other).flatten() {
+        // Almost always all are finite, and a fold looks at several of them together.
+        if !samples.iter().fold(true, |all, x| all & x.is_finite())
+            && let Some(at) = samples.iter().position(|x| !x.is_finite())
+        {
             let (frame, channel) = (at / channels + 1, at % channels + 1);
             return Err(SignalError::NotFinite { channel, frame, value: samples[at] });
         }
@@ -265,18 +265,6 @@ impl Series {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
     rgb: Vec<u8>,
-}
-
-/// One channel of interleaved samples, minus `reference`.
-pub(crate) fn less(
-    samples: &[f32],
-    (channels, channel): (usize, usize),
-    reference: f32,
-) -> Vec<f32> {
-    if channels == 1 {
-        return samples.iter().map(|x| x - reference).collect();
-    }
-    samples.chunks_exact(channels).map(|frame| frame[channel] - reference).collect()
 }
 
 impl Image {

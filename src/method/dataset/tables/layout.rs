@@ -272,7 +272,7 @@ fn start_and_rate(rows: &[HeadLine], delimiter: u8) -> Option<f64> {
         let (first, rest) = line.cells.split_first()?;
         rest.iter().all(|cell| cell == first).then(|| numbers.read(first).ok()).flatten()
     };
-    let is_start = |x: f64| (9e8..4.2e9).contains(&x);
+    let is_start = |x: f64| stamp::SINCE_1970_S.contains(&x);
     let [first, second, third, ..] = rows else { return None };
     repeated(first).filter(|x| is_start(*x))?;
     let goes_on = repeated(third).is_some_and(is_start);

@@ -1,7 +1,12 @@
 //! Times of rows: numbers in some unit since a start, since 1970 or in Excel's days, dates of the
 //! calendar, and times of the day.
 
+use std::ops::Range;
+
 use super::text::shown;
+
+/// Seconds since 1970 that say when: from 1998 to 2103.
+pub(super) const SINCE_1970_S: Range<f64> = 9e8..4.2e9;
 
 const S: f64 = 1e9;
 const DAY: i64 = 86_400_000_000_000;
@@ -65,7 +70,7 @@ impl Stamps {
         steps.sort_by(f64::total_cmp);
         let step = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
         let level = values[0].abs();
-        let since_1970 = |unit_ns: f64| (9e8 * S..4.2e9 * S).contains(&(level * unit_ns));
+        let since_1970 = |unit_ns: f64| SINCE_1970_S.contains(&(level * unit_ns / S));
         if let Some(unit_ns) = unit_ns {
             let stamps = Self::Numbers { unit_ns, since_1970: since_1970(unit_ns) };
             return Ok((stamps, format!("in units of {}", length(unit_ns))));

@@ -66,9 +66,13 @@ impl<'a> Table<'a> {
                 ));
             }
         }
-        let unused = columns::clock(head, None, form.from_1904).ok().flatten();
-        let unused = unused.filter(|_| stamps.is_none()).map(|name| layout.column(&name));
-        let unused_clock = unused.transpose()?.filter(|at| !values.contains(at));
+        let unused = match form.clock {
+            // Times that cannot be read are not needed.
+            Clock::Rate(_) => columns::clock(head, None, form.from_1904).ok().flatten(),
+            Clock::Times { .. } => None,
+        };
+        let unused = unused.map(|name| layout.column(&name)).transpose()?;
+        let unused_clock = unused.filter(|at| !values.contains(at));
         Ok(Self { head, labels, stamps, said, values, unused_clock })
     }
 
@@ -90,6 +94,8 @@ impl<'a> Table<'a> {
         let mut steps = vec![Steps::default(); values.len()];
         let (mut label, mut known, mut at) = (Vec::new(), None::<Vec<u8>>, 0);
         let is_bare = self.stamps.is_none() && self.labels == [None; 4];
+        // Without numbers of trials, rows alone tell where another one begins.
+        let are_unnumbered = self.labels[2].is_none();
         // Whether the next row does not follow the one before it in its trial.
         let mut is_broken = false;
         // Rows since an empty line or a comment, and the first and the latest of the unused times.
@@ -120,7 +126,7 @@ impl<'a> Table<'a> {
             // Another trial may begin there.
             is_broken |= are_names || is_text;
             if found == Line::Nothing {
-                is_broken |= undivided >= FEWEST_DIVIDED && self.labels[2].is_none();
+                is_broken |= undivided >= FEWEST_DIVIDED && are_unnumbered;
                 undivided = 0;
             }
             // Where nothing else tells that a sample is missing, a row of empty cells does.
@@ -159,8 +165,8 @@ impl<'a> Table<'a> {
                         at
                     }
                 };
-                // Without numbers of trials, a surface that comes again is another stretch of rows.
-                is_broken |= self.labels[2].is_none();
+                // A surface that comes again is another stretch of rows.
+                is_broken |= are_unnumbered;
                 known = Some(label.clone());
             }
             let group = &mut gathered.groups[at];
@@ -205,7 +211,7 @@ impl<'a> Table<'a> {
                 let (first, last) = times.unwrap_or((time, time));
                 // Not where two rows are swapped.
                 let begins_anew = time < last && time - first < 0.5 * (last - first);
-                is_broken |= begins_anew && self.labels[2].is_none();
+                is_broken |= begins_anew && are_unnumbered;
                 times = Some((if begins_anew { time } else { first }, time));
             }
             let full = |error| {

@@ -18,8 +18,8 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use serde::{Deserialize, Serialize};
 
 use super::linear::{cholesky, lower_gram, solve_lower, solve_lower_transposed};
-use crate::features::lanes::products;
 use crate::features::packed;
+use crate::lanes::products;
 
 /// Variance within classes counts as at least this share of all variance, since a detector that has
 /// never erred in the library may still err.

@@ -2,14 +2,14 @@
 //! and tells surfaces apart with many small shrinkage discriminants (`ensemble`).
 //!
 //! A trial comes as frames and sums, made by [`features`](crate::features). The vector holds Fourier
-//! features of log-band frames (`view`): kernel mean embeddings, with MMD² as squared distance. It also holds the moments, the quantiles and the lag covariance of each
-//! series (`series`). Pictures have the same features, with tiles as frames (`picture`). Each feature occurs
-//! in *shape*, relative to the recording's own level, and in *level*. The discriminants are trained
-//! on whole trials and on augmented copies (`features::copies`). The gain of copies varies, so that they learn
-//! how much to trust level; they are stored beside the library. The temperature of
-//! probabilities (`temperature`), the stopping rule and the threshold of `unknown` come from leaving out
-//! library trials, by user or else by session if there are several (`left_out`). If a source is missing,
-//! only its columns are left out.
+//! features of log-band frames (`view`): kernel mean embeddings, with MMD² as squared distance. It also
+//! holds the moments, the quantiles and the lag covariance of each series (`series`). Pictures have the
+//! same features, with tiles as frames (`picture`). Each feature occurs in *shape*, relative to the
+//! recording's own level, and in *level*. The discriminants are trained on whole trials and on augmented
+//! copies (`features::copies`). The gain of copies varies, so that they learn how much to trust level;
+//! they are stored beside the library. The temperature of probabilities (`temperature`), the stopping rule
+//! and the threshold of `unknown` come from leaving out library trials, by user or else by session if
+//! there are several (`left_out`). If a source is missing, only its columns are left out.
 //!
 //! The score of a surface is 1/posterior, so that smaller means more alike, as in every method. The
 //! margin is the log of the odds. Only the band of a source's configuration is used (`features::passed`).

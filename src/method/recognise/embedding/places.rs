@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::features::moments::Statistics;
 use crate::features::places::Places;
-use crate::features::windowed_frames::sum;
+use crate::lanes::sum;
 use crate::seed;
 
 /// A channel with at most this standard deviation counts as constant.

@@ -4,8 +4,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use crate::features::frames::TrialFrames;
-use crate::features::prints::Prints;
+use crate::features::frames::{Prints, TrialFrames};
 
 /// Fewest equal windows of two trials, and the least share of the windows that are kept. A few short runs
 /// of a sensor at rest are equal by chance.

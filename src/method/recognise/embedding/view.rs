@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::fourier::{BAND_FEATURES, BandScale, add_up};
 use crate::features::counts::{Counts, LANES};
-use crate::features::lanes::total;
+use crate::lanes::total;
 
 /// Turns the frames of one view into features. Each band gives features in shape (relative to the
 /// series' own mean power) and in level (relative to the library's).

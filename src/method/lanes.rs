@@ -10,7 +10,7 @@ const LANES: usize = 8;
 
 /// The whole chunks of `x`, and the rest, filled up with `padding`.
 #[inline(always)]
-pub(super) fn chunks<const N: usize>(x: &[f32], padding: f32) -> (&[[f32; N]], [f32; N]) {
+pub(crate) fn chunks<const N: usize>(x: &[f32], padding: f32) -> (&[[f32; N]], [f32; N]) {
     let (whole, rest) = x.as_chunks();
     let mut last = [padding; N];
     for lane in 0..N {
@@ -38,13 +38,41 @@ pub(crate) fn total<const N: usize, T: Copy + Into<f64>>(lanes: &[T; N]) -> f64 
     sums[0]
 }
 
+/// One channel of interleaved samples, minus `reference`.
+pub(crate) fn less(
+    samples: &[f32],
+    (channels, channel): (usize, usize),
+    reference: f32,
+) -> Vec<f32> {
+    if channels == 1 {
+        return samples.iter().map(|x| x - reference).collect();
+    }
+    samples.chunks_exact(channels).map(|frame| frame[channel] - reference).collect()
+}
+
+/// Sum of the samples, by eight sums in f64, so that no addition waits for the one before.
+#[inline(always)]
+pub(crate) fn sum(samples: &[f32]) -> f64 {
+    let mut lanes = [0f64; 8];
+    let (chunks, rest) = samples.as_chunks::<8>();
+    for chunk in chunks {
+        for lane in 0..8 {
+            lanes[lane] += f64::from(chunk[lane]);
+        }
+    }
+    for lane in 0..rest.len() {
+        lanes[lane] += f64::from(rest[lane]);
+    }
+    lanes.iter().sum()
+}
+
 /// Σ a·b over two lists of equal length.
 #[multiversion(targets(
     "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
     "x86_64+avx2+fma",
     "aarch64+neon"
 ))]
-pub(super) fn dot(a: &[f32], b: &[f32]) -> f64 {
+pub(crate) fn dot(a: &[f32], b: &[f32]) -> f64 {
     let ((a, last_a), (b, last_b)) = (chunks(a, 0.0), chunks(b, 0.0));
     let mut sums = [0f64; LANES];
     for i in 0..a.len().min(b.len()) {
@@ -93,7 +121,7 @@ fn add_products(sums: &mut [f64; LANES], a: &[f32; LANES], b: &[f32; LANES]) {
     "x86_64+avx2+fma",
     "aarch64+neon"
 ))]
-pub(super) fn powers(x: &[f32]) -> [f64; 3] {
+pub(crate) fn powers(x: &[f32]) -> [f64; 3] {
     let (whole, last) = chunks(x, 0.0);
     let mut sums = [[0f64; LANES]; 3];
     for chunk in whole {
@@ -116,7 +144,7 @@ fn add_powers(sums: &mut [[f64; LANES]; 3], x: &[f32; LANES]) {
 
 /// Σ |x − m|, Σ √|x − m| and the number of crossings of m.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn about(x: &[f32], m: f32) -> [f64; 3] {
+pub(crate) fn about(x: &[f32], m: f32) -> [f64; 3] {
     let (whole, last) = chunks(x, m);
     let mut sums = [[0f32; LANES]; 2];
     for chunk in whole {
@@ -142,7 +170,7 @@ fn add_distances(sums: &mut [[f32; LANES]; 2], x: &[f32; LANES], m: f32) {
 
 /// The least and the greatest value; 0 and 0 if there are none.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn extremes(x: &[f32]) -> (f32, f32) {
+pub(crate) fn extremes(x: &[f32]) -> (f32, f32) {
     let first = if x.is_empty() { 0.0 } else { x[0] };
     let (whole, last) = chunks::<LANES>(x, first);
     let (mut least, mut greatest) = (last, last);
