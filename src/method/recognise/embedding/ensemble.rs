@@ -7,7 +7,7 @@
 //! features, and they do not all err alike. As the library grows, d grows to all features, or to what
 //! training can afford.
 
-use ndarray::{Array1, Array2, ArrayView1};
+use ndarray::{Array1, Array2, ArrayView1, Axis};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -98,12 +98,15 @@ impl Ensemble {
         let members_without = members
             .min(FEATURES_WITHOUT.div_ceil(size.max(1)))
             .min(PRODUCTS_WITHOUT.div_ceil(products));
+        // Column by column, so that a member's columns are read in one piece each.
+        let by_column = vectors.t();
+        let by_column = by_column.as_standard_layout();
         let trained: Vec<_> = (0..members)
             .into_par_iter()
             .map(|number| {
                 let columns = drawn(columns, size, seed, number);
                 let groups = if number < members_without { rows.group_count } else { 0 };
-                let own = gathered(vectors.rows().into_iter(), &columns);
+                let own = by_column.select(Axis(0), &columns).t().as_standard_layout().into_owned();
                 let (all, without) = Discriminant::train(own, rows, groups);
                 let all = all.unwrap_or_else(|| Discriminant::indifferent(rows.classes, size));
                 let member = |discriminant| Member { columns: columns.clone(), discriminant };

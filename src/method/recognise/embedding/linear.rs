@@ -42,7 +42,7 @@ fn factor(mut a: ArrayViewMut2<'_, f64>) -> Option<()> {
         subtract_lower_product(&l21.view(), &l21.t(), &mut a22);
         return factor(a22);
     }
-    let mut upper = transposed(&a.view());
+    let mut upper: Vec<f64> = a.t().iter().copied().collect();
     for j in 0..n {
         let pivot = upper[j * n + j];
         // Written so that NaN fails as well.
@@ -65,11 +65,6 @@ fn factor(mut a: ArrayViewMut2<'_, f64>) -> Option<()> {
     Some(())
 }
 
-/// The transpose of a block, row by row.
-fn transposed(block: &ArrayView2<'_, f64>) -> Vec<f64> {
-    block.t().iter().copied().collect()
-}
-
 fn half_of(n: usize) -> usize {
     (n / 2).next_multiple_of(BLOCK)
 }
@@ -89,31 +84,35 @@ fn solve_from_right(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
         general_mat_mul(-1.0, &first, &l.slice(s![half.., ..half]).t(), 1.0, &mut second);
         return solve_from_right(&l.slice(s![half.., half..]), second);
     }
-    // Rows are multiplied by 1/pivot, which waits for less than a division.
-    let mut upper = transposed(l);
-    upper.iter_mut().step_by(n + 1).for_each(|pivot| *pivot = 1.0 / *pivot);
-    for mut row in b.rows_mut() {
-        match row.as_slice_mut() {
-            Some(row) => solve_row(&upper, row),
-            None => {
-                let mut own = row.to_vec();
-                solve_row(&upper, &mut own);
-                row.iter_mut().zip(own).for_each(|(x, own)| *x = own);
-            }
-        }
-    }
+    let solved = b.dot(&inverse(l).t());
+    b.assign(&solved);
 }
 
-/// Solves x·U = b in place; U is upper triangular, row by row, with the reciprocals of its diagonal.
+/// The inverse of a lower triangular block. A product with it takes less time than a solution, value
+/// after value.
+fn inverse(l: &ArrayView2<'_, f64>) -> Array2<f64> {
+    let n = l.nrows();
+    let mut inverse = Array2::zeros((n, BLOCK));
+    let rows = inverse.as_slice_mut().unwrap_or_default().as_chunks_mut().0;
+    invert(&l.iter().copied().collect::<Vec<_>>(), rows);
+    inverse.slice_move(s![.., ..n])
+}
+
+/// Sets the rows of the inverse of L, which is given row by row. Whole rows stay in registers.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-fn solve_row(upper: &[f64], b: &mut [f64]) {
-    let n = b.len();
-    for j in 0..n {
-        let of_u = &upper[j * n..][..n];
-        let x = b[j] * of_u[j];
-        b[j] = x;
-        for k in j + 1..n {
-            b[k] -= x * of_u[k];
+fn invert(lower: &[f64], rows: &mut [[f64; BLOCK]]) {
+    let n = rows.len();
+    for i in 0..n {
+        let (above, below) = rows.split_at_mut(i);
+        let mut row = [0.0; BLOCK];
+        row[i] = 1.0;
+        for j in 0..i {
+            for k in 0..BLOCK {
+                row[k] -= lower[i * n + j] * above[j][k];
+            }
+        }
+        for k in 0..BLOCK {
+            below[0][k] = row[k] / lower[i * n + i];
         }
     }
 }
@@ -149,7 +148,7 @@ pub(crate) fn solve_lower(l: &Array2<f64>, b: &mut Array2<f64>) {
     solve_from_left(&l.view(), b.view_mut());
 }
 
-fn solve_from_left(l: &ArrayView2<'_, f64>, b: ArrayViewMut2<'_, f64>) {
+fn solve_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
     let n = l.nrows();
     if n > BLOCK {
         let half = half_of(n);
@@ -158,8 +157,8 @@ fn solve_from_left(l: &ArrayView2<'_, f64>, b: ArrayViewMut2<'_, f64>) {
         general_mat_mul(-1.0, &l.slice(s![half.., ..half]), &first, 1.0, &mut second);
         return solve_from_left(&l.slice(s![half.., half..]), second);
     }
-    let lower: Vec<f64> = l.iter().copied().collect();
-    solve_block(b, |columns, b| solve_rows(&lower, columns, b));
+    let solved = inverse(l).dot(&b);
+    b.assign(&solved);
 }
 
 /// Solves Lᵀ·X = B in place; each column of `b` is a right-hand side.
@@ -167,7 +166,7 @@ pub(crate) fn solve_lower_transposed(l: &Array2<f64>, b: &mut Array2<f64>) {
     solve_transposed_from_left(&l.view(), b.view_mut());
 }
 
-fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, b: ArrayViewMut2<'_, f64>) {
+fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
     let n = l.nrows();
     if n > BLOCK {
         let half = half_of(n);
@@ -176,58 +175,8 @@ fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, b: ArrayViewMut2<'_, f64>
         general_mat_mul(-1.0, &l.slice(s![half.., ..half]).t(), &second, 1.0, &mut first);
         return solve_transposed_from_left(&l.slice(s![..half, ..half]), first);
     }
-    let upper = transposed(l);
-    solve_block(b, |columns, b| solve_rows_upwards(&upper, columns, b));
-}
-
-/// Calls `solve` with the number of columns of a block, and with its values, row by row.
-fn solve_block(mut b: ArrayViewMut2<'_, f64>, solve: impl Fn(usize, &mut [f64])) {
-    let mut own: Vec<f64> = b.iter().copied().collect();
-    solve(b.ncols(), &mut own);
-    b.iter_mut().zip(own).for_each(|(x, own)| *x = own);
-}
-
-/// Solves L·X = B in place; L and B are given row by row.
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-fn solve_rows(lower: &[f64], columns: usize, b: &mut [f64]) {
-    let n = b.len() / columns.max(1);
-    for i in 0..n {
-        let (above, below) = b.split_at_mut(i * columns);
-        let row = &mut below[..columns];
-        for j in 0..i {
-            subtract(row, lower[i * n + j], &above[j * columns..]);
-        }
-        divide(row, lower[i * n + i]);
-    }
-}
-
-/// Solves U·X = B in place; U is upper triangular, and given row by row, as is B.
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-fn solve_rows_upwards(upper: &[f64], columns: usize, b: &mut [f64]) {
-    let n = b.len() / columns.max(1);
-    for i in (0..n).rev() {
-        let (above, below) = b.split_at_mut((i + 1) * columns);
-        let row = &mut above[i * columns..];
-        for j in i + 1..n {
-            subtract(row, upper[i * n + j], &below[(j - i - 1) * columns..]);
-        }
-        divide(row, upper[i * n + i]);
-    }
-}
-
-/// x ← x − factor·y
-#[inline(always)]
-fn subtract(x: &mut [f64], factor: f64, y: &[f64]) {
-    for i in 0..x.len().min(y.len()) {
-        x[i] -= factor * y[i];
-    }
-}
-
-#[inline(always)]
-fn divide(x: &mut [f64], by: f64) {
-    for x in x {
-        *x /= by;
-    }
+    let solved = inverse(l).t().dot(&b);
+    b.assign(&solved);
 }
 
 /// Σ z·zᵀ over the rows of a matrix of shape (n, D). The result has shape (D, D); only its lower
