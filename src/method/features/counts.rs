@@ -14,7 +14,7 @@ use std::sync::OnceLock;
 use multiversion::multiversion;
 
 use super::windowed_frames::ln;
-use crate::lanes::extremes;
+use crate::lanes::{extremes, total};
 
 /// Number of values that are computed together. With 8, the compiler makes no vectors of some builds.
 pub(crate) const LANES: usize = 16;
@@ -129,11 +129,7 @@ impl Counts {
     /// For each band: the sum over frames of the values in `table`, and the sum of their squares.
     pub(crate) fn sums(&self, table: &[f32]) -> Vec<(f64, f64)> {
         let of_band = |(band, counts): (usize, &[f32])| {
-            let values = &table[band / self.bands() * self.bins..][..self.bins];
-            counts.iter().zip(values).fold((0.0, 0.0), |(sum, square), (n, x)| {
-                let (n, x) = (f64::from(*n), f64::from(*x));
-                (sum + n * x, square + n * x * x)
-            })
+            sums(counts, &table[band / self.bands() * self.bins..][..self.bins])
         };
         self.counts.chunks_exact(self.bins.max(1)).enumerate().map(of_band).collect()
     }
@@ -184,6 +180,26 @@ fn add_histograms(counts: &[f32], sums: &mut [f32]) {
             sums[i] += band[i];
         }
     }
+}
+
+/// The sum of some values and that of their squares, each multiplied by its count. There are as many
+/// as fill whole chunks.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+fn sums(counts: &[f32], values: &[f32]) -> (f64, f64) {
+    let (counts, values) = (counts.as_chunks::<LANES>().0, values.as_chunks::<LANES>().0);
+    let mut of_lanes = [[0f64; LANES]; 2];
+    for i in 0..counts.len().min(values.len()) {
+        for lane in 0..LANES {
+            let (n, x) = (f64::from(counts[i][lane]), f64::from(values[i][lane]));
+            of_lanes[0][lane] += n * x;
+            of_lanes[1][lane] += n * x * x;
+        }
+    }
+    (total(&of_lanes[0]), total(&of_lanes[1]))
 }
 
 /// ln(P·scale + [`FLOOR`]) of each power P.

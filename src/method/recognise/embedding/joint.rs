@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use ndarray::{Array2, ArrayView1, ArrayViewMut1, ArrayViewMut2, s};
+use ndarray::{Array2, ArrayView1, ArrayViewMut1, ArrayViewMut2, Axis, s};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -86,36 +86,41 @@ pub(super) struct Stretch {
 }
 
 impl Stretch {
-    fn standardise(&self, mut features: ArrayViewMut1<'_, f32>) {
-        for ((x, mean), factor) in features.iter_mut().zip(&self.mean).zip(&self.factor) {
-            *x = ((*x - mean) * factor).clamp(-CLIP, CLIP);
-        }
-        debug_assert!(features.iter().all(|x| x.is_finite()));
+    fn standardise(&self, features: ArrayViewMut1<'_, f32>) {
+        standardise(features, &self.mean, &self.factor);
     }
 
     /// Sets the mean and deviation of each feature over the rows that are `there`, whole trials and
     /// copies, and standardises these rows. So a feature that noise or another hand moves far is not
     /// magnified because it hardly varies between whole trials.
     fn standardise_by(&mut self, mut rows: ArrayViewMut2<'_, f32>, there: &[usize]) {
-        let n = there.len().max(1) as f64;
-        let (mut means, mut variances) = (vec![0.0; rows.ncols()], vec![0.0; rows.ncols()]);
-        // Row by row, as they lie in memory.
-        for &row in there {
-            means.iter_mut().zip(rows.row(row)).for_each(|(sum, &x)| *sum += f64::from(x));
-        }
-        means.iter_mut().for_each(|mean| *mean /= n);
-        for &row in there {
-            for ((sum, mean), &x) in variances.iter_mut().zip(&means).zip(rows.row(row)) {
-                *sum += (f64::from(x) - mean).powi(2);
+        /// Columns that one thread standardises at a time.
+        const COLUMNS: usize = 512;
+        let (mean, factor) = (&mut self.mean, &mut self.factor);
+        mean.resize(rows.ncols(), 0.0);
+        factor.resize(rows.ncols(), 0.0);
+        let scales = mean.par_chunks_mut(COLUMNS).zip(factor.par_chunks_mut(COLUMNS));
+        let columns: Vec<_> = rows.axis_chunks_iter_mut(Axis(1), COLUMNS).collect();
+        columns.into_par_iter().zip(scales).for_each(|(mut rows, (mean, factor))| {
+            let n = there.len().max(1) as f64;
+            let (mut means, mut variances) = (vec![0.0; mean.len()], vec![0.0; mean.len()]);
+            // Row by row, as they lie in memory.
+            for &row in there {
+                means.iter_mut().zip(rows.row(row)).for_each(|(sum, &x)| *sum += f64::from(x));
             }
-        }
-        // A feature that hardly varies is not magnified.
-        let factor = |(mean, sum): (&f64, &f64)| {
-            (1.0 / (sum / n).sqrt().max(1e-6 + 1e-3 * mean.abs())) as f32
-        };
-        self.factor = means.iter().zip(&variances).map(factor).collect();
-        self.mean = means.iter().map(|&mean| mean as f32).collect();
-        there.iter().for_each(|&row| self.standardise(rows.row_mut(row)));
+            means.iter_mut().for_each(|mean| *mean /= n);
+            for &row in there {
+                for ((sum, mean), &x) in variances.iter_mut().zip(&means).zip(rows.row(row)) {
+                    *sum += (f64::from(x) - mean).powi(2);
+                }
+            }
+            for (i, (own, variance)) in means.iter().zip(variances).enumerate() {
+                mean[i] = *own as f32;
+                // A feature that hardly varies is not magnified.
+                factor[i] = (1.0 / (variance / n).sqrt().max(1e-6 + 1e-3 * own.abs())) as f32;
+            }
+            there.iter().for_each(|&row| standardise(rows.row_mut(row), mean, factor));
+        });
     }
 
     /// Whether a channel of the source is constant in the library and compared by its level.
@@ -138,6 +143,13 @@ impl Stretch {
             _ => Ok(()),
         }
     }
+}
+
+fn standardise(mut features: ArrayViewMut1<'_, f32>, mean: &[f32], factor: &[f32]) {
+    for ((x, mean), factor) in features.iter_mut().zip(mean).zip(factor) {
+        *x = ((*x - mean) * factor).clamp(-CLIP, CLIP);
+    }
+    debug_assert!(features.iter().all(|x| x.is_finite()));
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]

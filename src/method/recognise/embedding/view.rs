@@ -1,6 +1,7 @@
 //! Turns the frames of one view of a series, or the tiles of a picture, into features.
 
 use multiversion::multiversion;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::fourier::{BAND_FEATURES, BandScale, add_up};
@@ -47,11 +48,12 @@ impl ViewEmbedder {
 }
 
 /// Mean and deviation of each band over the frames of `pieces`, relative to mean powers `ln_mean`.
-fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64>) -> BandScale {
+fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64> + Sync) -> BandScale {
     let width = pieces[0].width;
     let (mut total, mut frames) = (vec![(0.0, 0.0); width], 0);
-    for (i, piece) in pieces.iter().enumerate() {
-        let sums = piece.sums(&piece.relative(ln_mean(i)));
+    let of_piece = |(i, piece): (usize, &Counts)| piece.sums(&piece.relative(ln_mean(i)));
+    let sums: Vec<_> = pieces.par_iter().enumerate().map(of_piece).collect();
+    for (piece, sums) in pieces.iter().zip(sums) {
         for (total, (sum, square)) in total.iter_mut().zip(sums) {
             *total = (total.0 + sum, total.1 + square);
         }
