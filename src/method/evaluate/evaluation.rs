@@ -174,6 +174,9 @@ impl Run<'_, '_> {
         let (trial, left_out) = without_flawed(trial, self.on.scene, |id| {
             embedding.as_ref().map_or(&[], |embedding| embedding.rests(id))
         });
+        if let Some(embedding) = embedding {
+            embedding.ready_for_length(trial.longest_s(|id| self.on.scene.is_dragged(id)));
+        }
         let trial = Arc::new(trial);
         let entry = Entry::in_memory(Arc::clone(&trial));
         let started = Instant::now();

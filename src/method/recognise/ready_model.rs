@@ -167,8 +167,12 @@ pub fn ready_model(
     // The trials are moved, not borrowed, so that the method can free trials it has used.
     let model = method.fit(prepared.trials.into_iter().flatten().collect(), &prepared.shape)?;
     // If files of the trials have changed meanwhile, the model is used but not stored.
+    let embedding = model.clone().embedding();
+    if let Some(embedding) = &embedding {
+        embedding.ready_for_length(Some(0.0));
+    }
     if let Some((cache, of_files)) = kept.filter(|kept| stamp(&of_model) == Some(kept.1))
-        && let Some(embedding) = model.clone().embedding()
+        && let Some(embedding) = embedding
     {
         let why = cache.replace(1, |_, _| {
             Some(Record { name: RECORD.into(), stamp: of_files, bytes: embedding.store()? })

@@ -81,6 +81,11 @@ impl Conformity {
         Self { by_length }
     }
 
+    /// These calibrations after those of shorter scans, in ascending order of length.
+    pub(crate) fn after(&self, shorter: impl Iterator<Item = Calibration>) -> Self {
+        Self::new(shorter.chain(self.by_length.iter().cloned()).collect())
+    }
+
     /// Number of trials that the p-value of a whole scan is based on.
     pub(crate) fn trials(&self) -> usize {
         self.by_length.last().map_or(0, |calibration| calibration.trials().round() as usize)

@@ -32,14 +32,20 @@ pub(super) struct Trained {
     pub all: Ensemble,
     /// Trained without each group; `None` if too few trials are left.
     pub without: Vec<Option<Ensemble>>,
-    /// How far left-out trials lie from all surfaces by these sources.
+    /// How left-out trials as long as the library's are answered.
+    pub whole: Measured,
+}
+
+/// How left-out trials are answered by some sources.
+#[derive(Default, Serialize, Deserialize)]
+pub(super) struct Measured {
+    /// How far they lie from all surfaces.
     pub conformity: Conformity,
     /// How much less certain than its members an ensemble is.
     pub temperature: Temperature,
 }
 
 /// Beginnings of left-out trials.
-#[derive(Default)]
 struct Begun {
     /// Lengths of the beginnings, in steps of [`LOOK_S`].
     looks: Vec<usize>,
@@ -48,88 +54,87 @@ struct Begun {
 }
 
 impl Trained {
-    fn new(joint: &JointEmbedder, training: &Training, present: &Present) -> Self {
-        let (all, without) = training.ensembles(joint, present);
-        Self {
-            all,
-            without,
-            conformity: Conformity::default(),
-            temperature: Temperature::default(),
-        }
-    }
-
-    /// Trains, and measures conformity and temperature with the library trials that have these sources.
-    /// `drag_s` is the median length of their drag in seconds.
-    pub(super) fn measured(
+    /// Trains, and measures whole trials that have these sources; in a library of one person excerpts,
+    /// which replace scans by somebody else. `drag_s` is the median length of a drag in seconds.
+    /// Excerpts also stand for shorter scans unless the library `begins`, so that beginnings do.
+    pub(super) fn new(
         joint: &JointEmbedder,
         training: &Training,
         labels: &Labels,
         present: &Present,
-        drag_s: f64,
+        (drag_s, begins): (f64, bool),
     ) -> Self {
-        let mut trained = Self::new(joint, training, present);
-        trained.measure(training, labels, present, (drag_s, &Begun::default()));
+        let (all, without) = training.ensembles(joint, present);
+        let mut trained = Self { all, without, whole: Measured::default() };
+        let has_all = has_all(training, present);
+        let trials = || (0..has_all.len()).filter(|&i| has_all[i]);
+        let across_people = labels.left_out.across_people();
+        let mut by_length = Vec::new();
+        if !across_people || !begins {
+            let of_each = trials().map(|i| training.excerpts(i).count()).max().unwrap_or(1);
+            let excerpts = trials().flat_map(|i| training.excerpts(i).map(move |x| (i, x)));
+            let answers = trained.to_trials(labels, &excerpts.collect::<Vec<_>>());
+            by_length.push(calibration(labels, SHARE * drag_s, of_each, &answers));
+        }
+        // Conformity needs all whole trials or none, the temperature no more than these.
+        let sample = evenly(has_all.len());
+        let is_sampled = |trial: &usize| sample.binary_search(trial).is_ok();
+        let wholes = trials().filter(|i| across_people || is_sampled(i));
+        let wholes: Vec<_> = wholes.map(|i| (i, training.whole(i))).collect();
+        let mut wholes = trained.to_trials(labels, &wholes);
+        if across_people {
+            by_length.push(calibration(labels, drag_s, 1, &wholes));
+        }
+        wholes.retain(|(trial, _)| is_sampled(trial));
+        let held_out = [(drag_s, trained.to_known(labels, wholes))];
+        let temperature = Temperature::fit(&held_out, Temperature::default());
+        trained.whole = Measured { conformity: Conformity::new(by_length), temperature };
         trained
     }
 
-    /// Measures conformity and temperature. In a library of one person, excerpts replace scans by
-    /// somebody else.
-    fn measure(
-        &mut self,
+    /// Measures beginnings too.
+    fn measured(
+        &self,
         training: &Training,
         labels: &Labels,
         present: &Present,
         (drag_s, begun): (f64, &Begun),
-    ) {
-        let full: Vec<bool> = (training.present.iter())
-            .map(|of_trial| present.iter().zip(of_trial).all(|(want, has)| has | !want))
-            .collect();
-        let trials = || (0..full.len()).filter(|&i| full[i]);
-        // Answers to vectors, each with its trial.
-        let answers = |vectors: Vec<(usize, ArrayView1<'_, f32>)>| -> Vec<(usize, Answer)> {
-            let of_left_out = self.of_left_out(labels, &vectors).into_iter();
-            of_left_out.map(|(at, answer)| (vectors[at].0, answer)).collect()
-        };
-        let calibration = |scan_s: f64, of_each: usize, answers: &[(usize, Answer)]| {
-            let scans = answers.iter();
-            let scans = scans.map(|(trial, answer)| (labels.group[*trial], answer.strangeness()));
-            Calibration::new(scan_s, of_each, scans)
-        };
-        let beginning = |(at, look): (usize, &usize)| {
-            let kept = begun.trials.iter().filter(|(trial, _)| full[*trial]);
+    ) -> Measured {
+        let has_all = has_all(training, present);
+        let at_look = |(at, look): (usize, &usize)| {
+            let kept = begun.trials.iter().filter(|(trial, _)| has_all[*trial]);
             let vectors = kept.map(|(trial, vectors)| (*trial, ArrayView1::from(&vectors[at])));
-            (*look as f64 * LOOK_S, answers(vectors.collect()))
+            let answers = self.to_trials(labels, &vectors.collect::<Vec<_>>());
+            (*look as f64 * LOOK_S, answers)
         };
-        let begun: Vec<(f64, Vec<(usize, Answer)>)> =
-            begun.looks.iter().enumerate().map(beginning).collect();
-        let (across_people, excerpt_s) = (labels.left_out.across_people(), SHARE * drag_s);
-        let longest_s = if across_people { f64::INFINITY } else { excerpt_s - 1e-9 };
-        let mut by_length: Vec<Calibration> = (begun.iter())
+        let begun: Vec<_> = begun.looks.iter().enumerate().map(at_look).collect();
+        let across_people = labels.left_out.across_people();
+        let longest_s = if across_people { f64::INFINITY } else { SHARE * drag_s - 1e-9 };
+        let by_length = (begun.iter())
             .filter(|(scan_s, _)| *scan_s < longest_s)
-            .map(|(scan_s, answers)| calibration(*scan_s, 1, answers))
-            .collect();
-        if begun.is_empty() || !across_people {
-            let of_each = trials().map(|i| training.excerpts(i).count()).max().unwrap_or(1);
-            let excerpts = trials().flat_map(|i| training.excerpts(i).map(move |x| (i, x)));
-            by_length.push(calibration(excerpt_s, of_each, &answers(excerpts.collect())));
-        }
-        // Conformity needs all whole trials or none, the temperature no more than these.
-        let sample = evenly(full.len());
-        let is_sampled = |trial: &usize| sample.binary_search(trial).is_ok();
-        let wholes = trials().filter(|i| across_people || is_sampled(i));
-        let mut wholes = answers(wholes.map(|i| (i, training.whole(i))).collect());
-        if across_people {
-            by_length.push(calibration(drag_s, 1, &wholes));
-        }
-        wholes.retain(|(trial, _)| is_sampled(trial));
-        let known = |(scan_s, answers): (f64, Vec<(usize, Answer)>)| {
-            let known = answers.into_iter().filter(|(trial, _)| self.can_name(labels, *trial));
-            (scan_s, known.map(|(trial, answer)| (answer, labels.class[trial])).collect())
-        };
-        let held_out: Vec<_> = begun.into_iter().chain([(drag_s, wholes)]).map(known).collect();
-        let temperature = Temperature::fit(&held_out);
-        let conformity = Conformity::new(by_length);
-        (self.conformity, self.temperature) = (conformity, temperature);
+            .map(|(scan_s, answers)| calibration(labels, *scan_s, 1, answers));
+        let conformity = self.whole.conformity.after(by_length);
+        let known = |(scan_s, answers)| (scan_s, self.to_known(labels, answers));
+        let held_out: Vec<_> = begun.into_iter().map(known).collect();
+        let temperature = Temperature::fit(&held_out, self.whole.temperature.clone());
+        Measured { conformity, temperature }
+    }
+
+    /// The answers to vectors of library trials by the ensembles without their groups, each with its
+    /// trial.
+    fn to_trials(
+        &self,
+        labels: &Labels,
+        vectors: &[(usize, ArrayView1<'_, f32>)],
+    ) -> Vec<(usize, Answer)> {
+        let of_left_out = self.of_left_out(labels, vectors).into_iter();
+        of_left_out.map(|(at, answer)| (vectors[at].0, answer)).collect()
+    }
+
+    /// The answers to trials whose class an ensemble without their group knows, each with the class.
+    fn to_known(&self, labels: &Labels, answers: Vec<(usize, Answer)>) -> Vec<(Answer, usize)> {
+        let known = answers.into_iter().filter(|(trial, _)| self.can_name(labels, *trial));
+        known.map(|(trial, answer)| (answer, labels.class[trial])).collect()
     }
 
     /// The answers to vectors of library trials by the ensembles without their groups. Each vector comes
@@ -157,13 +162,36 @@ impl Trained {
         without.is_some_and(|without| without.knows(labels.class[trial]))
     }
 
-    pub(super) fn p_value(&self, vector: ArrayView1<'_, f32>, scan_s: f64) -> Option<f64> {
+    /// The p-value of a vector of a scan of `scan_s` seconds, by one of the measurements of these
+    /// ensembles.
+    pub(super) fn p_value(
+        &self,
+        vector: ArrayView1<'_, f32>,
+        (scan_s, measured): (f64, &Measured),
+    ) -> Option<f64> {
         let of_group = |without: &Option<Ensemble>| {
             without.as_ref().map_or(f64::INFINITY, |w| w.answers(&[vector])[0].strangeness())
         };
         let scores: Vec<f64> = self.without.par_iter().map(of_group).collect();
-        self.conformity.p_value(scan_s, |group| scores[group])
+        measured.conformity.p_value(scan_s, |group| scores[group])
     }
+}
+
+/// Whether each library trial has all sources that are `present`.
+fn has_all(training: &Training, present: &Present) -> Vec<bool> {
+    let has = |of_trial: &Present| present.iter().zip(of_trial).all(|(want, has)| has | !want);
+    training.present.iter().map(has).collect()
+}
+
+fn calibration(
+    labels: &Labels,
+    scan_s: f64,
+    of_each: usize,
+    answers: &[(usize, Answer)],
+) -> Calibration {
+    let scans = answers.iter();
+    let scans = scans.map(|(trial, answer)| (labels.group[*trial], answer.strangeness()));
+    Calibration::new(scan_s, of_each, scans)
 }
 
 #[derive(Serialize, Deserialize)]
@@ -187,13 +215,6 @@ impl LeftOut {
         labels: &Labels,
         library: &[Arc<TrialFrames>],
     ) -> Self {
-        let mut trained: BTreeMap<Present, Trained> = BTreeMap::new();
-        let all = vec![true; joint.stretches.len()];
-        for present in training.present.iter().chain([&all]) {
-            let train = || Trained::new(joint, training, present);
-            trained.entry(present.clone()).or_insert_with(train);
-        }
-        let is_known = |i: usize| trained[&training.present[i]].can_name(labels, i);
         let is_full = |i: &usize| training.present[*i].iter().all(|has| *has);
         let mut lengths: Vec<f64> =
             (0..library.len()).filter(is_full).filter_map(|i| joint.drag_s(&library[i])).collect();
@@ -203,32 +224,41 @@ impl LeftOut {
         };
         let drag_s = quantile(0.5);
         let whole_from_s = if labels.left_out.across_people() { quantile(SHORTER) } else { drag_s };
-        let mut looks: Vec<usize> = BEGINNINGS
-            .map(|share| (share * drag_s / LOOK_S).round().max(1.0) as usize)
-            .into_iter()
-            .filter(|look| *look as f64 * LOOK_S < drag_s)
-            .collect();
-        looks.dedup();
-        let last_s = looks.last().map_or(f64::INFINITY, |last| *last as f64 * LOOK_S);
-        let begun = |i: usize| {
-            let long_enough = joint.drag_s(&library[i])? >= last_s;
-            let begin = || joint.beginnings(&library[i], training.whole(i), &looks);
-            long_enough.then(|| (i, begin()))
-        };
-        let trials = evenly(library.len()).into_par_iter().filter(|&i| is_known(i));
-        let trials = trials.filter_map(begun).collect();
-        let begun = Begun { looks, trials };
-        let known = (0..library.len()).filter(|&i| is_known(i));
-        let held_out = known.map(|i| labels.together[i]).collect::<BTreeSet<_>>().len();
-        trained.iter_mut().for_each(|(present, trained)| {
-            trained.measure(training, labels, present, (drag_s, &begun));
-        });
-        Self {
-            held_out,
-            drag_s,
-            whole_from_s,
-            trained: trained.into_iter().map(|(has, trained)| (has, Arc::new(trained))).collect(),
+        let begins = !looks(drag_s).is_empty();
+        let mut trained: BTreeMap<Present, Arc<Trained>> = BTreeMap::new();
+        let all = vec![true; joint.stretches.len()];
+        for present in training.present.iter().chain([&all]) {
+            let train = || Trained::new(joint, training, labels, present, (drag_s, begins));
+            trained.entry(present.clone()).or_insert_with(|| Arc::new(train()));
         }
+        let is_known = |i: &usize| trained[&training.present[*i]].can_name(labels, *i);
+        let known = (0..library.len()).filter(is_known);
+        let held_out = known.map(|i| labels.together[i]).collect::<BTreeSet<_>>().len();
+        Self { held_out, drag_s, whole_from_s, trained }
+    }
+
+    /// Measures beginnings of left-out trials, for each set of sources that occurs in the library.
+    pub(super) fn begun(
+        &self,
+        joint: &JointEmbedder,
+        training: &Training,
+        labels: &Labels,
+        library: &[Arc<TrialFrames>],
+    ) -> BTreeMap<Present, Measured> {
+        let looks = looks(self.drag_s);
+        let last_s = looks.last().map_or(f64::INFINITY, |last| *last as f64 * LOOK_S);
+        let is_known = |i: &usize| self.trained[&training.present[*i]].can_name(labels, *i);
+        let begin = |i: usize| {
+            let long_enough = joint.drag_s(&library[i])? >= last_s;
+            long_enough.then(|| (i, joint.beginnings(&library[i], training.whole(i), &looks)))
+        };
+        let trials = evenly(library.len()).into_par_iter().filter(is_known);
+        let trials = trials.filter_map(begin).collect();
+        let begun = Begun { looks, trials };
+        let measured = |(present, trained): (&Present, &Arc<Trained>)| {
+            (present.clone(), trained.measured(training, labels, present, (self.drag_s, &begun)))
+        };
+        self.trained.iter().map(measured).collect()
     }
 
     /// The length that a finished scan with a drag of `drag_s` counts as; infinite without a drag. A
@@ -237,6 +267,15 @@ impl LeftOut {
         let drag_s = drag_s.unwrap_or(f64::INFINITY);
         if drag_s >= self.whole_from_s { drag_s.max(self.drag_s) } else { drag_s }
     }
+}
+
+/// The lengths of the beginnings of trials with a drag of `drag_s` seconds, in steps of [`LOOK_S`].
+fn looks(drag_s: f64) -> Vec<usize> {
+    let step = |share: f64| (share * drag_s / LOOK_S).round().max(1.0) as usize;
+    let mut looks = BEGINNINGS.map(step).to_vec();
+    looks.retain(|look| (*look as f64) * LOOK_S < drag_s);
+    looks.dedup();
+    looks
 }
 
 /// Indices of at most [`MOST_BEGUN`] trials, evenly spread.

@@ -13,7 +13,7 @@ use super::NAME;
 use super::ensemble::Answer;
 use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch, columns};
 use super::labels::Labels;
-use super::left_out::{LeftOut, Trained, evenly};
+use super::left_out::{LeftOut, Measured, Trained, evenly};
 use super::together::together;
 use super::training::Training;
 use crate::features::frames::{LOOK_S, TrialFrames};
@@ -43,6 +43,8 @@ pub struct EmbeddingModel {
     trained: Mutex<HashMap<Present, Arc<Trained>>>,
     /// The library's trials, kept until `followed` is computed from them.
     unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
+    /// How beginnings of left-out trials are answered by the sources of each trial.
+    begun: OnceLock<BTreeMap<Present, Measured>>,
     /// The left-out trials, each named at every look of its growing drag.
     followed: OnceLock<Vec<FollowedTrial>>,
     /// The stopping rule for the first options asked for; later scans mostly have the same options.
@@ -109,6 +111,7 @@ impl EmbeddingModel {
             left_out,
             trained: Mutex::default(),
             unfollowed: Mutex::default(),
+            begun: OnceLock::new(),
             followed: OnceLock::new(),
             settling: OnceLock::new(),
         }
@@ -132,10 +135,37 @@ impl EmbeddingModel {
             return known.clone();
         }
         let (joint, training, labels) = (&self.joint, &self.training, &self.labels);
-        let trained = Trained::measured(joint, training, labels, present, self.left_out.drag_s);
+        let trained = Trained::new(joint, training, labels, present, (self.left_out.drag_s, false));
         let trained = Arc::new(trained);
         lock().insert(present.clone(), trained.clone());
         trained
+    }
+
+    /// What answers to scans of `scan_s` seconds by these sources are judged by.
+    fn measured<'a>(
+        &'a self,
+        trained: &'a Trained,
+        present: &Present,
+        scan_s: f64,
+    ) -> &'a Measured {
+        match scan_s < self.left_out.drag_s {
+            true => self.begun().get(present).unwrap_or(&trained.whole),
+            false => &trained.whole,
+        }
+    }
+
+    /// How beginnings of left-out trials are answered. Computed once, since whole scans do not need it.
+    fn begun(&self) -> &BTreeMap<Present, Measured> {
+        if let Some(known) = self.begun.get() {
+            return known;
+        }
+        // Two threads may compute it. One that waits for the other might run the other's work.
+        let library = self.unfollowed.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let measure = |library: Vec<Arc<TrialFrames>>| {
+            self.left_out.begun(&self.joint, &self.training, &self.labels, &library)
+        };
+        let measured = library.map(measure).unwrap_or_default();
+        self.begun.get_or_init(|| measured)
     }
 
     /// Makes a posterior from the answer of an ensemble, its temperature, and a p-value.
@@ -149,11 +179,12 @@ impl EmbeddingModel {
     pub(super) fn posterior(&self, vector: &[f32], present: &Present, scan_s: f64) -> Posterior {
         let trained = self.trained(present);
         let vector = ArrayView1::from(vector);
-        let p_value = trained.p_value(vector, scan_s);
+        let measured = self.measured(&trained, present, scan_s);
+        let p_value = trained.p_value(vector, (scan_s, measured));
         // One vector has one answer.
         self.posterior_of(
             &trained.all.answers(&[vector])[0],
-            trained.temperature.at(scan_s),
+            measured.temperature.at(scan_s),
             p_value,
         )
     }
@@ -233,6 +264,8 @@ impl EmbeddingModel {
 
     /// The left-out trials, each named at every look of its growing drag. Computed once.
     fn followed(&self) -> &[FollowedTrial] {
+        // Needs the library too.
+        self.begun();
         self.followed.get_or_init(|| {
             let library = self.unfollowed.lock().unwrap_or_else(PoisonError::into_inner).take();
             let follow = |library: Vec<Arc<TrialFrames>>| {
@@ -245,7 +278,8 @@ impl EmbeddingModel {
 
     /// Follows a library trial like a follower, but with a model trained without the trial.
     fn follow_one(&self, frames: &TrialFrames, trial: usize) -> Option<FollowedTrial> {
-        let trained = self.left_out.trained.get(&self.training.present[trial])?;
+        let present = &self.training.present[trial];
+        let trained = self.left_out.trained.get(present)?;
         let trained = trained.can_name(&self.labels, trial).then_some(trained)?;
         let drag_s = self.joint.drag_s(frames)?;
         let whole = self.training.whole(trial);
@@ -255,18 +289,22 @@ impl EmbeddingModel {
         let vectors: Vec<_> = views.map(|view| (trial, view)).collect();
         let mut answers = trained.of_left_out(&self.labels, &vectors);
         let (_, whole) = answers.pop()?;
-        let look = |(at, answer): (usize, Answer)| {
-            let scan_s = looks[at] as f64 * LOOK_S;
+        let measured = |scan_s: f64| self.measured(trained, present, scan_s);
+        let posterior = |answer: &Answer, scan_s: f64| {
             // Only the model without this trial measures it, so this value is used for every group.
-            let p_value = trained.conformity.p_value(scan_s, |_| answer.strangeness());
-            let posterior = self.posterior_of(&answer, trained.temperature.at(scan_s), p_value);
-            let class = posterior.best();
-            LeftOutLook { class, probability: posterior.log_posterior[class].exp(), p_value }
+            let p_value = measured(scan_s).conformity.p_value(scan_s, |_| answer.strangeness());
+            self.posterior_of(answer, measured(scan_s).temperature.at(scan_s), p_value)
+        };
+        let look = |(at, answer): (usize, Answer)| {
+            let named = posterior(&answer, looks[at] as f64 * LOOK_S);
+            let class = named.best();
+            let probability = named.log_posterior[class].exp();
+            LeftOutLook { class, probability, p_value: named.p_value }
         };
         Some(FollowedTrial {
             group: self.labels.group[trial],
             truth: self.labels.class[trial],
-            whole: self.posterior_of(&whole, trained.temperature.at(drag_s), None).best(),
+            whole: posterior(&whole, drag_s).best(),
             drag_s,
             looks: answers.into_iter().map(look).collect(),
         })
@@ -311,6 +349,7 @@ impl EmbeddingModel {
         let parts = (stored.keys, labels, joint, training, stored.left_out);
         sound.then(|| Self {
             followed: OnceLock::from(stored.followed),
+            begun: OnceLock::from(stored.begun),
             ..Self::of(scene, shape, parts)
         })
     }
@@ -325,6 +364,7 @@ struct Stored {
     training: Training,
     left_out: LeftOut,
     followed: Vec<FollowedTrial>,
+    begun: BTreeMap<Present, Measured>,
 }
 
 impl Model for EmbeddingModel {
@@ -385,6 +425,14 @@ impl EmbeddingModel {
         }
     }
 
+    /// Measures what answers to scans with a drag of `drag_s` seconds are judged by, so that the first such
+    /// scan does not wait for it.
+    pub fn ready_for_length(&self, drag_s: Option<f64>) {
+        if self.left_out.ended_s(drag_s) < self.left_out.drag_s {
+            self.begun();
+        }
+    }
+
     /// A query that can be named several times, each time by some of its sources.
     ///
     /// # Errors
@@ -420,7 +468,7 @@ impl EmbeddingModel {
     /// If the library has too few trials.
     pub fn rejection(&self, rate: Option<f64>) -> Result<Rejection, RejectionError> {
         let all = vec![true; self.joint.stretches.len()];
-        let trials = self.trained(&all).conformity.trials();
+        let trials = self.trained(&all).whole.conformity.trials();
         let left_out = self.labels.left_out;
         match rate {
             None => Rejection::usual(trials, left_out),
@@ -432,7 +480,8 @@ impl EmbeddingModel {
     pub(crate) fn store(&self) -> Option<Vec<u8>> {
         // In the order of `Stored`. Following left-out trials takes a while, unless already done.
         let (keys, together) = (&self.keys, &self.labels.together);
-        let stored = (keys, together, &self.joint, &self.training, &self.left_out, self.followed());
+        let (followed, begun) = (self.followed(), self.begun());
+        let stored = (keys, together, &self.joint, &self.training, &self.left_out, followed, begun);
         postcard::to_allocvec(&stored).ok()
     }
 }

@@ -25,12 +25,12 @@ pub(super) struct Temperature {
 }
 
 impl Temperature {
-    /// Fits τ at each length, so that τ never rises with length. `held_out` has answers to left-out
-    /// trials, each with the trial's class. Without them, τ is 1.
-    pub(super) fn fit(held_out: &[(f64, Vec<(Answer, usize)>)]) -> Self {
+    /// Fits τ at each length, beside the τ of `other` lengths, so that τ never rises with length.
+    /// `held_out` has answers to left-out trials, each with the trial's class. Without them, τ is 1.
+    pub(super) fn fit(held_out: &[(f64, Vec<(Answer, usize)>)], other: Self) -> Self {
         let trials = held_out.iter().filter(|(_, trials)| !trials.is_empty());
-        let mut points: Vec<(f64, f64)> =
-            trials.map(|(seconds, trials)| (*seconds, best(trials))).collect();
+        let mut points = other.points;
+        points.extend(trials.map(|(seconds, trials)| (*seconds, best(trials))));
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut highest = 1.0;
         for (_, tau) in points.iter_mut().rev() {
@@ -81,9 +81,10 @@ mod tests {
     #[test]
     fn temperatures_fall_with_the_length_of_a_scan() {
         let at = |seconds, wrong| (seconds, (0..100).map(|i| trial(wrong, i)).collect());
-        let fitted = Temperature::fit(&[at(1.0, 5), at(0.5, 2), at(2.0, 0)]);
+        let long = Temperature::fit(&[at(1.0, 5), at(2.0, 0)], Temperature::default());
+        let fitted = Temperature::fit(&[at(0.5, 2)], long);
         assert!(fitted.at(0.1) >= fitted.at(0.75) && fitted.at(0.75) >= fitted.at(1.5));
         assert!(fitted.at(9.0) >= 1.0);
-        assert_eq!(Temperature::fit(&[]).at(0.45), 1.0);
+        assert_eq!(Temperature::fit(&[], Temperature::default()).at(0.45), 1.0);
     }
 }
