@@ -4,7 +4,6 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::condition::WhereArgs;
 use super::figure::{FigureArgs, can_draw, is_earlier};
 use super::method::{OneOrAll, at_least_one, options_of};
 use super::show::{Made, quoted};
@@ -28,8 +27,6 @@ pub(super) struct Args {
     /// Use this many surfaces at most, evenly spread over their names
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     surfaces: Option<usize>,
-    #[command(flatten)]
-    only: WhereArgs,
     /// Methods, with commas between them; `reference` is the slowest by far
     #[arg(long, value_delimiter = ',', value_name = "METHOD,…", value_parser = one_of(OneOrAll::each()), default_value = "all")]
     methods: Vec<OneOrAll>,
@@ -44,8 +41,7 @@ pub(super) fn run(args: &Args) -> Done {
         let problem = "expected recordings; earlier charts are drawn by `tools/peers/run --draw`";
         return Err(Failure::usage_at(&args.lib, problem));
     }
-    let mut library = super::open(&args.lib)?;
-    args.only.keep(&args.lib, &mut library)?;
+    let library = args.figure.only.open(&args.lib)?;
     let made = bad_files::work(&args.lib, library, |library| measured(args, library))?;
     say!(
         "bars: {}; hollow: some of the sources; grey line: the best trade-offs; dashed: negative controls",

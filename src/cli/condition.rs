@@ -93,6 +93,13 @@ impl WhereArgs {
         self.all.is_empty()
     }
 
+    /// Opens the library at `path` with the trials that meet all conditions ([`Self::keep`]).
+    pub(super) fn open(&self, path: &Path) -> Done<Library> {
+        let mut library = super::open(path)?;
+        self.keep(path, &mut library)?;
+        Ok(library)
+    }
+
     /// Drops the trials of the library at `path` that do not meet all conditions. A trial without the key
     /// does not meet a condition. Fails if no trial is left, if none has a key, or if a value cannot be
     /// compared.

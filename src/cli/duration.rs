@@ -184,8 +184,7 @@ impl Algorithm1Args {
 pub(super) fn run(args: &Args) -> Done {
     let question = args.question()?;
     args.out.as_deref().map_or(Ok(()), can_draw)?;
-    let mut library = super::open(&args.lib)?;
-    args.only.keep(&args.lib, &mut library)?;
+    let library = args.only.open(&args.lib)?;
     let (found, by_time, digest) = bad_files::work(&args.lib, library, |library| {
         let found = report(library, &question, |done, of| say::progress("surfaces", done, of));
         let found = found.map_err(|error| args.failure(error))?;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::choose::SplitArgs;
+use super::condition::WhereArgs;
 use super::{Done, Failure, Named, SourceArgs, one_of};
 use crate::draw::Look;
 
@@ -22,6 +23,8 @@ pub(super) struct FigureArgs {
     pub split: SplitArgs,
     #[command(flatten)]
     pub sources: SourceArgs,
+    #[command(flatten)]
+    pub only: WhereArgs,
     /// Print the JSON on stdout, too
     #[arg(long)]
     pub json: bool,

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::choose::{hardest, protocols, within};
+use super::condition::WhereArgs;
 use super::figure::{can_write, write};
 use super::show::{Made, quoted};
 use super::{Done, Failure, SourceArgs, bad_files, one_of, say, share, show};
@@ -37,6 +38,8 @@ pub(super) struct Args {
     protocol: Option<Protocol>,
     #[command(flatten)]
     sources: SourceArgs,
+    #[command(flatten)]
+    only: WhereArgs,
     /// Print the plan, and the measurements behind it, as one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -44,7 +47,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Done {
     args.out.as_deref().map_or(Ok(()), |path| can_write(path, &["toml"]))?;
-    let library = super::open(&args.lib)?;
+    let library = args.only.open(&args.lib)?;
     let (planned, digest) = bad_files::work(&args.lib, library, |library| {
         let scene = args.sources.narrow(library.scene.clone())?;
         let entries = within(library, &scene)?;

@@ -50,7 +50,8 @@ pub(super) fn run(args: &Args) -> Done {
     let report = if is_earlier(&args.lib) {
         earlier(&args.lib)?
     } else {
-        bad_files::work(&args.lib, super::open(&args.lib)?, |library| measured(args, library))?
+        let library = args.figure.only.open(&args.lib)?;
+        bad_files::work(&args.lib, library, |library| measured(args, library))?
     };
     show::wrote(&keep(args, &report)?);
     say::results_aside(args.figure.json);

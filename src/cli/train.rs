@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::condition::WhereArgs;
 use super::figure::can_write;
 use super::method::{AccuracyArgs, ComparingArgs};
 use super::naming::{Trained, trained};
@@ -27,6 +28,8 @@ pub(super) struct Args {
     comparing: ComparingArgs,
     #[command(flatten)]
     accuracy: AccuracyArgs,
+    #[command(flatten)]
+    only: WhereArgs,
 }
 
 pub(super) fn run(args: &Args) -> Done {
@@ -35,7 +38,7 @@ pub(super) fn run(args: &Args) -> Done {
         return Err(Failure::usage(ModelFileError::Method(how.method.name().as_str())));
     }
     can_write(&args.out, &["surfaced"])?;
-    let library = super::open(&args.lib)?;
+    let library = args.only.open(&args.lib)?;
     let file = bad_files::work(&args.lib, library, |library| {
         let step = |done, of| say::progress("preparing the library", done, of);
         let Trained { scene, state, model, .. } = trained(&args.lib, library, &how, None, &step)?;

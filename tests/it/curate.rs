@@ -299,7 +299,16 @@ fn sessions_and_keys_of_ones_own_are_set_listed_and_chosen_by() {
         assert_eq!(output.status.code(), Some(2), "{condition}");
         assert!(said(&output).contains(expected), "{}", said(&output));
     }
-    for command in [&["check"][..], &["duration"], &["replay"], &["chart", "--out", "x.svg"]] {
+    let figure = |name| [name, "--out", "x.svg"];
+    for command in [
+        &["check"][..],
+        &["duration"],
+        &["replay"],
+        &["plan"],
+        &["train", "--out", "x.surfaced"],
+        &figure("chart"),
+        &figure("stress"),
+    ] {
         let wrong = [command, &[&library, "--where", "forse_n=1"]].concat();
         assert!(said(&surfaced(&wrong)).contains("no trial has the key"), "{command:?}");
     }
