@@ -4,13 +4,15 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use crate::common::id;
 use assert_cmd::Command;
 use surfaced::dataset;
 use surfaced::library::Entry;
 use surfaced::recognise::{
-    EmbeddingOptions, FollowOptions, FreshFrames, LOOK_S, MethodSpec, ReadyModel, ready_model,
+    EmbeddingOptions, FollowOptions, FreshFrames, LOOK_S, Method, MethodSpec, Model, ReadyModel,
+    prepare_library, ready_model,
 };
 use surfaced::scene::Scene;
 use surfaced::trial::{Signal, Trial};
@@ -27,8 +29,12 @@ fn on_disk(dir: &Path) -> (PathBuf, Trial) {
     (data, foreign.load().unwrap())
 }
 
-/// A model of the expert's trials, by these sources or all, and whether it came from the cache.
-fn ready(folder: &Path, sources: Option<&[&str]>, seed: u64) -> ReadyModel {
+/// The method, the trials, and which of them are the expert's, for these sources or all.
+fn parts(
+    folder: &Path,
+    sources: Option<&[&str]>,
+    seed: u64,
+) -> (Box<dyn Method>, Vec<Entry>, BTreeSet<usize>) {
     let library = dataset::open(folder, &Scene::lmt108()).unwrap();
     let scene = match sources {
         Some(names) => library.scene.clone().only(&names.iter().map(|n| id(n)).collect::<Vec<_>>()),
@@ -40,6 +46,12 @@ fn ready(folder: &Path, sources: Option<&[&str]>, seed: u64) -> ReadyModel {
     let experts: BTreeSet<usize> =
         (0..entries.len()).filter(|&i| entries[i].key.user == "expert").collect();
     let method = MethodSpec::Embedding(EmbeddingOptions { seed }).build(&scene);
+    (method, entries, experts)
+}
+
+/// A model of the expert's trials, by these sources or all, and whether it came from the cache.
+fn ready(folder: &Path, sources: Option<&[&str]>, seed: u64) -> ReadyModel {
+    let (method, entries, experts) = parts(folder, sources, seed);
     ready_model(&*method, &entries, &experts, Some(folder), &|_, _| ()).unwrap()
 }
 
@@ -86,6 +98,14 @@ fn a_kept_model_says_what_a_new_one_says() {
     let kept = ready(&folder, None, 1);
     assert!(!anew.from_cache && kept.from_cache);
     assert_eq!((anew.remarks.len(), kept.remarks.len()), (0, 0));
+    // This model has not measured beginnings before it is asked about one.
+    let (method, entries, experts) = parts(&folder, None, 1);
+    let library = prepare_library(&*method, &entries, &experts, None, &|_, _| ()).unwrap();
+    let fitted = library.fit(&*method, &experts).unwrap();
+    let beginning = scan.clone().first_seconds(0.5, |_| true);
+    let of_beginning =
+        |model: &Arc<dyn Model>| format!("{:?}", model.rank_trial(beginning.clone()));
+    assert_eq!(of_beginning(&fitted), of_beginning(&kept.model));
     assert_eq!(said(anew, &scan), said(kept, &scan));
 }
 

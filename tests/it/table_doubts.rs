@@ -208,6 +208,9 @@ fn what_would_give_wrong_numbers_without_a_word_is_refused_or_said() {
     let slow = timed("time_s", |i| format!("{:.2}", 0.08 * i as f64));
     let slow = import("oak/1.csv", slow.as_bytes(), &[]).series("a");
     assert_eq!((slow.rate_hz(), slow.samples()[2]), (12.5, value(1, 0) as f32));
+    let seconds = timed("time (ms)", |i| format!("{:.2}", 0.01 * i as f64));
+    let seconds = import("oak/1.csv", seconds.as_bytes(), &[]).said();
+    says(&seconds, &["in units of ms, as its name says", "may be s: then say --time-unit 1"]);
     let zone = timed("time", |i| format!("2024-06-12 12:00:{:06.3}+02:00", i as f64 / 10.0));
     let zone = import("oak/1.csv", zone.as_bytes(), &[]);
     let about = About::read(zone.library().entries[0].places()[0]).unwrap();

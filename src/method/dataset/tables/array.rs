@@ -6,10 +6,11 @@ use std::io::Read;
 use std::iter::once;
 use std::path::Path;
 
+use super::cell::shown;
 use super::gather::Rows;
 use super::mat::MatFile;
 use super::names::trial_number;
-use super::text::{Lines, shown};
+use super::text::Lines;
 use super::{Form, OnRead, Said, give, npy, session_name};
 use crate::library::LibraryError;
 use crate::printable::counted;

@@ -1,8 +1,12 @@
-//! Numbers in the cells of a table, with a decimal point or a decimal comma.
+//! The cells of a line, and the numbers in them, with a decimal point or a decimal comma.
 
 use std::borrow::Cow;
 
-use super::text::shown;
+/// The separators of cells, in the order in which they are tried.
+pub(super) const DELIMITERS: [u8; 5] = [b';', b'\t', b',', b'|', b' '];
+
+pub(super) const BOTH_COMMAS: &str = "commas may be decimal marks or separate columns: separate \
+                                      columns by semicolons, or write decimal points";
 
 /// The texts of a missing value in any letters; an empty cell is one, too.
 const MISSING: &str = "nan na n/a #n/a #nv #div/0! #value! #num! #ref! null none - -- nan(ind) -nan \
@@ -141,6 +145,91 @@ fn by_thousands(text: &str) -> bool {
     groups.next().is_some_and(|first| {
         (1..=3).contains(&first.len()) && is_number(first) && !first.starts_with('0')
     }) && groups.all(|group| group.len() == 3 && is_number(group))
+}
+
+pub(super) fn arrow(line: &[u8]) -> Option<usize> {
+    line.windows(2).take(40).position(|two| two == b"->")
+}
+
+/// Appends the cells of a line, without outer spaces and quotes.
+pub(super) fn split<'a>(
+    line: &'a [u8],
+    delimiter: u8,
+    has_arrows: bool,
+    cells: &mut Vec<&'a [u8]>,
+) {
+    let mut rest = line;
+    if has_arrows && let Some(at) = arrow(line) {
+        cells.push(line[..at].trim_ascii());
+        rest = &line[at + 2..];
+    }
+    if memchr::memchr(b'"', rest).is_some() {
+        return split_quoted(rest, delimiter, cells);
+    }
+    if delimiter == b' ' {
+        let words = rest.split(|byte| matches!(byte, b' ' | b'\t'));
+        cells.extend(words.filter(|word| !word.is_empty()));
+        return;
+    }
+    let mut start = 0;
+    for at in memchr::memchr_iter(delimiter, rest) {
+        cells.push(rest[start..at].trim_ascii());
+        start = at + 1;
+    }
+    cells.push(rest[start..].trim_ascii());
+}
+
+fn split_quoted<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a [u8]>) {
+    let (mut start, mut is_quoted) = (0, false);
+    let is_mark = |byte: u8| byte == delimiter || delimiter == b' ' && byte == b'\t';
+    for at in 0..=line.len() {
+        match line.get(at) {
+            Some(b'"') => is_quoted = !is_quoted,
+            Some(&byte) if is_quoted || !is_mark(byte) => {}
+            _ => {
+                let cell = line[start..at].trim_ascii();
+                start = at + 1;
+                if delimiter == b' ' && cell.is_empty() {
+                    continue;
+                }
+                let bare = cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\""));
+                cells.push(bare.map_or(cell, <[u8]>::trim_ascii));
+            }
+        }
+    }
+}
+
+pub(super) fn owned(line: &[u8], delimiter: u8, has_arrows: bool) -> Vec<Vec<u8>> {
+    let mut cells = Vec::new();
+    split(line, delimiter, has_arrows, &mut cells);
+    cells.into_iter().map(<[u8]>::to_vec).collect()
+}
+
+pub(super) fn whole(cell: &[u8]) -> Option<i64> {
+    let value = shown(cell).parse::<f64>().ok()?;
+    (value.fract() == 0.0 && value.abs() < 1e15).then_some(value as i64)
+}
+
+/// Whether cells rise by 1 from each to the next.
+pub(super) fn counts<'a>(cells: impl Iterator<Item = &'a Vec<u8>>) -> bool {
+    let numbers: Option<Vec<i64>> = cells.map(|cell| whole(cell)).collect();
+    numbers.is_some_and(|numbers| {
+        numbers.len() > 1 && numbers.windows(2).all(|two| two[1] - two[0] == 1)
+    })
+}
+
+/// Bytes as text: UTF-8, or else Latin-1.
+pub(crate) fn shown(bytes: &[u8]) -> Cow<'_, str> {
+    match std::str::from_utf8(bytes) {
+        Ok(text) => Cow::Borrowed(text),
+        Err(_) => bytes.iter().map(|&byte| char::from(byte)).collect::<String>().into(),
+    }
+}
+
+/// The start of a line in quotes, for messages.
+pub(super) fn shortened(line: &[u8]) -> String {
+    let start: String = shown(line).chars().take(60).collect();
+    format!("`{}`", start.escape_debug())
 }
 
 #[cfg(test)]

@@ -3,18 +3,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::cell::{Numbers, is_missing};
-use super::heading::Column;
+use super::cell::{Numbers, counts, is_missing, shown, whole};
+use super::heading::{Column, is_among, is_time_name, plain};
 use super::stamp::{Stamps, length, unit_ns};
-use super::text::shown;
 use super::{Clock, Head};
 use crate::scene::SourceId;
-
-/// Names of columns of times: letters and digits alone, in small letters.
-const TIMES: &str = "time t timestamp timestamps ts zeit zeitstempel uhrzeit temps tiempo xvalue \
-    elapsed elapsedtime secondselapsed timeelapsed relativetime epoch unixtime utc datetime date \
-    datum millis micros nanos uptime sec seconds ms us ns milliseconds microseconds nanoseconds \
-    timems timeus xaxis sampletime loggingtime systemtime stamp nanosec nsec nsecs";
 
 /// Names of columns that count rows.
 const COUNTERS: &str = "n index idx sample samples samplenumber sampleno count counter nr no seq sequence row \
@@ -40,24 +33,6 @@ const LABELS: &str = "user userid subject subjectid person participant participa
 /// Names of columns that say what was measured, in tables with one value a row.
 const QUANTITIES: &str = "variable parameter series channel sensor sensorid kind type name key metric entityid \
     measurement field quantity axis signal tag";
-
-fn is_among(words: &str, word: &str) -> bool {
-    words.split(' ').any(|known| known == word)
-}
-
-fn plain(name: &str) -> String {
-    // Before a colon stands what was measured when, such as `Run 1: Time`.
-    let name = name.rsplit(": ").next().unwrap_or(name);
-    name.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase()
-}
-
-/// Whether a name, without its unit, is one of times.
-pub(super) fn is_time_name(name: &str) -> bool {
-    let base = plain(name);
-    is_among(TIMES, &base)
-        || is_among(TIMES, base.trim_end_matches(|c: char| c.is_ascii_digit()))
-            && base.starts_with("time")
-}
 
 /// Whether a column of a table is one of times by its name. A `T` beside another first column is a
 /// temperature or a torque, and an `x-axis` beside a `y-axis` a channel.
@@ -106,6 +81,13 @@ pub(super) fn stamps(
         (Some(told), Ok((Stamps::Numbers { unit_ns, since_1970: true }, _))) if unit_ns != told => {
             let by_values = length(unit_ns);
             Err(format!("has the unit `{unit}`, but values in {by_values} since 1970; {advice}"))
+        }
+        // Some loggers write seconds below `time (ms)`.
+        (Some(told), Ok((Stamps::Numbers { unit_ns, .. }, _))) if unit_ns >= 1e3 * told => {
+            let (stamps, why) = of(Some(told))?;
+            let (by_steps, unit_s) = (length(unit_ns), unit_ns / 1e9);
+            let other = format!("by its steps it may be {by_steps}: then say --time-unit {unit_s}");
+            Ok((stamps, format!("{why}, as its name says; {other}")))
         }
         (Some(told), _) => of(Some(told)),
         // Another text, such as a zone or the form of the times, may stand there with dates.
@@ -332,19 +314,6 @@ fn stem<'a>(name: &'a str, all: &[String]) -> &'a str {
     let name = name.rsplit_once(" (").map_or(name, |(name, _)| name);
     let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
     stem.rsplit_once(['_', '.', '-', ' ']).map_or(stem, |(stem, _)| stem)
-}
-
-fn whole(cell: &[u8]) -> Option<i64> {
-    let value = shown(cell).parse::<f64>().ok()?;
-    (value.fract() == 0.0 && value.abs() < 1e15).then_some(value as i64)
-}
-
-/// Whether cells rise by 1 from each to the next.
-pub(super) fn counts<'a>(cells: impl Iterator<Item = &'a Vec<u8>>) -> bool {
-    let numbers: Option<Vec<i64>> = cells.map(|cell| whole(cell)).collect();
-    numbers.is_some_and(|numbers| {
-        numbers.len() > 1 && numbers.windows(2).all(|two| two[1] - two[0] == 1)
-    })
 }
 
 /// Whether a column got its name by its place, or counts the columns.

@@ -1,10 +1,14 @@
 //! The names and units of a table's columns, in the lines above its rows.
 
-use super::columns::{counts, is_time_name};
-use super::layout::{BOTH_COMMAS, DELIMITERS, owned};
+use super::cell::{BOTH_COMMAS, DELIMITERS, counts, owned, shown};
 use super::stamp;
-use super::text::shown;
 use crate::printable::counted;
+
+/// Names of columns of times: letters and digits alone, in small letters.
+const TIMES: &str = "time t timestamp timestamps ts zeit zeitstempel uhrzeit temps tiempo xvalue \
+    elapsed elapsedtime secondselapsed timeelapsed relativetime epoch unixtime utc datetime date \
+    datum millis micros nanos uptime sec seconds ms us ns milliseconds microseconds nanoseconds \
+    timems timeus xaxis sampletime loggingtime systemtime stamp nanosec nsec nsecs";
 
 /// Units of measures that may stand after an underscore or in a row of their own.
 const UNITS: [&str; 71] = [
@@ -15,6 +19,24 @@ const UNITS: [&str; 71] = [
     "adc", "digits", "strain", "µε", "με", "nm", "n·m", "kg", "kgf", "lb", "lbf", "rpm", "ppm",
     "lux", "a.u.",
 ];
+
+pub(super) fn is_among(words: &str, word: &str) -> bool {
+    words.split(' ').any(|known| known == word)
+}
+
+pub(super) fn plain(name: &str) -> String {
+    // Before a colon stands what was measured when, such as `Run 1: Time`.
+    let name = name.rsplit(": ").next().unwrap_or(name);
+    name.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase()
+}
+
+/// Whether a name, without its unit, is one of times.
+pub(super) fn is_time_name(name: &str) -> bool {
+    let base = plain(name);
+    is_among(TIMES, &base)
+        || is_among(TIMES, base.trim_end_matches(|c: char| c.is_ascii_digit()))
+            && base.starts_with("time")
+}
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Column {

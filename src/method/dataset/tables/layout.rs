@@ -1,17 +1,10 @@
 //! How a table is laid out, found out from its first lines: what separates the cells, which lines name
 //! the columns and their units, and where the rows begin.
 
-use super::cell::{Numbers, is_missing};
+use super::cell::{BOTH_COMMAS, DELIMITERS, Numbers, arrow, is_missing, owned, shortened, split};
 use super::heading::{Column, HeadLine, Names, distinct, names_in};
 use super::stamp;
-use super::text::shortened;
 use crate::printable::counted;
-
-/// The separators of cells, in the order in which they are tried.
-pub(super) const DELIMITERS: [u8; 5] = [b';', b'\t', b',', b'|', b' '];
-
-pub(super) const BOTH_COMMAS: &str = "commas may be decimal marks or separate columns: separate \
-                                      columns by semicolons, or write decimal points";
 
 /// What a line below the names is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -299,59 +292,6 @@ fn have_arrows(head: &[(u64, Vec<u8>)]) -> bool {
         .filter(|(_, line)| arrow(line).is_some_and(|at| stamp::is_clock(line[..at].trim_ascii())));
     let with = with.count();
     with > 0 && with * 5 >= lines().count() * 4
-}
-
-fn arrow(line: &[u8]) -> Option<usize> {
-    line.windows(2).take(40).position(|two| two == b"->")
-}
-
-/// Appends the cells of a line, without outer spaces and quotes.
-fn split<'a>(line: &'a [u8], delimiter: u8, has_arrows: bool, cells: &mut Vec<&'a [u8]>) {
-    let mut rest = line;
-    if has_arrows && let Some(at) = arrow(line) {
-        cells.push(line[..at].trim_ascii());
-        rest = &line[at + 2..];
-    }
-    if memchr::memchr(b'"', rest).is_some() {
-        return split_quoted(rest, delimiter, cells);
-    }
-    if delimiter == b' ' {
-        let words = rest.split(|byte| matches!(byte, b' ' | b'\t'));
-        cells.extend(words.filter(|word| !word.is_empty()));
-        return;
-    }
-    let mut start = 0;
-    for at in memchr::memchr_iter(delimiter, rest) {
-        cells.push(rest[start..at].trim_ascii());
-        start = at + 1;
-    }
-    cells.push(rest[start..].trim_ascii());
-}
-
-fn split_quoted<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a [u8]>) {
-    let (mut start, mut is_quoted) = (0, false);
-    let is_mark = |byte: u8| byte == delimiter || delimiter == b' ' && byte == b'\t';
-    for at in 0..=line.len() {
-        match line.get(at) {
-            Some(b'"') => is_quoted = !is_quoted,
-            Some(&byte) if is_quoted || !is_mark(byte) => {}
-            _ => {
-                let cell = line[start..at].trim_ascii();
-                start = at + 1;
-                if delimiter == b' ' && cell.is_empty() {
-                    continue;
-                }
-                let bare = cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\""));
-                cells.push(bare.map_or(cell, <[u8]>::trim_ascii));
-            }
-        }
-    }
-}
-
-pub(super) fn owned(line: &[u8], delimiter: u8, has_arrows: bool) -> Vec<Vec<u8>> {
-    let mut cells = Vec::new();
-    split(line, delimiter, has_arrows, &mut cells);
-    cells.into_iter().map(<[u8]>::to_vec).collect()
 }
 
 /// Drops empty cells beyond `width`.

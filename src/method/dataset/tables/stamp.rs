@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::text::shown;
+use super::cell::{is_missing, shown};
 
 /// Seconds since 1970 that say when: from 1998 to 2103.
 pub(super) const SINCE_1970_S: Range<f64> = 9e8..4.2e9;
@@ -48,7 +48,7 @@ impl Stamps {
         unit_ns: Option<f64>,
         from_1904: bool,
     ) -> Result<(Self, String), String> {
-        let first = cells.iter().find(|cell| !super::cell::is_missing(cell));
+        let first = cells.iter().find(|cell| !is_missing(cell));
         let Some(first) = first else { return Err("holds no times".into()) };
         if is_date(first) {
             let reads = |day_first| move |cell: &Vec<u8>| date(cell, day_first).is_some();
@@ -61,7 +61,7 @@ impl Stamps {
             return Ok((Self::Clock { lasts }, "times of the day".into()));
         }
         let mut values = Vec::new();
-        for cell in cells.iter().filter(|cell| !super::cell::is_missing(cell)) {
+        for cell in cells.iter().filter(|cell| !is_missing(cell)) {
             let value = number(cell).ok_or_else(|| format!("holds `{}`, no time", shown(cell)))?;
             values.push(value);
         }

@@ -3,12 +3,12 @@
 use std::borrow::Cow;
 use std::path::Path;
 
-use super::cell::{Numbers, is_missing, thousands};
+use super::cell::{Numbers, is_missing, shortened, shown, thousands};
 use super::gather::{Gathered, Group};
 use super::layout::Line;
 use super::mend::MOST_FILLED;
 use super::stamp::Stamps;
-use super::text::{Lines, shortened, shown};
+use super::text::Lines;
 use super::{Clock, Form, Head, columns, names::trial_number, session_name};
 use crate::trial::{EXPERT, Series, TrialKey, normal};
 

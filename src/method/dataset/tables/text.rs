@@ -1,7 +1,6 @@
 //! The lines of a text file, in bounded memory: unpacked (gzip), decoded (UTF-8, UTF-16), and ended by
 //! LF, CR LF or CR. Text that is not UTF-8 is read as Latin-1 where it is shown.
 
-use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Cursor, Read};
 use std::path::Path;
@@ -226,23 +225,10 @@ pub(super) fn is_read(text: &Cursor<Vec<u8>>) -> bool {
     text.position() == text.get_ref().len() as u64
 }
 
-/// Bytes as text: UTF-8, or else Latin-1.
-pub(crate) fn shown(bytes: &[u8]) -> Cow<'_, str> {
-    match std::str::from_utf8(bytes) {
-        Ok(text) => Cow::Borrowed(text),
-        Err(_) => bytes.iter().map(|&byte| char::from(byte)).collect::<String>().into(),
-    }
-}
-
-/// The start of a line in quotes, for messages.
-pub(super) fn shortened(line: &[u8]) -> String {
-    let start: String = shown(line).chars().take(60).collect();
-    format!("`{}`", start.escape_debug())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dataset::tables::cell::shown;
 
     fn lines(bytes: &[u8]) -> Result<Vec<String>, String> {
         let mut lines = Lines::new(Box::new(Cursor::new(bytes.to_vec())), 1 << 20)?;
