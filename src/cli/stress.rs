@@ -35,8 +35,8 @@ pub(super) struct Args {
     #[arg(long, value_delimiter = ',', value_name = "METHOD,…", value_parser = one_of(OneOrAll::each()), default_value = "all")]
     methods: Vec<OneOrAll>,
     /// Disturbances, with commas between them (default: all that the data can show)
-    #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
-    only: Vec<String>,
+    #[arg(long = "only", value_delimiter = ',', value_name = "NAME,…")]
+    disturbances: Vec<String>,
     /// Largest number of queries
     #[arg(long, default_value_t = 40, value_name = "N", value_parser = at_least_one)]
     queries: usize,
@@ -80,7 +80,7 @@ fn measured(args: &Args, library: &Library) -> Done<Made<StressReport>> {
     let held: Vec<&SourceSpec> = (scene.sources())
         .filter(|spec| entries.iter().any(|entry| entry.sources.contains(&spec.id)))
         .collect();
-    let disturbances = chosen(&args.only, &held)?;
+    let disturbances = chosen(&args.disturbances, &held)?;
     let plan = StressPlan {
         scene: &scene,
         entries: &entries,

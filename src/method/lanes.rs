@@ -1,4 +1,4 @@
-//! Sums over samples, in lanes that the processor adds at once.
+//! Sums, extremes and channels of samples; sums are in lanes that the processor adds at once.
 //!
 //! The loops use an index. Iterators with closures are not always inlined into a function with a
 //! `target_feature`, such as AVX2, that the rest of the program lacks; they then take twice the time.
@@ -50,13 +50,13 @@ pub(crate) fn less(
     samples.chunks_exact(channels).map(|frame| frame[channel] - reference).collect()
 }
 
-/// Sum of the samples, by eight sums in f64, so that no addition waits for the one before.
+/// Sum of the samples, by several sums in f64, so that no addition waits for the one before.
 #[inline(always)]
 pub(crate) fn sum(samples: &[f32]) -> f64 {
-    let mut lanes = [0f64; 8];
-    let (chunks, rest) = samples.as_chunks::<8>();
+    let mut lanes = [0f64; LANES];
+    let (chunks, rest) = samples.as_chunks::<LANES>();
     for chunk in chunks {
-        for lane in 0..8 {
+        for lane in 0..LANES {
             lanes[lane] += f64::from(chunk[lane]);
         }
     }

@@ -182,8 +182,8 @@ fn add_histograms(counts: &[f32], sums: &mut [f32]) {
     }
 }
 
-/// The sum of some values and that of their squares, each multiplied by its count. There are as many
-/// as fill whole chunks.
+/// The sum of some values and that of their squares, each multiplied by its count. Their number is a
+/// multiple of [`LANES`].
 #[multiversion(targets(
     "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
     "x86_64+avx2+fma",

@@ -166,11 +166,11 @@ pub fn ready_model(
     let mut remarks = prepared.remarks;
     // The trials are moved, not borrowed, so that the method can free trials it has used.
     let model = method.fit(prepared.trials.into_iter().flatten().collect(), &prepared.shape)?;
-    // If files of the trials have changed meanwhile, the model is used but not stored.
     let embedding = model.clone().embedding();
     if let Some(embedding) = &embedding {
         embedding.ready_for_length(Some(0.0));
     }
+    // If files of the trials have changed meanwhile, the model is used but not stored.
     if let Some((cache, of_files)) = kept.filter(|kept| stamp(&of_model) == Some(kept.1))
         && let Some(embedding) = embedding
     {

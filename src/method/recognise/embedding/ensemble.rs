@@ -99,8 +99,7 @@ impl Ensemble {
             .min(FEATURES_WITHOUT.div_ceil(size.max(1)))
             .min(PRODUCTS_WITHOUT.div_ceil(products));
         // Column by column, so that a member's columns are read in one piece each.
-        let by_column = vectors.t();
-        let by_column = by_column.as_standard_layout();
+        let by_column = vectors.t().as_standard_layout().into_owned();
         let trained: Vec<_> = (0..members)
             .into_par_iter()
             .map(|number| {

@@ -27,6 +27,7 @@ mod model;
 mod picture;
 mod places;
 mod series;
+mod stored;
 mod temperature;
 mod together;
 mod training;

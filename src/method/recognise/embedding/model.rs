@@ -7,7 +7,6 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use ndarray::{ArrayView1, s};
 use rayon::prelude::*;
-use serde::Deserialize;
 
 use super::NAME;
 use super::ensemble::Answer;
@@ -34,19 +33,19 @@ pub struct EmbeddingModel {
     pub(super) scene: Scene,
     pub(in crate::recognise) shape: Arc<LibraryShape>,
     /// The keys of the library's trials, in the order of their samples' digests.
-    keys: Vec<TrialKey>,
+    pub(super) keys: Vec<TrialKey>,
     pub(super) labels: Labels,
     pub(super) joint: JointEmbedder,
-    training: Training,
+    pub(super) training: Training,
     pub(super) left_out: LeftOut,
     /// Ensembles for sets of sources that a query has had, but no library trial has.
     trained: Mutex<HashMap<Present, Arc<Trained>>>,
     /// The library's trials, kept until `followed` is computed from them.
     unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
     /// How beginnings of left-out trials are answered by the sources of each trial.
-    begun: OnceLock<BTreeMap<Present, Measured>>,
+    pub(super) begun: OnceLock<BTreeMap<Present, Measured>>,
     /// The left-out trials, each named at every look of its growing drag.
-    followed: OnceLock<Vec<FollowedTrial>>,
+    pub(super) followed: OnceLock<Vec<FollowedTrial>>,
     /// The stopping rule for the first options asked for; later scans mostly have the same options.
     settling: OnceLock<(FollowOptions, Settling)>,
 }
@@ -95,7 +94,7 @@ impl EmbeddingModel {
         Ok(Self { unfollowed: Mutex::new(Some(library)), ..model })
     }
 
-    fn of(
+    pub(super) fn of(
         scene: &Scene,
         shape: &Arc<LibraryShape>,
         parts: (Vec<TrialKey>, Labels, JointEmbedder, Training, LeftOut),
@@ -141,7 +140,7 @@ impl EmbeddingModel {
         trained
     }
 
-    /// What answers to scans of `scan_s` seconds by these sources are judged by.
+    /// The measurements that judge answers to scans of `scan_s` seconds by these sources.
     fn measured<'a>(
         &'a self,
         trained: &'a Trained,
@@ -155,7 +154,7 @@ impl EmbeddingModel {
     }
 
     /// How beginnings of left-out trials are answered. Computed once, since whole scans do not need it.
-    fn begun(&self) -> &BTreeMap<Present, Measured> {
+    pub(super) fn begun(&self) -> &BTreeMap<Present, Measured> {
         if let Some(known) = self.begun.get() {
             return known;
         }
@@ -263,7 +262,7 @@ impl EmbeddingModel {
     }
 
     /// The left-out trials, each named at every look of its growing drag. Computed once.
-    fn followed(&self) -> &[FollowedTrial] {
+    pub(super) fn followed(&self) -> &[FollowedTrial] {
         // Needs the library too.
         self.begun();
         self.followed.get_or_init(|| {
@@ -321,50 +320,6 @@ impl EmbeddingModel {
             surfaces: self.labels.surfaces.iter().cloned().zip(trials).collect(),
         }
     }
-
-    /// Restores the model from the bytes of [`EmbeddingModel::store`]; `None` if they are not valid.
-    pub(super) fn from_bytes(
-        bytes: &[u8],
-        scene: &Scene,
-        shape: &Arc<LibraryShape>,
-    ) -> Option<Self> {
-        let stored: Stored = postcard::from_bytes(bytes).ok()?;
-        let trials = stored.keys.len();
-        let is_sound = |(trial, first): (usize, &usize)| *first <= trial;
-        if stored.together.len() != trials || !stored.together.iter().enumerate().all(is_sound) {
-            return None;
-        }
-        let labels = Labels::new(&stored.keys.iter().collect::<Vec<_>>(), stored.together);
-        let joint = stored.joint;
-        let training = stored.training.restored(&labels, joint.dims())?;
-        let fits = |trained: &Arc<Trained>| {
-            let mut all = std::iter::once(&trained.all).chain(trained.without.iter().flatten());
-            trained.without.len() == labels.groups
-                && all.all(|ensemble| ensemble.is_of(labels.classes, joint.dims()))
-        };
-        let sound = joint.is_of(scene)
-            && stored.left_out.trained.values().all(fits)
-            && training.present.iter().all(|has| stored.left_out.trained.contains_key(has))
-            && stored.followed.iter().all(|trial| trial.is_sound(labels.classes));
-        let parts = (stored.keys, labels, joint, training, stored.left_out);
-        sound.then(|| Self {
-            followed: OnceLock::from(stored.followed),
-            begun: OnceLock::from(stored.begun),
-            ..Self::of(scene, shape, parts)
-        })
-    }
-}
-
-/// The stored part of a model: everything that does not follow from the scene.
-#[derive(Deserialize)]
-struct Stored {
-    keys: Vec<TrialKey>,
-    together: Vec<usize>,
-    joint: JointEmbedder,
-    training: Training,
-    left_out: LeftOut,
-    followed: Vec<FollowedTrial>,
-    begun: BTreeMap<Present, Measured>,
 }
 
 impl Model for EmbeddingModel {
@@ -425,8 +380,8 @@ impl EmbeddingModel {
         }
     }
 
-    /// Measures what answers to scans with a drag of `drag_s` seconds are judged by, so that the first such
-    /// scan does not wait for it.
+    /// Measures beginnings of left-out trials if scans with a drag of `drag_s` seconds are judged by them, so
+    /// that the first such scan does not wait for it.
     pub fn ready_for_length(&self, drag_s: Option<f64>) {
         if self.left_out.ended_s(drag_s) < self.left_out.drag_s {
             self.begun();
@@ -474,15 +429,6 @@ impl EmbeddingModel {
             None => Rejection::usual(trials, left_out),
             Some(rate) => Rejection::new(trials, left_out, rate),
         }
-    }
-
-    /// The model as bytes for [`Method::restore`](crate::recognise::Method::restore), if possible.
-    pub(crate) fn store(&self) -> Option<Vec<u8>> {
-        // In the order of `Stored`. Following left-out trials takes a while, unless already done.
-        let (keys, together) = (&self.keys, &self.labels.together);
-        let (followed, begun) = (self.followed(), self.begun());
-        let stored = (keys, together, &self.joint, &self.training, &self.left_out, followed, begun);
-        postcard::to_allocvec(&stored).ok()
     }
 }
 
