@@ -56,13 +56,19 @@ fn what_has_two_readings_is_refused_and_shows_both() {
                     format!("0.{i:02},{},{}\n", if i < 25 { "ax" } else { "force" }, i * 7 % 11)
                 }),
             &["--rate", "9"],
-            &["one value a row", "`variable`", "(`ax`, `force`, …)", "pivot"],
+            &["column `variable`", "holds the value (`ax`, `force`, …)", "pivot"],
         ),
         (
             "time,was,x\n".to_string()
                 + &t(|i| format!("0.{:02},{},{}\n", i / 3, ["ax", "ay", "fx"][i % 3], i * 7 % 11)),
             &[],
-            &["one value a row", "`was`"],
+            &["column `was`", "pivot"],
+        ),
+        (
+            "time,sensor,x,y\n".to_string()
+                + &t(|i| format!("0.{i:02},{},{i}.5,1\n", ["acc", "gyro"][i % 2])),
+            &[],
+            &["column `sensor`", "holds the values (`acc`, `gyro`, …)", "pivot"],
         ),
     ] {
         let imported = import("oak/1.csv", text.as_bytes(), args);
@@ -102,6 +108,67 @@ fn gaps_are_filled_marked_or_cut() {
     let frames: Vec<usize> =
         cut.library().entries.iter().map(|e| e.load().unwrap().signals["ax"].frames()).collect();
     assert_eq!(frames, [20, 280], "{}", cut.said());
+}
+
+#[test]
+fn sensors_of_several_rates_in_one_table_keep_their_rows() {
+    let form = |cells: fn(usize, [String; 3]) -> String| {
+        table("time,ax,ay,force\n", move |i, xs| {
+            format!("{:.3},{}", i as f64 / 100.0, cells(i, xs))
+        })
+    };
+    // The force in every fourth row, or in rows of its own.
+    let joined =
+        form(|i, [x, y, z]| format!("{x},{y},{}", if i % 4 == 1 { z } else { String::new() }));
+    let apart = form(|i, [x, y, z]| match i % 4 {
+        1 => format!("{x},{y},\n{:.3},,,{z}", i as f64 / 100.0 + 0.004),
+        _ => format!("{x},{y},"),
+    });
+    let by_rate = joined.replace("time,", "place,");
+    let given = ["--rate", "100", "--source", "a=ax,ay", "--source", "force=force"];
+    for (text, args, first) in [
+        (&joined, &[][..], Some(1)),
+        (&by_rate, &given, Some(1)),
+        (&apart, &[], Some(2)),
+        (&apart, &["--source", "force=force"], None),
+    ] {
+        let imported = import("oak/1.csv", text.as_bytes(), args);
+        let force = imported.series("force");
+        let right: Vec<f32> = (0..75).map(|i| value(4 * i + 1, 2) as f32).collect();
+        assert_eq!((force.rate_hz(), force.samples()), (25.0, &right[..]), "{}", imported.said());
+        if let Some(first) = first {
+            // From the first row of the force to its last.
+            let series = imported.series("a");
+            let values = [value(first, 0) as f32, value(first, 1) as f32];
+            assert_eq!((series.rate_hz(), series.frames()), (100.0, 298 - first));
+            assert_eq!(series.samples()[..2], values);
+            says(&imported.said(), &["rows of their own"]);
+        }
+    }
+}
+
+#[test]
+fn rows_that_come_late_are_sorted_and_infinities_are_missing_values() {
+    let infinite = [77, 200];
+    let text = table("time,ax\n", |i, [x, ..]| {
+        // Two rows in twenty come after the next one.
+        let place = [i + 1, i.saturating_sub(1)];
+        let at = if i % 20 < 4 && i > 3 { place[i % 2] } else { i };
+        let x = if at == i { x } else { format!("{:.3}", value(at, 0)) };
+        let x = if infinite.contains(&at) { "-inf".into() } else { x };
+        format!("{:.2},{x}", at as f64 / 100.0)
+    });
+    let imported = import("oak/1.csv", text.as_bytes(), &[]);
+    let series = imported.series("ax");
+    assert_eq!((series.frames(), series.rate_hz()), (ROWS, 100.0));
+    for (row, x) in series.samples().iter().enumerate() {
+        let right = infinite.contains(&row) || *x == value(row, 0) as f32;
+        assert!(right, "row {row}: {x}");
+    }
+    says(
+        &imported.said(),
+        &["after rows of later times: 28 rows", "filled in by straight lines: 2 values"],
+    );
 }
 
 #[test]

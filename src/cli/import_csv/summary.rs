@@ -55,6 +55,8 @@ impl Summary {
     pub(super) fn said(&mut self, said: Said) {
         self.said.times = self.said.times.take().or(said.times);
         self.said.resampled_hz = self.said.resampled_hz.or(said.resampled_hz);
+        self.said.own_rates |= said.own_rates;
+        self.said.overtaken += said.overtaken;
         self.said.repeated += said.repeated;
         self.said.filled += said.filled;
         self.said.cut += said.cut;
@@ -82,12 +84,18 @@ impl Summary {
         show::table(&["surface", ">trials", ">mean length", "by"], rows);
         let said = &self.said;
         said.times.iter().for_each(|times| say!("{times}"));
-        if let (Clock::Times { column, .. }, Some(hz)) = (&form.clock, said.resampled_hz) {
+        if said.own_rates {
+            say!(
+                "sources have rows of their own, and so their own rates; uneven rows are resampled by straight \
+                 lines"
+            );
+        } else if let (Clock::Times { column, .. }, Some(hz)) = (&form.clock, said.resampled_hz) {
             say!(
                 "rows come {hz:.1} times a second by `{column}`; they are resampled by straight lines"
             );
         }
         for (what, count, thing, then) in [
+            ("after rows of later times", said.overtaken, "row", "; sorted by their times"),
             ("repeated times", said.repeated, "row", "; of each time, the last row is used"),
             ("filled in by straight lines", said.filled, "value", "; trial.toml says which"),
             (

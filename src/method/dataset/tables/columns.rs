@@ -216,12 +216,11 @@ pub fn sources(
             kept.push(column);
         }
     }
-    if let [_] = kept[..]
-        && let Some((name, [one, other])) = quantities(head, &taken)
-    {
+    if let Some((name, [one, other])) = quantities(head, &taken, kept.len() == 1) {
         return Err(format!(
-            "it holds one value a row, and column `{name}` says of what (`{one}`, `{other}`, …); save it with \
-             a column for each, as by `pivot` of pandas or `pivot_wider` of R; if these are surfaces, name it by --surface"
+            "column `{name}` says of what a row holds the value{} (`{one}`, `{other}`, …); save it with columns \
+             for each, as by `pivot` of pandas or `pivot_wider` of R; if these are surfaces, name it by --surface",
+            if kept.len() == 1 { "" } else { "s" }
         ));
     }
     let runs: BTreeSet<&str> =
@@ -284,9 +283,13 @@ fn of_texts(
     )))
 }
 
-/// The name of a column of texts that say what the value of a row is, and two of them: it is called so, or most
-/// rows have another text than the row before, and each text comes again.
-fn quantities(head: &Head, taken: &BTreeSet<usize>) -> Option<(String, [String; 2])> {
+/// The name of a column of texts that say what the values of a row are, and two of them: most rows have another
+/// text than the row before, and each text comes again; or rows hold a single value, and the column is called so.
+fn quantities(
+    head: &Head,
+    taken: &BTreeSet<usize>,
+    is_single: bool,
+) -> Option<(String, [String; 2])> {
     let columns = head.layout.columns.iter().enumerate();
     let mut texts = columns.filter(|(at, column)| !column.is_numeric && !taken.contains(at));
     texts.find_map(|(at, column)| {
@@ -296,7 +299,7 @@ fn quantities(head: &Head, taken: &BTreeSet<usize>) -> Option<(String, [String; 
         let come_again = 2 * changes > cells.len() && 4 * different.len() <= cells.len();
         let mut first = different.into_iter();
         let two = [first.next()?, first.next()?].map(|text| shown(text).into_owned());
-        let is_one = is_among(QUANTITIES, &plain(&column.base)) || come_again;
+        let is_one = is_single && is_among(QUANTITIES, &plain(&column.base)) || come_again;
         (is_one && !is_time(&head.layout.columns, at)).then(|| (column.name.clone(), two))
     })
 }

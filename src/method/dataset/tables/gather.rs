@@ -11,7 +11,7 @@ use crate::trial::TrialKey;
 /// How many bytes of rows are held in memory.
 const MOST_HELD: usize = 32 << 20;
 
-/// Rows of one trial: times in ns, rising or equal (empty without a clock), and values; NaN if missing.
+/// Rows of one trial: times in ns (empty without a clock), and values; NaN if missing.
 #[derive(Debug, Default)]
 pub(crate) struct Rows {
     pub times: Vec<i64>,
@@ -25,7 +25,8 @@ pub(crate) struct Group {
     pub trial: Option<String>,
     /// Number of rows, on disk and in memory.
     pub rows: usize,
-    pub last_time: Option<i64>,
+    /// The first and the latest time.
+    pub times: Option<(i64, i64)>,
     /// How much to add to a time, since the clock began anew.
     pub offset: i64,
     held: Rows,
@@ -64,7 +65,7 @@ impl<'a> Gathered<'a> {
             key,
             trial: None,
             rows: 0,
-            last_time: None,
+            times: None,
             offset: 0,
             held: Rows::default(),
             parts: Vec::new(),

@@ -1,8 +1,12 @@
 //! Makes trials with a fixed rate of the rows of a table: drops repeated rows, fills short gaps by
-//! straight lines and says where, and cuts at longer ones, which are never filled.
+//! straight lines and says where, and cuts at longer ones, which are never filled. Sources that have rows
+//! of their own, since sensors of several rates were merged into one table, get rates of their own.
+
+use std::ops::Range;
 
 use super::gather::Rows;
 use super::grid::{Grid, places};
+use crate::scene::SourceId;
 use crate::trial::Series;
 
 /// The longest run of samples that is filled.
@@ -22,12 +26,14 @@ pub enum Gaps {
     Error,
 }
 
-/// A part of a trial without gaps, at a fixed rate.
+/// Frames without gaps at a fixed rate.
 #[derive(Debug)]
 pub(crate) struct Piece {
     /// Time of the first frame in ns; 0 without a clock.
     pub start: i64,
     pub rate_hz: f64,
+    /// Values in each frame.
+    pub width: usize,
     /// Frames of all columns, row by row.
     pub values: Vec<f32>,
     /// For each frame and column, whether the value was filled in; empty if none was.
@@ -36,7 +42,10 @@ pub(crate) struct Piece {
 
 #[derive(Debug, Default)]
 pub(crate) struct Mended {
-    pub pieces: Vec<Piece>,
+    /// The parts of the trial between gaps: one piece of all sources, or one of each.
+    pub parts: Vec<Vec<Piece>>,
+    /// Rows that came after rows of later times.
+    pub overtaken: usize,
     /// Rows that had the time of the row before.
     pub repeated: usize,
     pub too_short: usize,
@@ -44,9 +53,140 @@ pub(crate) struct Mended {
     pub resampled_hz: Option<f64>,
 }
 
-/// Makes the parts of one trial, with these `names` of columns. The error continues a sentence that
-/// begins with the trial.
+/// Makes the parts of one trial, of sources with these columns. The error continues a sentence that begins
+/// with the trial.
 pub(crate) fn mend(
+    mut rows: Rows,
+    sources: &[(SourceId, Vec<String>)],
+    rate_hz: Option<f64>,
+    gaps: Gaps,
+) -> Result<Mended, String> {
+    let overtaken = in_order(&mut rows);
+    let mended = by_rates(rows, sources, rate_hz, gaps)?;
+    Ok(Mended { overtaken, ..mended })
+}
+
+/// Sorts rows by their times. Returns how many came after a row of a later time.
+fn in_order(rows: &mut Rows) -> usize {
+    let mut latest = i64::MIN;
+    let overtaken = rows.times.iter().filter(|time| {
+        latest = latest.max(**time);
+        **time < latest
+    });
+    let overtaken = overtaken.count();
+    if overtaken > 0 {
+        let width = rows.values.len() / rows.times.len();
+        let mut order: Vec<usize> = (0..rows.times.len()).collect();
+        order.sort_by_key(|row| rows.times[*row]);
+        let values = order.iter().flat_map(|row| &rows.values[row * width..][..width]);
+        rows.values = values.copied().collect();
+        rows.times.sort_unstable();
+    }
+    overtaken
+}
+
+fn by_rates(
+    rows: Rows,
+    sources: &[(SourceId, Vec<String>)],
+    rate_hz: Option<f64>,
+    gaps: Gaps,
+) -> Result<Mended, String> {
+    let names: Vec<String> = sources.iter().flat_map(|(_, columns)| columns.clone()).collect();
+    let count = rows.values.len() / names.len().max(1);
+    let time = |row: usize| match rate_hz {
+        None => rows.times[row],
+        Some(rate_hz) => (row as f64 * S / rate_hz).round() as i64,
+    };
+    let mut from = 0;
+    let ranges = sources.iter().map(|(_, columns)| {
+        from += columns.len();
+        from - columns.len()..from
+    });
+    let ranges: Vec<_> = ranges.collect();
+    let values = |row: usize, of: &Range<usize>| &rows.values[row * names.len()..][of.clone()];
+    // The rows in which a source has a value.
+    let own = |of: &Range<usize>| {
+        let of = of.clone();
+        (0..count).filter(move |row| values(*row, &of).iter().any(|value| !value.is_nan()))
+    };
+    let is_apart = |of: &Range<usize>| {
+        let are_few = (own(of).count() as f64) < (1.0 - SHARE_FILLED) * count as f64;
+        are_few && are_regular(&own(of).map(time).collect::<Vec<_>>())
+    };
+    if !ranges.iter().any(is_apart) {
+        return mend_together(rows, &names, rate_hz, gaps);
+    }
+    let mut all = Mended::default();
+    for (of, (source, columns)) in ranges.iter().zip(sources) {
+        let own_values = own(of).flat_map(|row| values(row, of)).copied();
+        let own = Rows { times: own(of).map(time).collect(), values: own_values.collect() };
+        let mended = mend_together(own, columns, None, gaps);
+        let mended = mended.map_err(|problem| format!("{problem} (source `{source}`)"))?;
+        let is_first = source == &sources[0].0;
+        all.parts = if is_first { mended.parts } else { overlaps(&all.parts, &mended.parts) };
+        all.repeated += mended.repeated;
+        all.too_short += mended.too_short;
+        all.resampled_hz = all.resampled_hz.or(mended.resampled_hz);
+    }
+    match all.parts.is_empty() {
+        true => Err("has no time at which all sources have rows".into()),
+        false => Ok(all),
+    }
+}
+
+/// Whether times come in steps of one length, so that few are lost; gaps that are cut do not count.
+fn are_regular(times: &[i64]) -> bool {
+    let steps = times.windows(2).map(|two| two[1].saturating_sub(two[0]) as f64);
+    let mut steps: Vec<f64> = steps.collect();
+    steps.sort_by(f64::total_cmp);
+    let Some(usual) = steps.get(steps.len() / 2) else { return false };
+    let lost = (1.5 * usual)..((MOST_FILLED as f64 + 1.5) * usual);
+    let lost = steps.iter().filter(|step| lost.contains(*step)).count();
+    lost as f64 <= SHARE_FILLED * steps.len() as f64
+}
+
+/// The parts of a trial in which both these sources, and another one, have frames.
+fn overlaps(parts: &[Vec<Piece>], others: &[Vec<Piece>]) -> Vec<Vec<Piece>> {
+    let mut all = Vec::new();
+    for part in parts {
+        for other in others {
+            let both = || part.iter().chain(other);
+            let from = both().map(|piece| piece.start).max().unwrap_or(0);
+            let to = both().map(Piece::end).min().unwrap_or(0);
+            all.extend(both().map(|piece| piece.within(from, to)).collect::<Option<Vec<_>>>());
+        }
+    }
+    all
+}
+
+impl Piece {
+    fn frames(&self) -> usize {
+        self.values.len() / self.width
+    }
+
+    /// Time of the last frame in ns.
+    fn end(&self) -> i64 {
+        self.start + ((self.frames() - 1) as f64 * S / self.rate_hz) as i64
+    }
+
+    /// The frames in a range of times; `None` if there are fewer than two.
+    fn within(&self, from: i64, to: i64) -> Option<Self> {
+        let place = |time: i64| (time - self.start) as f64 * self.rate_hz / S;
+        // Times are rounded to nanoseconds.
+        let first = (place(from) - 1e-3).ceil().max(0.0) as usize;
+        let end = ((place(to) + 1e-3).floor() + 1.0).clamp(0.0, self.frames() as f64) as usize;
+        let values = first * self.width..end * self.width;
+        (first + 2 <= end).then(|| Self {
+            start: self.start + (first as f64 * S / self.rate_hz) as i64,
+            values: self.values[values.clone()].to_vec(),
+            filled: self.filled.get(values).unwrap_or_default().to_vec(),
+            ..*self
+        })
+    }
+}
+
+/// Makes the parts of one trial whose columns, of these `names`, share their rows.
+fn mend_together(
     mut rows: Rows,
     names: &[String],
     rate_hz: Option<f64>,
@@ -123,15 +263,15 @@ pub(crate) fn mend(
                 if let (Some(grid), true) = (&grid, piece.1) {
                     mended.resampled_hz = Some(S / grid.step);
                 }
-                mended.pieces.push(piece.0);
+                mended.parts.push(vec![piece.0]);
             }
             _ => mended.too_short += 1,
         }
     }
-    match mended.pieces.is_empty() {
+    match mended.parts.is_empty() {
         true => Err(format!(
-            "has no {FEWEST} rows in a row without a gap; are these sensors of different rates? import \
-             the columns of each alone, by --source"
+            "has no {FEWEST} rows in a row without a gap; if these sensors have different rates, name each \
+             by --source"
         )),
         false => Ok(mended),
     }
@@ -199,14 +339,17 @@ fn piece(
         if missing as f64 > SHARE_FILLED * count as f64 {
             return Err(format!(
                 "misses {missing} of {count} values in column `{name}`; at most 5 % are filled: if this \
-                 sensor has another rate, import its columns alone, by --source"
+                 sensor has another rate than those beside it, name it by --source"
             ));
         }
     }
     let start = times.first().copied().unwrap_or(0);
     let Some(grid) = grid else {
         let filled = if filled.contains(&true) { filled } else { Vec::new() };
-        return Ok((Piece { start, rate_hz: rate_hz.unwrap_or(1.0), values, filled }, false));
+        return Ok((
+            Piece { start, rate_hz: rate_hz.unwrap_or(1.0), width, values, filled },
+            false,
+        ));
     };
     let off = |(row, time): (usize, &i64)| (time - start) as f64 - row as f64 * grid.even;
     let (low, high) = times
@@ -215,9 +358,9 @@ fn piece(
         .map(off)
         .fold((0.0_f64, 0.0_f64), |(low, high), x| (low.min(x), high.max(x)));
     let is_even = high - low <= grid.tolerance;
-    let mut piece = Piece { start, rate_hz: grid.rate_hz, values, filled };
+    let mut piece = Piece { start, rate_hz: grid.rate_hz, width, values, filled };
     if !is_even {
-        resample(&mut piece, times, width, grid)?;
+        resample(&mut piece, times, grid)?;
     }
     if !piece.filled.contains(&true) {
         piece.filled.clear();
@@ -231,7 +374,7 @@ fn straight(a: f32, b: f32, share: f64) -> f32 {
 
 /// Interpolates rows linearly at the rate of the grid. A frame counts as filled if the row before it or
 /// after it was, or if rows are lost there.
-fn resample(piece: &mut Piece, times: &[i64], width: usize, grid: &Grid) -> Result<(), String> {
+fn resample(piece: &mut Piece, times: &[i64], grid: &Grid) -> Result<(), String> {
     let last = times.len() - 1;
     let long = (times[last] - times[0]) as f64;
     // No step is longer than `MOST_FILLED + 1.5` of the grid's, so this is bounded by the rows.
@@ -239,6 +382,7 @@ fn resample(piece: &mut Piece, times: &[i64], width: usize, grid: &Grid) -> Resu
     if count > Series::MOST_SAMPLES {
         return Err(format!("is {:.0} minutes long, too long for a trial", long / S / 60.0));
     }
+    let width = piece.width;
     let (mut values, mut filled) = (Vec::with_capacity(count * width), Vec::new());
     let (places, _) = places(times, grid.step);
     let lost: usize = places.iter().map(|steps| steps - 1).sum();
@@ -278,10 +422,15 @@ mod tests {
         times.iter().map(|time| time * 1_000_000).collect()
     }
 
+    fn of(names: &str) -> (SourceId, Vec<String>) {
+        let columns = names.split(',').map(str::to_string).collect();
+        (SourceId::new(&names[..1]).unwrap(), columns)
+    }
+
     fn mended(times: &[i64], values: &[f32], gaps: Gaps) -> Result<Mended, String> {
         let rows = Rows { times: ms(times), values: values.to_vec() };
         let rate_hz = times.is_empty().then_some(100.0);
-        mend(rows, &["x".to_string()], rate_hz, gaps)
+        mend(rows, &[of("x")], rate_hz, gaps)
     }
 
     fn rising(rows: usize) -> Vec<f32> {
@@ -289,7 +438,7 @@ mod tests {
     }
 
     fn lengths(all: &Mended) -> Vec<usize> {
-        all.pieces.iter().map(|piece| piece.values.len()).collect()
+        all.parts.iter().map(|part| part[0].values.len()).collect()
     }
 
     #[test]
@@ -298,9 +447,9 @@ mod tests {
         let times: Vec<i64> = rows().map(|row| 10 * i64::from(row)).collect();
         let values: Vec<f32> = rows().map(f32::from).collect();
         let all = mended(&times, &values, Gaps::Cut).unwrap();
-        assert_eq!(all.pieces[0].values, (0..30_u16).map(f32::from).collect::<Vec<_>>());
-        let filled = (0..30).filter(|row| all.pieces[0].filled[*row]).collect::<Vec<_>>();
-        assert_eq!((filled, all.pieces[0].rate_hz, all.pieces.len()), (vec![3], 100.0, 1));
+        assert_eq!(all.parts[0][0].values, (0..30_u16).map(f32::from).collect::<Vec<_>>());
+        let filled = (0..30).filter(|row| all.parts[0][0].filled[*row]).collect::<Vec<_>>();
+        assert_eq!((filled, all.parts[0][0].rate_hz, all.parts.len()), (vec![3], 100.0, 1));
         let said = mended(&[0, 10, 20, 40], &[0.0; 4], Gaps::Cut).unwrap_err();
         assert!(said.contains("misses 1 of 5 rows"), "{said}");
     }
@@ -326,8 +475,8 @@ mod tests {
             times.sort_unstable();
             let values: Vec<f32> = rows().map(|row| row as f32).collect();
             let all = mended(&times, &values, Gaps::Error).unwrap();
-            assert_eq!(all.pieces[0].rate_hz, rate_hz as f64, "{most_ms} ms");
-            let filled = all.pieces[0].filled.iter().filter(|filled| **filled).count();
+            assert_eq!(all.parts[0][0].rate_hz, rate_hz as f64, "{most_ms} ms");
+            let filled = all.parts[0][0].filled.iter().filter(|filled| **filled).count();
             // Up to two frames lie between the rows beside a lost one.
             let gone = 900 - times.len();
             let fits = filled + 2 >= gone && filled <= 2 * gone + 2;
@@ -342,10 +491,10 @@ mod tests {
                 let times: Vec<i64> = (0..rows).map(|row| row * 1000 / rate_hz).collect();
                 let values: Vec<f32> = (0..rows).map(|row| (row % 7) as f32).collect();
                 let all = mended(&times, &values, Gaps::Error).unwrap();
-                assert_eq!(all.pieces[0].values, values, "{rate_hz} Hz");
+                assert_eq!(all.parts[0][0].values, values, "{rate_hz} Hz");
                 // A few rows by a coarse clock tell the rate to 1 %.
-                let right = rows == 100 || all.pieces[0].rate_hz == rate_hz as f64;
-                assert!(right, "{rate_hz} Hz: {}", all.pieces[0].rate_hz);
+                let right = rows == 100 || all.parts[0][0].rate_hz == rate_hz as f64;
+                assert!(right, "{rate_hz} Hz: {}", all.parts[0][0].rate_hz);
             }
         }
     }
@@ -356,7 +505,7 @@ mod tests {
             let times: Vec<i64> = (0..100).map(|row| row * ms).collect();
             let values: Vec<f32> = (0..100).map(|row| (row % 7) as f32).collect();
             let all = mended(&times, &values, Gaps::Error).unwrap();
-            let found = (all.pieces[0].rate_hz, &all.pieces[0].values);
+            let found = (all.parts[0][0].rate_hz, &all.parts[0][0].values);
             assert_eq!(found, (1000.0 / ms as f64, &values));
         }
     }
@@ -366,8 +515,8 @@ mod tests {
         let mut values = rising(200);
         values[50..55].fill(NAN);
         let all = mended(&[], &values, Gaps::Error).unwrap();
-        assert_eq!(all.pieces[0].values, rising(200));
-        let marked = (0..200).filter(|row| all.pieces[0].filled[*row]).collect::<Vec<_>>();
+        assert_eq!(all.parts[0][0].values, rising(200));
+        let marked = (0..200).filter(|row| all.parts[0][0].filled[*row]).collect::<Vec<_>>();
         assert_eq!(marked, [50, 51, 52, 53, 54]);
         values[55] = NAN;
         assert!(mended(&[], &values, Gaps::Error).unwrap_err().contains("after its row 50"));
@@ -383,7 +532,7 @@ mod tests {
         let values = rising(100);
         let all = mended(&times, &values, Gaps::Cut).unwrap();
         assert_eq!(lengths(&all), [60, 40]);
-        assert_eq!(all.pieces[1].start, times[60] * 1_000_000);
+        assert_eq!(all.parts[1][0].start, times[60] * 1_000_000);
         assert!(mended(&times, &values, Gaps::Error).unwrap_err().contains("after its row 60"));
         assert!(mended(&[0, 1, 2_000_000_000_000], &[1.0; 3], Gaps::Cut).is_err());
         // Six hundred years, more than an i64 holds in nanoseconds.
@@ -400,7 +549,7 @@ mod tests {
         let mut values = rising(20);
         values.insert(2, 7.0);
         let all = mended(&times, &values, Gaps::Error).unwrap();
-        assert_eq!((all.repeated, all.pieces[0].values[2]), (1, 2.0));
+        assert_eq!((all.repeated, all.parts[0][0].values[2]), (1, 2.0));
         let coarse: Vec<i64> = (0..100).map(|row| row / 10 * 1000).collect();
         let values = rising(100);
         assert!(mended(&coarse, &values, Gaps::Cut).unwrap_err().contains("coarser"));

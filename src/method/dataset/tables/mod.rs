@@ -167,6 +167,10 @@ pub struct Said {
     pub times: Option<String>,
     /// Rows a second, if they were interpolated in time.
     pub resampled_hz: Option<f64>,
+    /// Whether sources have rows and rates of their own.
+    pub own_rates: bool,
+    /// Rows that came after rows of later times.
+    pub overtaken: usize,
     pub repeated: usize,
     pub filled: usize,
     /// Trials that were cut, and parts that were too short.
@@ -219,10 +223,10 @@ fn give(
     said: &mut Said,
     on: OnRead<'_>,
 ) -> Result<(), LibraryError> {
-    let (columns, widest) = (form.columns(), form.widest());
-    let samples = rows.values.len() / columns.len().max(1);
+    let widest = form.widest();
+    let samples = rows.values.len() / form.columns().len().max(1);
     let mended = match widest > MOST_TURNED && samples < widest {
-        false => mend(rows, &columns, form.rate_hz(), form.gaps),
+        false => mend(rows, &form.sources, form.rate_hz(), form.gaps),
         true => Err(format!(
             "has {samples} rows of {widest} channels; expected a row for each sample: if each row is a \
              channel or a trial, turn the table, or save it as .npy"
@@ -236,15 +240,17 @@ fn give(
         }
     };
     said.resampled_hz = said.resampled_hz.or(mended.resampled_hz);
+    said.overtaken += mended.overtaken;
     said.repeated += mended.repeated;
-    said.cut += usize::from(mended.pieces.len() + mended.too_short > 1);
+    said.cut += usize::from(mended.parts.len() + mended.too_short > 1);
     said.too_short += mended.too_short;
-    let filled = mended.pieces.iter().flat_map(|piece| &piece.filled);
+    said.own_rates |= mended.parts[0].len() > 1;
+    let filled = mended.parts.iter().flatten().flat_map(|piece| &piece.filled);
     said.filled += filled.filter(|filled| **filled).count();
-    for (part, piece) in mended.pieces.iter().enumerate() {
-        let read = trial(key.clone(), piece, form, stamps);
+    for (number, part) in mended.parts.iter().enumerate() {
+        let read = trial(key.clone(), part, form, stamps);
         let read = read.map_err(LibraryError::at(path))?;
-        on(&[], Some(Read { is_further: part > 0, ..read }))?;
+        on(&[], Some(Read { is_further: number > 0, ..read }))?;
     }
     Ok(())
 }
@@ -297,15 +303,14 @@ impl Form {
 
 fn trial(
     key: TrialKey,
-    piece: &Piece,
+    part: &[Piece],
     form: &Form,
     stamps: Option<&Stamps>,
 ) -> Result<Read, String> {
-    let width = form.sources.iter().map(|(_, columns)| columns.len()).sum();
     let mut about = About::default();
     if let Some(stamps) = stamps
         && stamps.say_when()
-        && let Ok(ns) = u64::try_from(piece.start)
+        && let Ok(ns) = u64::try_from(part[0].start)
     {
         let when = std::time::UNIX_EPOCH + std::time::Duration::from_nanos(ns);
         // Dates without a zone are in local time.
@@ -314,10 +319,12 @@ fn trial(
         let text = utc(when);
         about.started_at = Some(if is_utc { text } else { text.trim_end_matches('Z').to_string() });
     }
-    let (mut signals, mut from) = (BTreeMap::new(), 0);
+    let mut signals = BTreeMap::new();
+    let mut places = part.iter().flat_map(|piece| (0..piece.width).map(move |at| (piece, at)));
     for (source, columns) in &form.sources {
-        let range = from..from + columns.len();
-        from = range.end;
+        let own: Vec<_> = places.by_ref().take(columns.len()).collect();
+        let (piece, from) = own[0];
+        let (range, width) = (from..from + columns.len(), piece.width);
         let frames = piece.values.chunks_exact(width);
         let samples: Vec<f32> =
             frames.flat_map(|frame| frame[range.clone()].iter().copied()).collect();
