@@ -257,7 +257,8 @@ impl EvalReport {
         // Intervals over queries would contradict one over people.
         let is_over_queries = self.outcome.interval.over == Over::Queries;
         let interval = |share: Share| {
-            Some(format!("95 % interval {}", show::interval(share))).filter(|_| is_over_queries)
+            Some(format!("95 % interval {}", show::ends(share.interval())))
+                .filter(|_| is_over_queries)
         };
         self.enrolled.iter().for_each(|enrolled| print_enrolled(enrolled, interval));
         let surfaces = show::counted(*classes, "surface");

@@ -115,7 +115,7 @@ impl Tally {
             let sittings: BTreeSet<_> =
                 known().map(|(answer, _)| (&answer.user, &answer.session)).collect();
             let interval = match sittings.len() {
-                1 => format!(" (95 % interval {})", show::interval(right)),
+                1 => format!(" (95 % interval {})", show::ends(right.interval())),
                 _ => String::new(),
             };
             let accuracy = show::percent(right.value());

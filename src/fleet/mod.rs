@@ -101,7 +101,7 @@ pub(crate) fn start(
     pages: Vec<Pages>,
     serve: &Settings,
 ) -> Result<Server, ServeError> {
-    let system = |error: HistoryError| ServeError::System(error.into());
+    let system = |error: HistoryError| std::io::Error::from(error);
     let cache = Cache::open(folder, most_bytes).map_err(system)?;
     // The broker finds our session by this name, so the name must be the same after a restart.
     let place = format!("{}:{}", machine_name(), folder.display());
@@ -142,7 +142,7 @@ async fn subscribe(fleet: &Fleet, options: &MqttOptions, prefix: &str) {
                         fleet.lock().fails(format!("it does not let this user read {topics}"));
                         continue;
                     }
-                    back_off.reset();
+                    back_off = BackOff::new();
                     if fleet.lock().problem.take().is_some() {
                         tracing::info!("connected to the broker");
                     }

@@ -23,7 +23,7 @@ pub(crate) enum Pages {
     Host(String),
     /// All names that end with this, which begins with a dot.
     Below(String),
-    /// An address and how many of its first bits count.
+    /// An address and how many of its first bits count; all of them for one address.
     Network(IpAddr, u32),
 }
 
@@ -32,24 +32,20 @@ impl FromStr for Pages {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let expected = "expected a host, such as press-3.hall, *.hall, 10.0.3.7 or 10.0.3.0/24";
-        if let Some((address, bits)) = text.split_once('/') {
-            return match (address.parse::<IpAddr>(), bits.parse()) {
-                (Ok(ip), Ok(bits)) if bits <= if ip.is_ipv4() { 32 } else { 128 } => {
-                    Ok(Self::Network(ip, bits))
-                }
-                _ => Err(expected.into()),
-            };
+        let (address, bits) = text.split_once('/').unzip();
+        if let Ok(ip) = address.unwrap_or(text).parse::<IpAddr>() {
+            let all = if ip.is_ipv4() { 32 } else { 128 };
+            let bits = bits.map_or(Some(all), |bits| bits.parse().ok().filter(|n| *n <= all));
+            return bits.map(|bits| Self::Network(ip, bits)).ok_or_else(|| expected.into());
         }
-        let (name, is_below) = match text.strip_prefix('*') {
-            Some(name) if name.starts_with('.') => (name, true),
-            _ => (text, false),
+        let name = text.to_ascii_lowercase();
+        let is_plain = |name: &str| {
+            !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c))
         };
-        let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-        match name.parse::<IpAddr>() {
-            Ok(ip) => Ok(Self::Host(ip.to_string())),
-            Err(_) if name.is_empty() || !name.chars().all(is_plain) => Err(expected.into()),
-            Err(_) if is_below => Ok(Self::Below(name.to_lowercase())),
-            Err(_) => Ok(Self::Host(name.to_lowercase())),
+        match name.strip_prefix('*') {
+            Some(end) if end.starts_with('.') && is_plain(end) => Ok(Self::Below(end.into())),
+            None if is_plain(&name) => Ok(Self::Host(name)),
+            _ => Err(expected.into()),
         }
     }
 }

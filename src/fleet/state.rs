@@ -110,8 +110,7 @@ impl Stations {
             station.since_unix_ms = unix_ms();
             station.not_before = None;
         }
-        let tells = station.card.get("sequence").and_then(Value::as_u64).unwrap_or(0);
-        let is_behind = tells > station.newest.0;
+        let is_behind = station.tells() > station.newest.0;
         station.behind = is_behind.then(|| station.behind.unwrap_or_else(Instant::now));
         Ok(())
     }
@@ -137,8 +136,7 @@ impl Stations {
             station.not_before = Some(Instant::now() + AGAIN);
         } else if station.missing_from_ms == Some(from_ms) {
             station.missing_from_ms = None;
-            let tells = station.card.get("sequence").and_then(Value::as_u64).unwrap_or(0);
-            station.newest.0 = station.newest.0.max(tells);
+            station.newest.0 = station.newest.0.max(station.tells());
         }
     }
 
@@ -182,6 +180,11 @@ fn is_sound(field: &str, value: &Value) -> bool {
 }
 
 impl Station {
+    /// The number of the newest answer, by the published state.
+    fn tells(&self) -> u64 {
+        self.card.get("sequence").and_then(Value::as_u64).unwrap_or(0)
+    }
+
     /// Notes answers that should have arrived by now.
     fn look_back(&mut self, now: Instant) {
         if self.behind.is_some_and(|since| now.duration_since(since) > ON_THEIR_WAY) {

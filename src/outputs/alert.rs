@@ -8,11 +8,11 @@ use std::time::{Duration, SystemTime};
 use serde::Serialize;
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
-use tokio::time::{Instant, sleep, timeout, timeout_at};
+use tokio::time::{Instant, sleep, timeout};
 use tokio_modbus::client::{Context, Reader, Writer, tcp};
 use tokio_modbus::slave::Slave;
 
-use super::{BackOff, OutputHealth, Said, every};
+use super::{BackOff, OutputHealth, Said, every, within};
 use crate::history::{History, news};
 use crate::station::config::{AlertCause, AlertConfig, CoilAddress};
 use crate::station::{Answer, AnswerState};
@@ -198,14 +198,14 @@ async fn reached<T>(
     coil: &CoilAddress,
     work: impl AsyncFnOnce(Context) -> tokio_modbus::Result<T>,
 ) -> Result<T, String> {
-    let until = Instant::now() + ATTEMPT;
-    let late = |_| "no answer in time".to_string();
     let (host, port) = &coil.host;
-    let stream = timeout_at(until, TcpStream::connect((host.as_str(), *port))).await;
-    let stream = stream.map_err(late)?.map_err(|error| error.to_string())?;
-    let device = tcp::attach_slave(stream, Slave(coil.unit));
-    let done = timeout_at(until, work(device)).await.map_err(late)?;
-    done.map_err(|error| error.to_string())?.map_err(|refusal| refusal.to_string())
+    let reached = async {
+        let stream = TcpStream::connect((host.as_str(), *port)).await;
+        let stream = stream.map_err(|error| error.to_string())?;
+        let done = work(tcp::attach_slave(stream, Slave(coil.unit))).await;
+        done.map_err(|error| error.to_string())?.map_err(|refusal| refusal.to_string())
+    };
+    within(ATTEMPT, reached).await
 }
 
 #[cfg(test)]

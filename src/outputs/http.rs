@@ -11,11 +11,11 @@ use hyper_util::rt::TokioIo;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
-use tokio::time::{Instant, timeout, timeout_at};
+use tokio::time::{Instant, timeout_at};
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::pki_types::ServerName;
 
-use super::{BackOff, OutputHealth, Pending, Said, tls};
+use super::{BackOff, OutputHealth, Pending, Said, tls, within};
 use crate::history::HistoryError;
 use crate::station::config::HttpAddress;
 
@@ -68,7 +68,7 @@ pub(super) async fn post_all(
         };
         if deliver(&pending.health, &receiver, text).await {
             pending.done(sequence);
-            back_off.reset();
+            back_off = BackOff::new();
             continue;
         }
         let until = Instant::now() + back_off.next();
@@ -81,27 +81,25 @@ pub(super) async fn post_all(
 
 /// Posts one answer; true if the answer was accepted, or refused for good.
 async fn deliver(health: &OutputHealth, receiver: &Receiver, answer: String) -> bool {
-    let why = match timeout(LONGEST_ATTEMPT, post(receiver, answer)).await {
-        Ok(Ok(status)) if status.is_success() => {
+    let why = match within(LONGEST_ATTEMPT, post(receiver, answer)).await {
+        Ok(status) if status.is_success() => {
             health.arrived();
             return true;
         }
         // Redirects are not followed, and a second attempt would get the same redirect.
-        Ok(Ok(status)) if status.is_redirection() => {
+        Ok(status) if status.is_redirection() => {
             health.failed(&format!(
                 "{status}, a redirect, which is not followed; write the new address into the \
                  configuration"
             ));
             return true;
         }
-        Ok(Ok(status @ StatusCode::TOO_MANY_REQUESTS)) => status.to_string(),
-        Ok(Ok(status)) if status.is_client_error() => {
+        Ok(status) if status.is_client_error() && status != StatusCode::TOO_MANY_REQUESTS => {
             health.failed(&format!("refused with {status}"));
             return true;
         }
-        Ok(Ok(status)) => status.to_string(),
-        Ok(Err(error)) => error,
-        Err(_) => "no answer in time".into(),
+        Ok(status) => status.to_string(),
+        Err(why) => why,
     };
     health.failed(&format!("{why}; they are tried again"));
     false

@@ -159,7 +159,7 @@ impl Publisher {
                     self.pending.health.arrived();
                 }
                 // The pause is reset only now, since a broker may accept a connection but no answer.
-                self.back_off.reset();
+                self.back_off = BackOff::new();
             }
             _ => {}
         }

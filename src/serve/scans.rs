@@ -15,11 +15,8 @@ use serde_json::{Value, json};
 
 use super::hub::{Hub, Shared};
 use super::request::{Asked, CSV, JSON_LINES, Problem, Reply, aside, exported};
-use crate::history::{
-    COLUMNS, Drift, HistoryError, HistoryRow, NOTES, Wanted, nearest_picture, write_csv,
-};
+use crate::history::{COLUMNS, Drift, HistoryRow, NOTES, Wanted, nearest_picture, write_csv};
 use crate::jpeg;
-use crate::library::LibraryError;
 use crate::printable::json_text;
 use crate::scene::SourceId;
 use crate::station::AnswerState;
@@ -39,28 +36,6 @@ pub(crate) fn router() -> Router<Arc<Hub>> {
         .route("/history", get(history))
         .route("/drift", get(drift))
         .route("/pictures/{file}", get(live_picture))
-}
-
-impl From<HistoryError> for Problem {
-    fn from(error: HistoryError) -> Self {
-        match error {
-            HistoryError::NoScan(_) => Self::NotFound,
-            HistoryError::NoSignals(_) => Self::Gone(error.to_string()),
-            _ => Self::Failed(error.to_string()),
-        }
-    }
-}
-
-impl From<PathRejection> for Problem {
-    fn from(rejection: PathRejection) -> Self {
-        Self::Bad(rejection.body_text())
-    }
-}
-
-impl From<LibraryError> for Problem {
-    fn from(error: LibraryError) -> Self {
-        Self::Failed(error.to_string())
-    }
 }
 
 #[derive(Deserialize)]
