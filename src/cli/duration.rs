@@ -91,13 +91,13 @@ impl Args {
     fn question(&self) -> Done<Question> {
         let published = self.algorithm1.clone().unwrap_or_default();
         let estimator = match self.rule {
+            RuleName::Pooled if self.algorithm1.is_some() => {
+                return Err(Failure::usage(
+                    "an option of the published rules was given: name --rule mean-ci or quantile, \
+                     or leave it out; see --help",
+                ));
+            }
             RuleName::Pooled => {
-                if self.algorithm1.is_some() {
-                    return Err(Failure::usage(
-                        "an option of the published rules was given: name --rule mean-ci or \
-                         quantile, or leave it out; see --help",
-                    ));
-                }
                 let dependence = self.dependence.unwrap_or(CORRELATION);
                 Estimator::Pooled(PooledSettings { dependence })
             }

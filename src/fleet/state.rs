@@ -110,7 +110,8 @@ impl Stations {
             station.since_unix_ms = unix_ms();
             station.not_before = None;
         }
-        let is_behind = station.tells() > station.newest.0;
+        let tells = station.card.get("sequence").and_then(Value::as_u64).unwrap_or(0);
+        let is_behind = tells > station.newest.0;
         station.behind = is_behind.then(|| station.behind.unwrap_or_else(Instant::now));
         Ok(())
     }
@@ -136,7 +137,8 @@ impl Stations {
             station.not_before = Some(Instant::now() + AGAIN);
         } else if station.missing_from_ms == Some(from_ms) {
             station.missing_from_ms = None;
-            station.newest.0 = station.newest.0.max(station.tells());
+            let tells = station.card.get("sequence").and_then(Value::as_u64).unwrap_or(0);
+            station.newest.0 = station.newest.0.max(tells);
         }
     }
 
@@ -180,11 +182,6 @@ fn is_sound(field: &str, value: &Value) -> bool {
 }
 
 impl Station {
-    /// The number of the newest answer, by the published state.
-    fn tells(&self) -> u64 {
-        self.card.get("sequence").and_then(Value::as_u64).unwrap_or(0)
-    }
-
     /// Notes answers that should have arrived by now.
     fn look_back(&mut self, now: Instant) {
         if self.behind.is_some_and(|since| now.duration_since(since) > ON_THEIR_WAY) {
@@ -220,7 +217,7 @@ mod tests {
     fn online(sequence: u64) -> Map<String, Value> {
         let page = "http://127.0.0.1:1";
         let state = json!({ "state": "online", "page": page, "sequence": sequence });
-        state.as_object().unwrap().clone()
+        serde_json::from_value(state).unwrap()
     }
 
     #[test]
@@ -300,14 +297,10 @@ mod tests {
         for unix_ms in [10, 30, 20, 60, 50, 40] {
             answered(&mut stations, None, unix_ms);
         }
-        let view = stations.view(&cache);
-        assert_eq!(
-            (&view[0]["state"], &view[0]["page"]),
-            (&json!("offline"), &json!("http://127.0.0.1:1"))
-        );
-        assert_eq!(view[0]["other"], Value::Null);
-        let order: Vec<_> =
-            view[0]["answers"].as_array().unwrap().iter().map(|a| &a["unix_ms"]).collect();
-        assert_eq!(order, [60, 50, 40, 30, 20]);
+        let view = &stations.view(&cache)[0];
+        assert_eq!([&view["state"], &view["page"]], ["offline", "http://127.0.0.1:1"]);
+        assert_eq!(view["other"], Value::Null);
+        let answers = view["answers"].as_array().unwrap().iter();
+        assert!(answers.map(|one| &one["unix_ms"]).eq(&[60, 50, 40, 30, 20]), "{view}");
     }
 }

@@ -440,10 +440,9 @@ mod tests {
     }
 
     fn client(peer: &str, headers: &[(&str, &str)]) -> Client {
-        let mut request = Request::builder();
-        for (name, value) in headers {
-            request = request.header(*name, *value);
-        }
+        let request = headers
+            .iter()
+            .fold(Request::builder(), |request, (name, value)| request.header(*name, *value));
         let mut request = request.body(Body::empty()).unwrap();
         let peer = SocketAddr::new(peer.parse().unwrap(), 1);
         request.extensions_mut().insert(Peer(peer));
