@@ -100,17 +100,12 @@ fn compare_trials(args: &Args) -> Done {
     let (a, scene, a_synthetic) = find(&args.a)?;
     let (b, of_b, b_synthetic) = find(&args.b)?;
     let scene = args.sources.narrow(scene.with(of_b))?;
-    let options = TestOptions {
-        samples: 400,
-        repetitions: 10,
-        permutations: args.permutations,
-        alpha: args.alpha,
-        seed: args.seed,
-    };
+    let &Args { permutations, alpha, seed, .. } = args;
+    let options = TestOptions { samples: 400, repetitions: 10, permutations, alpha, seed };
     let comparison = compare(&a, &b, &scene, &options)?;
     let (a, b, synthetic) = (a.key.to_string(), b.key.to_string(), a_synthetic || b_synthetic);
     let report = CompareReport { a, b, synthetic, comparison };
-    show::result(args.json, &report, |report| print(report, args.alpha));
+    show::result(args.json, &report, |report| print(report, alpha));
     Ok(())
 }
 
@@ -128,8 +123,7 @@ fn print(report: &CompareReport, alpha: f64) {
             if s.p_value <= alpha { "differ" } else { "" }.into(),
         ]
     });
-    let head = ["source", ">score n·MMD²", ">MMD²", ">σ", ">κ", ">p", ""];
-    show::table(&head, sources);
+    show::table(&["source", ">score n·MMD²", ">MMD²", ">σ", ">κ", ">p", ""], sources);
     result!();
     let alike = report.comparison.sources.iter().filter_map(|s| s.neighbours.map(|r| (s, r)));
     let alike = show::listed(alike.map(|(s, r)| format!("{} ({r:.2})", s.source)));

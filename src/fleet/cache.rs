@@ -62,10 +62,8 @@ pub(super) type Texts = Box<dyn Iterator<Item = Result<String, HistoryError>> + 
 impl Cache {
     pub(super) fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
         let log = Log::hold(folder, LOG, "lock")?;
-        let mut entries = BTreeMap::new();
-        for (Line { answer: head }, span) in log.read::<Line>(u64::MAX)? {
-            entries.insert(key(&head), Entry { span, state: head.state });
-        }
+        let entry = |(Line { answer }, span)| (key(&answer), Entry { span, state: answer.state });
+        let entries = log.read(u64::MAX)?.into_iter().map(entry).collect();
         let mut cache = Self { log, entries, most, floor_ms: 0 };
         cache.make_room()?;
         Ok(cache)
@@ -120,8 +118,7 @@ impl Cache {
 
     /// The station of each answer given since a moment, and whether the surface was unknown.
     pub(super) fn since(&self, unix_ms: u64) -> impl Iterator<Item = (&str, bool)> {
-        let from = (unix_ms, String::new(), String::new());
-        let entries = self.entries.range(from..);
+        let entries = self.entries.range((unix_ms, String::new(), String::new())..);
         entries.map(|(key, entry)| (key.2.as_str(), entry.state == AnswerState::Unknown))
     }
 
@@ -220,8 +217,7 @@ mod tests {
         let newest = cache.newest(2, Some("a"), 1_790_000_000_004).unwrap();
         assert!(newest[0].contains("\"scan\":3") && newest[1].contains("\"scan\":1"), "{newest:?}");
         assert_eq!(cache.since(1_790_000_000_004).count(), 2);
-        let pages = [(u64::MAX, 2), (1_790_000_000_004, 1), (1_790_000_000_003, 1)];
-        for (before_ms, count) in pages {
+        for (before_ms, count) in [(u64::MAX, 2), (1_790_000_000_004, 1), (1_790_000_000_003, 1)] {
             let page = cache.newest(1, None, before_ms).unwrap();
             assert_eq!(page.len(), count, "both of a millisecond: {page:?}");
         }

@@ -86,15 +86,9 @@ impl Watch {
         if !fits || scans < self.rule.scans || answer.unix_ms < self.quiet_until_ms {
             return None;
         }
-        let why = Reason::Answers {
-            scans,
-            of: self.rule.of,
-            id: answer.id.clone(),
-            link: answer.link.clone(),
-            state: answer.state,
-            surface: answer.surface.clone(),
-        };
-        Some(self.alert(answer.unix_ms, why))
+        let (id, link, surface) = (answer.id.clone(), answer.link.clone(), answer.surface.clone());
+        let (of, state) = (self.rule.of, answer.state);
+        Some(self.alert(answer.unix_ms, Reason::Answers { scans, of, id, link, state, surface }))
     }
 
     /// Sees what has drifted by now; gives an alert if something has that the last one did not say. What
@@ -189,8 +183,7 @@ async fn switch(coil: &CoilAddress, on: bool) -> Result<(), String> {
 /// Whether the coil is on now; switches nothing.
 pub(super) async fn read(coil: &CoilAddress) -> Result<bool, String> {
     let read = async |mut device: Context| device.read_coils(coil.coil, 1).await;
-    let coils = reached(coil, read).await?;
-    coils.first().copied().ok_or_else(|| "it gave no coil".into())
+    reached(coil, read).await?.first().copied().ok_or_else(|| "it gave no coil".into())
 }
 
 /// Connects to the coil's device, and does `work` there.

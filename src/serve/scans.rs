@@ -55,21 +55,16 @@ struct ScansRequest {
 
 impl ScansRequest {
     fn wanted(self) -> Reply<Wanted> {
-        let states = self.state.iter().flat_map(|states| states.split(','));
+        let Self { state, surface, user, from_unix_ms, to_unix_ms, text, .. } = self;
+        let states = state.iter().flat_map(|states| states.split(','));
         let states = states.map(|state| {
             serde_json::from_value::<AnswerState>(state.into()).map_err(|_| {
                 let all = "named, nearest, unsure, unknown, unnamed";
                 Problem::Bad(format!("`state` is one or several of {all}, not `{state}`"))
             })
         });
-        Ok(Wanted {
-            states: states.collect::<Result<_, _>>()?,
-            surface: self.surface,
-            user: self.user,
-            from_unix_ms: self.from_unix_ms,
-            to_unix_ms: self.to_unix_ms,
-            text: self.text,
-        })
+        let states = states.collect::<Result<_, _>>()?;
+        Ok(Wanted { states, surface, user, from_unix_ms, to_unix_ms, text })
     }
 }
 

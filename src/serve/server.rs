@@ -123,8 +123,7 @@ impl Listener for Reporter {
         if matches!(event, StationEvent::Alive | StationEvent::Scan(_)) {
             return;
         }
-        let room = self.queue.capacity();
-        let fits = !matches!(event, StationEvent::Trace(_)) || room > KEPT_FREE;
+        let fits = !matches!(event, StationEvent::Trace(_)) || self.queue.capacity() > KEPT_FREE;
         if !fits || self.queue.try_send(event.clone()).is_err() {
             self.missed.fetch_add(1, Ordering::Relaxed);
         }
