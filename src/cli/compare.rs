@@ -144,20 +144,19 @@ fn find(argument: &Path) -> Done<(Trial, Scene, bool)> {
         return alone(&super::open(argument)?);
     }
     let text = argument.to_string_lossy();
-    let mut parts = text.split(':');
-    let (Some(data), Some(surface), Some(number)) = (parts.next(), parts.next(), parts.next())
-    else {
+    let parts: Vec<&str> = text.split(':').collect();
+    let [data, surface, number, ref user @ ..] = parts[..] else {
         return Err(Failure::Failed(format!(
             "{text}: there is no such trial; expected its folder (LIBRARY/SURFACE/TRIAL), its only \
              file, or DATA:SURFACE:NUMBER[:USER]"
         )));
     };
-    let user = parts.next();
+    let user = user.first();
     let library = super::open(Path::new(data))?;
     let is_wanted = |entry: &&Entry| {
         entry.key.surface == surface
             && entry.key.number.to_string() == number
-            && user.is_none_or(|user| entry.key.user == user)
+            && user.is_none_or(|user| entry.key.user == *user)
     };
     let found: Vec<&Entry> = library.entries.iter().filter(is_wanted).collect();
     let by = user.map(|user| format!(" by {user}")).unwrap_or_default();

@@ -8,6 +8,7 @@ use serde_json::Value;
 
 use crate::history::HistoryError;
 use crate::history::log::{Log, Span};
+use crate::outputs::Sent;
 use crate::record::folder_name::is_plain;
 use crate::station::AnswerState;
 
@@ -75,18 +76,17 @@ impl Cache {
 
     /// Adds an answer of a station, and returns its head; `None` if the answer was known already.
     /// Refuses an answer that names another station.
-    pub(super) fn add(&mut self, station: &str, answer: &Value) -> Result<Option<Head>, String> {
-        let head = Head::deserialize(answer).map_err(|error| error.to_string())?;
+    pub(super) fn add(&mut self, station: &str, answer: &Value) -> Sent<Option<Head>> {
+        let head = Head::deserialize(answer)?;
         if head.station != station || !is_plain(&head.id) || head.id.len() > LONGEST_ID {
-            return Err(format!("it is of station {:?}, with the id {:?}", head.station, head.id));
+            Err(format!("it is of station {:?}, with the id {:?}", head.station, head.id))?;
         }
         if head.unix_ms < self.floor_ms || self.entries.contains_key(&key(&head)) {
             return Ok(None);
         }
-        let span =
-            self.log.append(&format!("{{\"answer\":{answer}}}")).map_err(|e| e.to_string())?;
+        let span = self.log.append(&format!("{{\"answer\":{answer}}}"))?;
         self.entries.insert(key(&head), Entry { span, state: head.state });
-        self.make_room().map_err(|error| error.to_string())?;
+        self.make_room()?;
         Ok(Some(head))
     }
 
@@ -207,7 +207,7 @@ mod tests {
         let of = |name: &str, scan| (name.to_string(), scan);
         let expected = [of("a", 1), of("b", 2), of("a", 3), of("a", 4), of("b", 4)];
         assert_eq!(scans(&cache), expected);
-        assert!(cache.add("b", &row("a", 9)).unwrap_err().contains("\"a\""));
+        assert!(cache.add("b", &row("a", 9)).unwrap_err().to_string().contains("\"a\""));
         assert!(cache.add("a", &json!({ "id": "x" })).is_err());
         assert!(matches!(Cache::open(dir.path(), 1), Err(HistoryError::InUse(_))));
         drop(cache);

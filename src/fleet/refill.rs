@@ -14,6 +14,7 @@ use tokio::time::{sleep, timeout};
 
 use super::Fleet;
 use super::state::Due;
+use crate::outputs::Sent;
 use crate::outputs::http::{self, Receiver};
 use crate::station::config::HttpAddress;
 
@@ -107,18 +108,18 @@ async fn read_due(fleet: Arc<Fleet>, due: Due, pages: Arc<[Pages]>) {
     let all = timeout(HISTORY_PATIENCE, read(&fleet, &due, &pages)).await;
     let done = all.unwrap_or_else(|_| Err("its page is too slow".into()));
     let (station, _, from_ms) = due;
-    fleet.lock().stations.was_read(&station, from_ms, done);
+    fleet.lock().stations.was_read(&station, from_ms, done.map_err(|why| why.to_string()));
 }
 
 /// Reads the history of a station, from the newest scan back to the time where to begin.
-async fn read(fleet: &Fleet, due: &Due, pages: &[Pages]) -> Result<(), String> {
+async fn read(fleet: &Fleet, due: &Due, pages: &[Pages]) -> Sent<()> {
     let (station, page, from_ms) = due;
     let address: HttpAddress = page.parse()?;
     let host = &address.host.0;
     if !pages.iter().any(|pages| pages.allow(host)) {
-        return Err(format!("to ask its page, start the fleet with --pages {host}"));
+        return Err(format!("to ask its page, start the fleet with --pages {host}").into());
     }
-    let receiver = Receiver::of(&address).map_err(|error| error.to_string())?;
+    let receiver = Receiver::of(&address)?;
     let mut before = String::new();
     for _ in 0..MOST_REQUESTS_A_STATION {
         let scans = request(&receiver, &before).await?;
@@ -136,7 +137,7 @@ async fn read(fleet: &Fleet, due: &Due, pages: &[Pages]) -> Result<(), String> {
     Ok(())
 }
 
-fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Result<(), String> {
+fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Sent<()> {
     // Outputs send no answer for a scan that could not be compared, so it is skipped here too.
     let was_compared = scan["state"] != "unnamed";
     let Some(fields) = scan.as_object_mut().filter(|_| was_compared) else { return Ok(()) };
@@ -148,16 +149,15 @@ fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Result<(), String> {
     fleet.lock().answered(station, scan)
 }
 
-async fn request(receiver: &Receiver, before: &str) -> Result<Vec<Value>, String> {
+async fn request(receiver: &Receiver, before: &str) -> Sent<Vec<Value>> {
     // Behind a proxy, a page may be in a folder.
     let folder = receiver.address.path.trim_end_matches('/');
     let path = format!("{folder}/api/v1/scans?limit={A_REQUEST}{before}");
-    let request = Request::get(path).body(Body::empty()).map_err(|error| error.to_string())?;
+    let request = Request::get(path).body(Body::empty())?;
     let reply = timeout(REPLY_PATIENCE, async {
         let reply = http::send(receiver, request).await?;
         let status = reply.status();
-        let body = to_bytes(Body::new(reply.into_body()), LARGEST).await;
-        Ok::<_, String>((status, body.map_err(|error| error.to_string())))
+        Sent::Ok((status, to_bytes(Body::new(reply.into_body()), LARGEST).await))
     });
     let (status, body) = reply.await.map_err(|_| "its page gives no answer")??;
     match status {
@@ -166,9 +166,10 @@ async fn request(receiver: &Receiver, before: &str) -> Result<Vec<Value>, String
         StatusCode::MISDIRECTED_REQUEST => {
             return Err("its page answers only its own machine; run `surfaced fleet` there".into());
         }
-        other => return Err(format!("its page answers {other}")),
+        other => return Err(format!("its page answers {other}").into()),
     }
-    serde_json::from_slice(&body?).map(|Scans { scans }| scans).map_err(|error| error.to_string())
+    let Scans { scans } = serde_json::from_slice(&body?)?;
+    Ok(scans)
 }
 
 #[cfg(test)]

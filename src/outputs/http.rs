@@ -15,7 +15,7 @@ use tokio::time::{Instant, timeout_at};
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::pki_types::ServerName;
 
-use super::{BackOff, OutputHealth, Pending, Said, tls, within};
+use super::{BackOff, OutputHealth, Pending, Said, Sent, tls, within};
 use crate::history::HistoryError;
 use crate::station::config::HttpAddress;
 
@@ -99,46 +99,42 @@ async fn deliver(health: &OutputHealth, receiver: &Receiver, answer: String) -> 
             return true;
         }
         Ok(status) => status.to_string(),
-        Err(why) => why,
+        Err(why) => why.to_string(),
     };
     health.failed(&format!("{why}; they are tried again"));
     false
 }
 
-pub(super) async fn post(receiver: &Receiver, answer: String) -> Result<StatusCode, String> {
+pub(super) async fn post(receiver: &Receiver, answer: String) -> Sent<StatusCode> {
     let request = Request::post(&receiver.address.path)
         .header(CONTENT_TYPE, "application/json")
-        .body(Body::from(answer))
-        .map_err(|error| error.to_string())?;
+        .body(Body::from(answer))?;
     Ok(send(receiver, request).await?.status())
 }
 
-/// Sends a request to the host of an address; fails with the reason.
+/// Sends a request to the host of an address.
 pub(crate) async fn send(
     receiver: &Receiver,
     mut request: Request<Body>,
-) -> Result<Response<Incoming>, String> {
-    let text = |error: &dyn std::fmt::Display| error.to_string();
+) -> Sent<Response<Incoming>> {
     let Receiver { address, header, tls } = receiver;
     let (host, port) = (address.host.0.as_str(), address.host.1);
-    let name = address.authority().parse().map_err(|error| text(&error))?;
-    request.headers_mut().insert(HOST, name);
+    request.headers_mut().insert(HOST, address.authority().parse()?);
     request.headers_mut().extend(header.clone());
-    let stream = TcpStream::connect((host, port)).await.map_err(|error| text(&error))?;
+    let stream = TcpStream::connect((host, port)).await?;
     let Some(tls) = tls else { return exchange(stream, request).await };
-    let name = ServerName::try_from(host.to_string()).map_err(|error| text(&error))?;
-    let stream = tls.connect(name, stream).await.map_err(|error| text(&error))?;
-    exchange(stream, request).await
+    let name = ServerName::try_from(host.to_string())?;
+    exchange(tls.connect(name, stream).await?, request).await
 }
 
 async fn exchange(
     stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
     request: Request<Body>,
-) -> Result<Response<Incoming>, String> {
-    let connected = hyper::client::conn::http1::handshake(TokioIo::new(stream)).await;
-    let (mut sender, connection) = connected.map_err(|error| error.to_string())?;
+) -> Sent<Response<Incoming>> {
+    let (mut sender, connection) =
+        hyper::client::conn::http1::handshake(TokioIo::new(stream)).await?;
     // An error of the connection also reaches `send_request`, so the connection's copy is dropped.
     // The connection ends when its reply is read or dropped.
     tokio::spawn(async move { drop(connection.await) });
-    sender.send_request(request).await.map_err(|error| error.to_string())
+    Ok(sender.send_request(request).await?)
 }

@@ -166,7 +166,6 @@ pub(super) fn discovery(station: &str, answer: &str, state: &str) -> Vec<(String
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scan::Scan;
     use crate::station::AnswerState;
 
     fn said(given: &Answer) -> Value {
@@ -179,7 +178,7 @@ mod tests {
         let ranked =
             |(at, &score): (usize, &f64)| RankedSurface { surface: format!("s{at:06}"), score };
         let ranked = scores.iter().enumerate().map(ranked).collect();
-        Answer { ranked, ..Answer::of(&Scan::of_signals(1, Default::default()), 0.0) }
+        Answer { ranked, ..Answer::default() }
     }
 
     #[test]

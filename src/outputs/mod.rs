@@ -15,6 +15,7 @@ mod outbox;
 mod tls;
 
 use std::convert::Infallible;
+use std::error::Error;
 use std::future::Future;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -387,30 +388,29 @@ pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryErr
 }
 
 impl OutputTest {
-    fn of(output: String, done: Result<String, String>) -> Self {
-        Self { output, arrived: done.is_ok(), said: done.unwrap_or_else(|why| why) }
+    fn of(output: String, done: Sent<String>) -> Self {
+        Self { output, arrived: done.is_ok(), said: done.unwrap_or_else(|why| why.to_string()) }
     }
 }
 
+/// What came of sending something, or the reason why it failed.
+pub(crate) type Sent<T> = Result<T, Box<dyn Error + Send + Sync>>;
+
 /// The result of `work`, which fails if it takes too long.
-async fn within<T>(
-    patience: Duration,
-    work: impl Future<Output = Result<T, String>>,
-) -> Result<T, String> {
+async fn within<T>(patience: Duration, work: impl Future<Output = Sent<T>>) -> Sent<T> {
     timeout(patience, work).await.unwrap_or_else(|_| Err("no answer in time".into()))
 }
 
-async fn post(receiver: &Receiver, text: String) -> Result<String, String> {
+async fn post(receiver: &Receiver, text: String) -> Sent<String> {
     let status = http::post(receiver, text).await?;
-    if status.is_success() { Ok(format!("taken with {status}")) } else { Err(status.to_string()) }
+    if status.is_success() { Ok(format!("taken with {status}")) } else { Err(status.to_string())? }
 }
 
-async fn publish(options: MqttOptions, topic: &str, text: String) -> Result<String, String> {
+async fn publish(options: MqttOptions, topic: &str, text: String) -> Sent<String> {
     let (mut line, begin) = (Line::open(options), Instant::now());
-    let published = line.client.try_publish(topic, QoS::AtLeastOnce, false, text);
-    published.map_err(|error| error.to_string())?;
+    line.client.try_publish(topic, QoS::AtLeastOnce, false, text)?;
     while let Some(event) = line.events.recv().await {
-        if let Event::Incoming(Packet::PubAck(_)) = event.map_err(|error| error.to_string())? {
+        if let Event::Incoming(Packet::PubAck(_)) = event? {
             let _ = line.client.try_disconnect();
             return Ok(format!("acknowledged after {} ms", begin.elapsed().as_millis()));
         }

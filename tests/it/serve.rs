@@ -209,15 +209,13 @@ fn the_stream_of_events_begins_with_the_state_and_reports_what_changes() {
             scan: 4,
             surface: "ash".into(),
             user: "anna".into(),
-            session: None,
             outcome: EnrolledOutcome::Kept,
             trial: Some(1),
-            folder: None,
-            doubts: vec![],
             nearest: Some("ash".into()),
             probability: Some(0.75),
             known: Some(2),
             wanted: Some(wanted),
+            ..Enrolled::default()
         });
         served.report([enrolled, ash(wanted)]);
         let enrolled = events.next("enrolled");
