@@ -3,7 +3,7 @@
 mod common;
 
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{TcpListener, TcpStream};
+use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use surfaced::outputs::{Output, OutputView};
 use surfaced::recognise::RankedSurface;
 use surfaced::scan::Scan;
 use surfaced::scene::{Scene, SourceId};
-use surfaced::station::config::{AlertCause, AlertConfig, OutputsConfig, TlsFiles};
+use surfaced::station::config::{AlertCause, AlertConfig, CoilAddress, OutputsConfig, TlsFiles};
 use surfaced::station::{
     Answer, AnswerState, AnsweredScan, Change, ChannelLevel, FoundSurface, LibraryState, Listener,
     StationEvent,
@@ -60,6 +60,11 @@ fn config(http: Option<String>, mqtt: Option<String>) -> OutputsConfig {
     }
 }
 
+/// Nothing but alerts by one rule.
+fn ruled(rule: AlertConfig) -> OutputsConfig {
+    OutputsConfig { alerts: vec![rule], ..config(None, None) }
+}
+
 /// A rule: two unknown scans of the last three.
 fn two_unknown() -> AlertConfig {
     AlertConfig {
@@ -74,11 +79,6 @@ fn two_unknown() -> AlertConfig {
     }
 }
 
-fn unknown(scan: u32) -> StationEvent {
-    let known = answer(scan, None);
-    StationEvent::Answer(Arc::new(Answer { state: AnswerState::Unknown, ..known }))
-}
-
 /// The only output of a configuration.
 fn start(config: &OutputsConfig, folder: &Path) -> Output {
     let history = Arc::new(History::default());
@@ -87,7 +87,11 @@ fn start(config: &OutputsConfig, folder: &Path) -> Output {
 }
 
 fn send(output: &mut Output, scan: u32) {
-    output.on_event(&StationEvent::Answer(Arc::new(answer(scan, Some("oak")))));
+    tell(output, answer(scan, Some("oak")));
+}
+
+fn tell(output: &mut Output, answer: Answer) {
+    output.on_event(&StationEvent::Answer(Arc::new(answer)));
 }
 
 /// Waits until an output is as wanted.
@@ -103,15 +107,21 @@ fn until(output: &Output, wanted: impl Fn(&OutputView) -> bool) -> OutputView {
     }
 }
 
-fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+/// An address at which nobody listens yet.
+fn free() -> SocketAddr {
+    listener().0.local_addr().unwrap()
+}
+
+fn listener() -> (TcpListener, String) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    (listener, address.to_string())
 }
 
 #[test]
 fn answers_are_posted_in_their_order_and_again_where_the_server_cannot_take_them() {
     let folder = tempfile::tempdir().unwrap();
-    // The port is free, and nobody listens there yet.
-    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let address = free();
     let config = config(Some(format!("http://{address}/answers")), None);
     let mut output = start(&config, folder.path());
     (1..=3).for_each(|scan| send(&mut output, scan));
@@ -119,8 +129,7 @@ fn answers_are_posted_in_their_order_and_again_where_the_server_cannot_take_them
     let listener = TcpListener::bind(address).unwrap();
     // Not now; taken; refused for good, which is no reason to try again; taken.
     let posted = bodies(&listener, &[503, 200, 422, 200]);
-    let numbers: Vec<_> = posted.iter().map(|body| body["sequence"].as_u64().unwrap()).collect();
-    assert_eq!(numbers, [1, 1, 2, 3]);
+    assert!(posted.iter().map(|body| &body["sequence"]).eq(&[1, 1, 2, 3]), "{posted:?}");
     assert_eq!(posted[0]["id"], posted[1]["id"], "one that comes twice is known by its id");
     assert_eq!((&posted[0]["station"], &posted[3]["scan"]), (&"press-3".into(), &3.into()));
 }
@@ -128,9 +137,8 @@ fn answers_are_posted_in_their_order_and_again_where_the_server_cannot_take_them
 #[test]
 fn a_redirect_is_no_place_to_try_again_and_a_failure_is_seen_until_answers_arrive() {
     let folder = tempfile::tempdir().unwrap();
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = format!("http://{}/", listener.local_addr().unwrap());
-    let mut output = start(&config(Some(address), None), folder.path());
+    let (listener, address) = listener();
+    let mut output = start(&config(Some(format!("http://{address}/")), None), folder.path());
     send(&mut output, 1);
     bodies(&listener, &[301]);
     let is_redirected =
@@ -145,14 +153,12 @@ fn a_redirect_is_no_place_to_try_again_and_a_failure_is_seen_until_answers_arriv
 #[test]
 fn an_alert_is_posted_alone_and_waits_for_its_server() {
     let folder = tempfile::tempdir().unwrap();
-    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let address = free();
     let http = Some(format!("http://{address}/bell").parse().unwrap());
-    let rule = AlertConfig { http, ..two_unknown() };
-    let config = OutputsConfig { alerts: vec![rule], ..config(None, None) };
-    let mut output = start(&config, folder.path());
-    output.on_event(&unknown(1));
+    let mut output = start(&ruled(AlertConfig { http, ..two_unknown() }), folder.path());
+    tell(&mut output, answer(1, None));
     send(&mut output, 2);
-    output.on_event(&unknown(3));
+    tell(&mut output, answer(3, None));
     until(&output, |view| view.waiting == 1 && view.problem.is_some());
     let listener = TcpListener::bind(address).unwrap();
     let alert = &bodies(&listener, &[200])[0];
@@ -163,11 +169,10 @@ fn an_alert_is_posted_alone_and_waits_for_its_server() {
     assert!(alert["id"].is_string() && alert["ranked"].is_null(), "{alert}");
 }
 
-/// A controller with coils. It refuses the first request, follows the others, and gives unit, coil and
-/// whether it was switched on.
-fn controller() -> (u16, Receiver<(u8, u16, bool)>) {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = listener.local_addr().unwrap().port();
+/// A controller with a coil, and its address. It refuses the first request, follows the others, and gives
+/// unit, coil and whether it was switched on.
+fn controller() -> (CoilAddress, Receiver<(u8, u16, bool)>) {
+    let (listener, address) = listener();
     let (send, switched) = channel();
     std::thread::spawn(move || {
         for (number, stream) in listener.incoming().enumerate() {
@@ -187,28 +192,24 @@ fn controller() -> (u16, Receiver<(u8, u16, bool)>) {
             let _ = send.send((request[6], coil, request[10..] == [0xff, 0]));
         }
     });
-    (port, switched)
+    (format!("modbus://{address}/9/300").parse().unwrap(), switched)
 }
 
 #[test]
 fn an_alert_switches_a_coil_on_for_a_while_and_the_end_of_the_station_off() {
     let folder = tempfile::tempdir().unwrap();
-    let (port, switched) = controller();
-    let coil = Some(format!("modbus://127.0.0.1:{port}/9/300").parse().unwrap());
-    let rule = AlertConfig { coil, ..two_unknown() };
-    let start_with = |rule: &AlertConfig| {
-        let config = OutputsConfig { alerts: vec![rule.clone()], ..config(None, None) };
-        start(&config, folder.path())
-    };
-    let mut output = start_with(&rule);
-    (1..=2).for_each(|scan| output.on_event(&unknown(scan)));
+    let (coil, switched) = controller();
+    let rule = AlertConfig { coil: Some(coil), ..two_unknown() };
+    let mut output = start(&ruled(rule.clone()), folder.path());
+    (1..=2).for_each(|scan| tell(&mut output, answer(scan, None)));
     let next = || switched.recv_timeout(SOON).unwrap();
     assert_eq!([next(), next()], [(9, 300, true), (9, 300, false)]);
     let view = until(&output, |view| view.problem.is_none());
     assert_eq!(view.failures, 1, "the controller refused once");
     // An hour is longer than the station lives.
-    let mut output = start_with(&AlertConfig { hold: Duration::from_secs(3600), ..rule });
-    (1..=2).for_each(|scan| output.on_event(&unknown(scan)));
+    let hold = Duration::from_secs(3600);
+    let mut output = start(&ruled(AlertConfig { hold, ..rule }), folder.path());
+    (1..=2).for_each(|scan| tell(&mut output, answer(scan, None)));
     assert_eq!(next(), (9, 300, true));
     drop(output);
     assert_eq!(next(), (9, 300, false));
@@ -217,15 +218,11 @@ fn an_alert_switches_a_coil_on_for_a_while_and_the_end_of_the_station_off() {
 #[test]
 fn a_drift_of_a_reference_surface_is_posted_once_with_its_doubts_and_switches_a_coil() {
     let folder = tempfile::tempdir().unwrap();
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let (port, switched) = controller();
-    let http = format!("http://{}/bell", listener.local_addr().unwrap()).parse().unwrap();
-    let coil = format!("modbus://127.0.0.1:{port}/9/300").parse().unwrap();
-    let (name, on) = ("worn".into(), AlertCause::Drift);
-    let (scans, of) = (1, 1);
-    let rule =
-        AlertConfig { name, on, scans, of, http: Some(http), coil: Some(coil), ..two_unknown() };
-    let config = OutputsConfig { alerts: vec![rule], ..config(None, None) };
+    let ((listener, address), (coil, switched)) = (listener(), controller());
+    let (name, on, scans, of) = ("worn".into(), AlertCause::Drift, 1, 1);
+    let http = Some(format!("http://{address}/bell").parse().unwrap());
+    let coil = Some(coil);
+    let config = ruled(AlertConfig { name, on, scans, of, http, coil, ..two_unknown() });
     let history = Arc::new(History::open(&folder.path().join("history"), 1_000_000).unwrap());
     let mut keeper =
         Keeper::start(history.clone(), Scene::lmt108(), Default::default(), None).unwrap();
@@ -278,15 +275,14 @@ fn a_server_with_tls_is_known_by_its_authority_and_gets_the_header_of_a_file() {
         .with_single_cert(vec![certificate("broker.pem")], key)
         .unwrap();
     let server = Arc::new(server);
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let (listener, address) = listener();
     let receive = |status| {
         let (stream, _) = listener.accept().unwrap();
         let connection = ServerConnection::new(server.clone()).unwrap();
         request(StreamOwned::new(connection, stream), status)
     };
-    let address = format!("https://{}/answers", listener.local_addr().unwrap());
     let of = |ca: &str, client: bool| {
-        let mut config = config(Some(address.clone()), None);
+        let mut config = config(Some(format!("https://{address}/answers")), None);
         let http = config.http.as_mut().unwrap();
         let client = client.then(|| (file("client.pem"), file("client.key")));
         http.tls = Some(TlsFiles { ca: Some(file(ca)), client });
@@ -328,13 +324,11 @@ fn a_server_with_tls_is_known_by_its_authority_and_gets_the_header_of_a_file() {
 #[test]
 fn a_station_never_waits_for_a_server_that_is_not_there_and_its_answers_wait_through_a_restart() {
     let folder = tempfile::tempdir().unwrap();
-    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let address = free();
     let config = config(Some(format!("http://{address}/")), None);
     let mut output = start(&config, folder.path());
     let begin = Instant::now();
-    for scan in 1..=2000 {
-        send(&mut output, scan);
-    }
+    (1..=2000).for_each(|scan| send(&mut output, scan));
     assert!(begin.elapsed() < Duration::from_secs(2));
     drop(output);
     assert!(begin.elapsed() < Duration::from_secs(10), "nor does the end");
@@ -343,8 +337,7 @@ fn a_station_never_waits_for_a_server_that_is_not_there_and_its_answers_wait_thr
     assert!(waiting >= 100, "{waiting} wait");
     let listener = TcpListener::bind(address).unwrap();
     let posted = bodies(&listener, &vec![200; waiting]);
-    let numbers: Vec<_> = posted.iter().map(|body| body["sequence"].as_u64().unwrap()).collect();
-    assert_eq!(numbers, (1..=waiting as u64).collect::<Vec<_>>());
+    assert!(posted.iter().map(|body| &body["sequence"]).eq(1..=waiting), "{posted:?}");
     until(&output, |view| view.waiting == 0);
 }
 
@@ -428,7 +421,7 @@ const STATE: &str = "surfaced/press-3/state";
 #[test]
 fn answers_wait_for_the_broker_and_a_restart_and_come_once_and_in_order_and_the_last_one_stays() {
     let folder = tempfile::tempdir().unwrap();
-    let port = free_port();
+    let port = free().port();
     let config = config(None, Some(format!("mqtt://127.0.0.1:{port}")));
     let mut output = start(&config, folder.path());
     (1..=3).for_each(|scan| send(&mut output, scan));
@@ -446,8 +439,8 @@ fn answers_wait_for_the_broker_and_a_restart_and_come_once_and_in_order_and_the_
         });
         Answer { ranked: ranked.collect(), ..answer(scan, Some("oak")) }
     };
-    output.on_event(&StationEvent::Answer(Arc::new(of(400, 5))));
-    output.on_event(&StationEvent::Answer(Arc::new(of(4000, 6))));
+    tell(&mut output, of(400, 5));
+    tell(&mut output, of(4000, 6));
     until(&output, |view| view.waiting == 0 && view.problem.is_none());
     let (mut last, mut seen) = (0, Vec::new());
     while last < 6 {
@@ -470,10 +463,11 @@ fn answers_wait_for_the_broker_and_a_restart_and_come_once_and_in_order_and_the_
 #[test]
 fn the_state_tells_of_devices_and_of_a_station_that_ends_or_is_gone() {
     let folder = tempfile::tempdir().unwrap();
-    let port = free_port();
+    let port = free().port();
     let Some(_broker) = broker(port, "allow_anonymous true", folder.path()) else { return };
     let subscriber = Subscriber::of(port);
-    let mut output = start(&config(None, Some(format!("mqtt://127.0.0.1:{port}"))), folder.path());
+    let mut config = config(None, Some(format!("mqtt://127.0.0.1:{port}")));
+    let mut output = start(&config, folder.path());
     let online = subscriber.next(STATE, |said| said["state"] == "online");
     assert_eq!(online["page"], "http://127.0.0.1:8080");
     let (device, detail) = ("stylus".to_string(), "unplugged".to_string());
@@ -495,11 +489,10 @@ fn the_state_tells_of_devices_and_of_a_station_that_ends_or_is_gone() {
     drop(output);
     let ended = subscriber.next(STATE, |said| said["state"] == "offline");
     assert_eq!(ended["devices_down"], 1, "all that was known");
-    let address = Some(format!("mqtt://127.0.0.1:{port}"));
-    let config = OutputsConfig { alerts: vec![two_unknown()], ..config(None, address) };
+    config.alerts.push(two_unknown());
     let mut output = start(&config, folder.path());
     subscriber.next(STATE, |said| said["state"] == "online");
-    (1..=2).for_each(|scan| output.on_event(&unknown(scan)));
+    (1..=2).for_each(|scan| tell(&mut output, answer(scan, None)));
     assert_eq!(subscriber.next("surfaced/press-3/alert", |_| true)["alert"], "reject");
     drop(output);
     subscriber.next(STATE, |said| said["state"] == "offline");
@@ -519,6 +512,18 @@ fn the_state_tells_of_devices_and_of_a_station_that_ends_or_is_gone() {
     assert_eq!(subscriber.next(ANSWER, |_| true)["synthetic"], true, "the embedded scene");
     drop(station);
     assert_eq!(subscriber.next(STATE, |said| said["state"] == "offline")["station"], "press-3");
+}
+
+/// What `surfaced outputs test` says of outputs, and its code.
+fn tried(folder: &Path, outputs: &str, password: &str) -> (Option<i32>, String) {
+    let station = folder.join("station.toml");
+    std::fs::write(&station, format!("format = 1\n[outputs]\n{outputs}")).unwrap();
+    let done = Command::new(env!("CARGO_BIN_EXE_surfaced"))
+        .args(["outputs", "test", "--config", station.to_str().unwrap()])
+        .env("SURFACED_MQTT_PASSWORD", password)
+        .output()
+        .unwrap();
+    (done.status.code(), String::from_utf8([done.stdout, done.stderr].concat()).unwrap())
 }
 
 /// Certificates of a broker, a client, and a stranger's authority, made by openssl.
@@ -556,7 +561,7 @@ fn certificates(folder: &Path) -> impl Fn(&str) -> PathBuf {
 #[test]
 fn a_broker_with_tls_wants_the_clients_certificate_and_is_known_by_its_own() {
     let folder = tempfile::tempdir().unwrap();
-    let (port, safe_port) = (free_port(), free_port());
+    let (port, safe_port) = (free().port(), free().port());
     if run("mosquitto", &["-h"]).is_none() {
         return;
     }
@@ -593,16 +598,7 @@ fn a_broker_with_tls_wants_the_clients_certificate_and_is_known_by_its_own() {
     assert_eq!(subscriber.next(ANSWER, |said| said["scan"] == 2)["sequence"], 3);
 
     // The same from a file, tried from the command line.
-    let station = folder.path().join("station.toml");
-    let test = |outputs: &str| {
-        std::fs::write(&station, format!("format = 1\n[outputs]\n{outputs}")).unwrap();
-        let done = Command::new(env!("CARGO_BIN_EXE_surfaced"))
-            .args(["outputs", "test", "--config", station.to_str().unwrap()])
-            .output()
-            .unwrap();
-        let text = [done.stdout, done.stderr].concat();
-        (done.status.code(), String::from_utf8(text).unwrap())
-    };
+    let test = |outputs: &str| tried(folder.path(), outputs, "");
     let address = format!("mqtt = \"mqtts://127.0.0.1:{safe_port}\"\nstation = \"press-3\"\n");
     let keys = "certificate = \"client.pem\"\nkey = \"client.key\"\n";
     let (code, text) = test(&format!("{address}ca = \"ca.pem\"\n{keys}"));
@@ -626,25 +622,18 @@ fn a_broker_with_tls_wants_the_clients_certificate_and_is_known_by_its_own() {
 #[test]
 fn a_broker_takes_the_password_from_address_file_and_environment() {
     let folder = tempfile::tempdir().unwrap();
-    let (port, known) = (free_port(), folder.path().join("known"));
+    let (port, known) = (free().port(), folder.path().join("known"));
     let made = ["-c", "-b", known.to_str().unwrap(), "us@er", "p:s/s"];
     let Some(mut made) = run("mosquitto_passwd", &made) else { return };
     assert!(made.0.wait().unwrap().success());
     let lines = format!("allow_anonymous false\npassword_file {}\nuser root", known.display());
     let Some(_broker) = broker(port, &lines, folder.path()) else { return };
-    let station = folder.path().join("station.toml");
     std::fs::write(folder.path().join("password"), "p:s/s\n").unwrap();
     let test = |user: &str, more: &str, environment: &str| {
         let mqtt = format!("mqtt = \"mqtt://{user}@127.0.0.1:{port}\"\n{more}");
-        std::fs::write(&station, format!("format = 1\n[outputs]\n{mqtt}")).unwrap();
-        let done = Command::new(env!("CARGO_BIN_EXE_surfaced"))
-            .args(["outputs", "test", "--config", station.to_str().unwrap()])
-            .env("SURFACED_MQTT_PASSWORD", environment)
-            .output()
-            .unwrap();
-        let text = String::from_utf8([done.stdout, done.stderr].concat()).unwrap();
+        let (code, text) = tried(folder.path(), &mqtt, environment);
         assert!(!text.contains("p:s/s") && !text.contains("p%3As%2Fs"), "{text}");
-        done.status.code()
+        code
     };
     assert_eq!(test("us%40er:p%3As%2Fs", "", ""), Some(0));
     assert_eq!(test("us%40er", "password_file = \"password\"\n", ""), Some(0));

@@ -114,8 +114,7 @@ fn print(report: &CheckReport, names: &BTreeMap<&TrialKey, String>) {
         let trials = surface.trials.to_string();
         vec![surface.surface.clone(), trials, right, interval, show::listed(taken)]
     });
-    let head = ["surface", ">trials", ">right", "95 %", "taken for"];
-    show::table(&head, rows);
+    show::table(&["surface", ">trials", ">right", "95 %", "taken for"], rows);
     let surfaces = report.surfaces.iter();
     let taken = surfaces.filter_map(|surface| taken(report, &surface.surface, names));
     taken.for_each(|line| result!("taken for others: {line}"));

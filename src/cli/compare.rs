@@ -100,17 +100,12 @@ fn compare_trials(args: &Args) -> Done {
     let (a, scene, a_synthetic) = find(&args.a)?;
     let (b, of_b, b_synthetic) = find(&args.b)?;
     let scene = args.sources.narrow(scene.with(of_b))?;
-    let options = TestOptions {
-        samples: 400,
-        repetitions: 10,
-        permutations: args.permutations,
-        alpha: args.alpha,
-        seed: args.seed,
-    };
+    let &Args { permutations, alpha, seed, .. } = args;
+    let options = TestOptions { samples: 400, repetitions: 10, permutations, alpha, seed };
     let comparison = compare(&a, &b, &scene, &options)?;
     let (a, b, synthetic) = (a.key.to_string(), b.key.to_string(), a_synthetic || b_synthetic);
     let report = CompareReport { a, b, synthetic, comparison };
-    show::result(args.json, &report, |report| print(report, args.alpha));
+    show::result(args.json, &report, |report| print(report, alpha));
     Ok(())
 }
 
@@ -128,8 +123,7 @@ fn print(report: &CompareReport, alpha: f64) {
             if s.p_value <= alpha { "differ" } else { "" }.into(),
         ]
     });
-    let head = ["source", ">score n·MMD²", ">MMD²", ">σ", ">κ", ">p", ""];
-    show::table(&head, sources);
+    show::table(&["source", ">score n·MMD²", ">MMD²", ">σ", ">κ", ">p", ""], sources);
     result!();
     let alike = report.comparison.sources.iter().filter_map(|s| s.neighbours.map(|r| (s, r)));
     let alike = show::listed(alike.map(|(s, r)| format!("{} ({r:.2})", s.source)));
@@ -150,20 +144,19 @@ fn find(argument: &Path) -> Done<(Trial, Scene, bool)> {
         return alone(&super::open(argument)?);
     }
     let text = argument.to_string_lossy();
-    let mut parts = text.split(':');
-    let (Some(data), Some(surface), Some(number)) = (parts.next(), parts.next(), parts.next())
-    else {
+    let parts: Vec<&str> = text.split(':').collect();
+    let [data, surface, number, ref user @ ..] = parts[..] else {
         return Err(Failure::Failed(format!(
             "{text}: there is no such trial; expected its folder (LIBRARY/SURFACE/TRIAL), its only \
              file, or DATA:SURFACE:NUMBER[:USER]"
         )));
     };
-    let user = parts.next();
+    let user = user.first();
     let library = super::open(Path::new(data))?;
     let is_wanted = |entry: &&Entry| {
         entry.key.surface == surface
             && entry.key.number.to_string() == number
-            && user.is_none_or(|user| entry.key.user == user)
+            && user.is_none_or(|user| entry.key.user == *user)
     };
     let found: Vec<&Entry> = library.entries.iter().filter(is_wanted).collect();
     let by = user.map(|user| format!(" by {user}")).unwrap_or_default();

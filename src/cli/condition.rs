@@ -56,24 +56,18 @@ impl Condition {
 
     /// Whether a trial's value meets the condition. Fails if the two cannot be compared.
     fn holds(&self, there: &Value) -> Result<bool, String> {
-        let number = |there: f64| Some(there.partial_cmp(&self.value.parse().ok()?));
+        let Self { key, value, .. } = self;
+        let number = |there: f64| Some(there.partial_cmp(&value.parse().ok()?));
         let order = match there {
-            Value::String(there) => Some(Some(normal(there).cmp(&self.value))),
+            Value::String(there) => Some(Some(normal(there).cmp(value))),
             Value::Integer(there) => number(*there as f64),
             Value::Float(there) => number(*there),
-            Value::Boolean(there) => {
-                self.value.parse::<bool>().ok().map(|value| Some(there.cmp(&value)))
-            }
+            Value::Boolean(there) => value.parse().ok().map(|value| Some(there.cmp(&value))),
             _ => None,
         };
-        match order {
-            // A value that is not a number (NaN) is neither equal, less nor more.
-            Some(order) => Ok(order.is_some_and(self.is_met)),
-            None => {
-                let Self { key, value, .. } = self;
-                Err(format!("{key} is {there}, which cannot be compared with {value}"))
-            }
-        }
+        let problem = || format!("{key} is {there}, which cannot be compared with {value}");
+        // A value that is not a number (NaN) is neither equal, less nor more.
+        Ok(order.ok_or_else(problem)?.is_some_and(self.is_met))
     }
 }
 
@@ -112,19 +106,15 @@ impl WhereArgs {
         let before = library.entries.len();
         let mut kept: Vec<bool> = vec![true; before];
         for condition in &self.all {
-            let mut is_known = false;
-            for ((entry, meta), kept) in library.entries.iter().zip(&meta).zip(&mut kept) {
-                let Some(there) = value_of(entry, meta, &condition.key) else {
-                    *kept = false;
-                    continue;
-                };
-                is_known = true;
-                let holds = condition.holds(&there).map_err(|problem| {
+            let value = |(entry, meta)| value_of(entry, meta, &condition.key);
+            let values: Vec<_> = library.entries.iter().zip(&meta).map(value).collect();
+            for ((entry, there), kept) in library.entries.iter().zip(&values).zip(&mut kept) {
+                let holds = there.as_ref().map_or(Ok(false), |there| condition.holds(there));
+                *kept &= holds.map_err(|problem| {
                     Failure::usage_at(path, format!("{}: {problem}", entry.name_in(path)))
                 })?;
-                *kept &= holds;
             }
-            if !is_known {
+            if values.iter().all(Option::is_none) {
                 let keys: BTreeSet<&String> = meta.iter().flat_map(toml::Table::keys).collect();
                 let keys = ["surface", "user", "session", "trial"]
                     .into_iter()

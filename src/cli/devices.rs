@@ -226,14 +226,3 @@ fn show_class(name: &str, class: &DeviceClass) {
         }
     }
 }
-
-#[cfg(all(test, not(feature = "live")))]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_build_without_live_devices_says_how_to_get_them() {
-        assert!(cameras().problem.unwrap().contains("--features live"));
-        assert!(microphones().problem.unwrap().contains("libasound2-dev"));
-    }
-}

@@ -91,13 +91,13 @@ impl Args {
     fn question(&self) -> Done<Question> {
         let published = self.algorithm1.clone().unwrap_or_default();
         let estimator = match self.rule {
+            RuleName::Pooled if self.algorithm1.is_some() => {
+                return Err(Failure::usage(
+                    "an option of the published rules was given: name --rule mean-ci or quantile, \
+                     or leave it out; see --help",
+                ));
+            }
             RuleName::Pooled => {
-                if self.algorithm1.is_some() {
-                    return Err(Failure::usage(
-                        "an option of the published rules was given: name --rule mean-ci or \
-                         quantile, or leave it out; see --help",
-                    ));
-                }
                 let dependence = self.dependence.unwrap_or(CORRELATION);
                 Estimator::Pooled(PooledSettings { dependence })
             }
@@ -109,14 +109,10 @@ impl Args {
             RuleName::Quantile => Estimator::Algorithm1(published.settings(Rule::Quantile)),
             RuleName::MeanCi => Estimator::Algorithm1(published.settings(Rule::MeanCi)),
         };
-        Ok(Question {
-            sources: self.source.clone(),
-            surfaces: self.surface.clone(),
-            user: self.user.clone(),
-            as_time: self.as_time,
-            samples: self.samples,
-            estimator,
-        })
+        let Self { source, surface, user, as_time, samples, .. } = self;
+        let (sources, surfaces, user) = (source.clone(), surface.clone(), user.clone());
+        let (as_time, samples) = (*as_time, *samples);
+        Ok(Question { sources, surfaces, user, as_time, samples, estimator })
     }
 }
 

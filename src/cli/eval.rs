@@ -119,9 +119,7 @@ pub(super) fn run(args: &Args) -> Done {
     if let Some(Then::Merge(args)) = &args.then {
         return paper::merge(args);
     }
-    let Some(data) = &args.data else {
-        return Err(Failure::usage("name the recordings"));
-    };
+    let data = args.data.as_ref().ok_or_else(|| Failure::usage("name the recordings"))?;
     check(args)?;
     let _lock = LibraryLock::for_reading(data);
     let (mut reports, digest) = match feature_tables::open(data)? {

@@ -78,15 +78,10 @@ impl EvalTable {
     /// The reports, of which there are several, of methods that named the same queries.
     pub(super) fn new(methods: Vec<EvalReport>) -> Self {
         let all: Vec<_> = methods.iter().map(|one| (&*one.outcome.method, one.named())).collect();
-        let first = &methods[0];
-        Self {
-            data: first.data.clone(),
-            synthetic: first.synthetic,
-            protocol: first.protocol.clone(),
-            left_out: first.left_out.clone(),
-            paired: paired(&all, first.over),
-            methods,
-        }
+        let EvalReport { data, synthetic, protocol, left_out, over, .. } = &methods[0];
+        let (data, protocol, left_out) = (data.clone(), protocol.clone(), left_out.clone());
+        let (synthetic, paired) = (*synthetic, paired(&all, *over));
+        Self { data, synthetic, protocol, left_out, methods, paired }
     }
 
     pub(super) fn print(&self) {
@@ -257,7 +252,8 @@ impl EvalReport {
         // Intervals over queries would contradict one over people.
         let is_over_queries = self.outcome.interval.over == Over::Queries;
         let interval = |share: Share| {
-            Some(format!("95 % interval {}", show::interval(share))).filter(|_| is_over_queries)
+            Some(format!("95 % interval {}", show::ends(share.interval())))
+                .filter(|_| is_over_queries)
         };
         self.enrolled.iter().for_each(|enrolled| print_enrolled(enrolled, interval));
         let surfaces = show::counted(*classes, "surface");

@@ -166,13 +166,8 @@ pub(super) fn run(args: &CsvArgs) -> Done {
     }
     let form = understood(args, &tables, &mut bad)?;
     let staging = if args.dry_run { None } else { Some(Staging::new(&args.out, &form)?) };
-    let mut import = Import {
-        form: &form,
-        keys: BTreeSet::new(),
-        folders: BTreeSet::new(),
-        taken: BTreeMap::new(),
-        summary: Summary::default(),
-    };
+    let (keys, folders, taken, summary) = Default::default();
+    let mut import = Import { form: &form, keys, folders, taken, summary };
     if let (None, Some(names)) = (&form.labels[0], &form.names) {
         tables::named(&tables, names).iter().for_each(|key| import.count(key));
     }
@@ -297,8 +292,8 @@ fn understood(args: &CsvArgs, tables: &[PathBuf], bad: &mut Vec<LibraryError>) -
 
 /// How to read an array, whose channels are called 1, 2, …
 fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Done<Form> {
-    let unknown = "the rate is not known: give --rate HZ";
-    let rate_hz = args.rate.ok_or_else(|| Failure::usage(unknown))?;
+    let rate_hz =
+        args.rate.ok_or_else(|| Failure::usage("the rate is not known: give --rate HZ"))?;
     if args.trial.is_some() {
         let problem = "the trials of an array are numbered in their order; leave --trial out";
         return Err(Failure::usage(problem));
@@ -357,8 +352,7 @@ impl Import<'_> {
 
     /// The number after those of all trials of the surface and user.
     fn next_number(&mut self, key: &TrialKey) -> u32 {
-        let of = (key.surface.clone(), key.user.clone());
-        let most = self.taken.entry(of).or_default();
+        let most = self.taken.entry((key.surface.clone(), key.user.clone())).or_default();
         *most = most.saturating_add(1);
         *most
     }

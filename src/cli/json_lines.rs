@@ -57,8 +57,7 @@ impl JsonLines {
             }
         };
         std::thread::Builder::new().name("lines".into()).spawn(print)?;
-        let end = End::of(ended);
-        Ok(Self { lines: Some(lines), end, waits, dropped: 0, warnings: vec![] })
+        Ok(Self { lines: Some(lines), end: End::of(ended), waits, dropped: 0, warnings: vec![] })
     }
 
     fn print(&mut self, of: Option<&impl Serialize>) {

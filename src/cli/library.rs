@@ -296,10 +296,8 @@ fn list(args: &ListArgs) -> Done {
     if let Ok(opened) = dataset::open_usable(&args.library, &scene) {
         bad_files::skip(&args.library, opened.bad)?;
     }
-    let listed = match args.removed {
-        true => edit::list_removed(&args.library, &scene)?,
-        false => edit::list(&args.library, &scene)?,
-    };
+    let list = if args.removed { edit::list_removed } else { edit::list };
+    let listed = list(&args.library, &scene)?;
     let mut checked: BTreeMap<TrialKey, TrialCheck> = BTreeMap::new();
     if !args.quick && !args.removed {
         let how = args.comparing.resolve(None)?;

@@ -34,8 +34,7 @@ enum OutputsCommand {
 
 pub(super) fn run(args: &Args) -> Done {
     let OutputsCommand::Test { config: path, json } = &args.command;
-    let config = super::config(Some(path))?.outputs;
-    let tests = outputs::test(&config)?;
+    let tests = outputs::test(&super::config(Some(path))?.outputs)?;
     if tests.is_empty() {
         let problem = "no output is configured; add `http` or `mqtt` to [outputs]";
         return Err(Failure::usage_at(path, problem));

@@ -36,8 +36,7 @@ pub(super) fn run(
 ) -> Done {
     let options = method.reference_options();
     let Some(shard) = shard else {
-        let part = worked(library, &options, Shard::WHOLE)?;
-        return finish(&part, out, json);
+        return finish(&worked(library, &options, Shard::WHOLE)?, out, json);
     };
     let out = out.unwrap_or(Path::new("."));
     let path = out.join(shard.file_name());
@@ -52,8 +51,7 @@ pub(super) fn run(
         say!("{}: done before", path.display());
         return Ok(());
     }
-    let part = worked(library, &options, shard)?;
-    write(&path, &show::json_text(&part))?;
+    write(&path, &show::json_text(&worked(library, &options, shard)?))?;
     say!("wrote {}", path.display());
     Ok(())
 }

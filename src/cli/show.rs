@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::Path;
 
 use super::say;
-use crate::evaluate::{LeftOutSources, Over, Share};
+use crate::evaluate::{LeftOutSources, Over};
 use crate::library::Library;
 use crate::printable;
 pub(super) use crate::printable::{counted, json_text};
@@ -127,11 +127,7 @@ pub(super) fn percent(fraction: f64) -> String {
     format!("{:.1} %", fraction * 100.0)
 }
 
-/// The 95 % interval of a share, such as `93.6 % to 98.6 %`.
-pub(super) fn interval(share: Share) -> String {
-    ends(share.interval())
-}
-
+/// An interval of shares, such as `93.6 % to 98.6 %`.
 pub(super) fn ends((low, high): (f64, f64)) -> String {
     format!("{} to {}", percent(low), percent(high))
 }

@@ -131,8 +131,7 @@ fn chosen(only: &[String], held: &[&SourceSpec]) -> Done<Vec<Disturbance>> {
         return Err(Failure::Usage(format!("no disturbance `{unknown}`; there are {known}")));
     }
     let wanted = |d: &Disturbance| only.is_empty() || only.iter().any(|name| name == d.name);
-    let wanted = all.into_iter().filter(wanted);
-    let found: Vec<_> = wanted.filter_map(|d| d.fitted(held)).collect();
+    let found: Vec<_> = all.into_iter().filter(wanted).filter_map(|d| d.fitted(held)).collect();
     if found.is_empty() {
         return Err(Failure::usage("these disturbances change nothing of these sources"));
     }

@@ -83,8 +83,7 @@ impl Tally {
         );
         // Prints the reasons for doubt that no warning has printed. Other states explain themselves.
         if answer.state == AnswerState::Unsure {
-            let reasons = answer.reasons().into_iter();
-            let news = reasons.filter(|why| !why.spoils() && !why.is_remark());
+            let news = answer.reasons().into_iter().filter(|why| !why.spoils() && !why.is_remark());
             news.for_each(|why| say!("        {why}"));
         }
     }
@@ -115,7 +114,7 @@ impl Tally {
             let sittings: BTreeSet<_> =
                 known().map(|(answer, _)| (&answer.user, &answer.session)).collect();
             let interval = match sittings.len() {
-                1 => format!(" (95 % interval {})", show::interval(right)),
+                1 => format!(" (95 % interval {})", show::ends(right.interval())),
                 _ => String::new(),
             };
             let accuracy = show::percent(right.value());

@@ -8,6 +8,7 @@ use serde_json::Value;
 
 use crate::history::HistoryError;
 use crate::history::log::{Log, Span};
+use crate::outputs::Sent;
 use crate::record::folder_name::is_plain;
 use crate::station::AnswerState;
 
@@ -62,10 +63,8 @@ pub(super) type Texts = Box<dyn Iterator<Item = Result<String, HistoryError>> + 
 impl Cache {
     pub(super) fn open(folder: &Path, most: u64) -> Result<Self, HistoryError> {
         let log = Log::hold(folder, LOG, "lock")?;
-        let mut entries = BTreeMap::new();
-        for (Line { answer: head }, span) in log.read::<Line>(u64::MAX)? {
-            entries.insert(key(&head), Entry { span, state: head.state });
-        }
+        let entry = |(Line { answer }, span)| (key(&answer), Entry { span, state: answer.state });
+        let entries = log.read(u64::MAX)?.into_iter().map(entry).collect();
         let mut cache = Self { log, entries, most, floor_ms: 0 };
         cache.make_room()?;
         Ok(cache)
@@ -77,18 +76,17 @@ impl Cache {
 
     /// Adds an answer of a station, and returns its head; `None` if the answer was known already.
     /// Refuses an answer that names another station.
-    pub(super) fn add(&mut self, station: &str, answer: &Value) -> Result<Option<Head>, String> {
-        let head = Head::deserialize(answer).map_err(|error| error.to_string())?;
+    pub(super) fn add(&mut self, station: &str, answer: &Value) -> Sent<Option<Head>> {
+        let head = Head::deserialize(answer)?;
         if head.station != station || !is_plain(&head.id) || head.id.len() > LONGEST_ID {
-            return Err(format!("it is of station {:?}, with the id {:?}", head.station, head.id));
+            Err(format!("it is of station {:?}, with the id {:?}", head.station, head.id))?;
         }
         if head.unix_ms < self.floor_ms || self.entries.contains_key(&key(&head)) {
             return Ok(None);
         }
-        let span =
-            self.log.append(&format!("{{\"answer\":{answer}}}")).map_err(|e| e.to_string())?;
+        let span = self.log.append(&format!("{{\"answer\":{answer}}}"))?;
         self.entries.insert(key(&head), Entry { span, state: head.state });
-        self.make_room().map_err(|error| error.to_string())?;
+        self.make_room()?;
         Ok(Some(head))
     }
 
@@ -120,8 +118,7 @@ impl Cache {
 
     /// The station of each answer given since a moment, and whether the surface was unknown.
     pub(super) fn since(&self, unix_ms: u64) -> impl Iterator<Item = (&str, bool)> {
-        let from = (unix_ms, String::new(), String::new());
-        let entries = self.entries.range(from..);
+        let entries = self.entries.range((unix_ms, String::new(), String::new())..);
         entries.map(|(key, entry)| (key.2.as_str(), entry.state == AnswerState::Unknown))
     }
 
@@ -210,7 +207,7 @@ mod tests {
         let of = |name: &str, scan| (name.to_string(), scan);
         let expected = [of("a", 1), of("b", 2), of("a", 3), of("a", 4), of("b", 4)];
         assert_eq!(scans(&cache), expected);
-        assert!(cache.add("b", &row("a", 9)).unwrap_err().contains("\"a\""));
+        assert!(cache.add("b", &row("a", 9)).unwrap_err().to_string().contains("\"a\""));
         assert!(cache.add("a", &json!({ "id": "x" })).is_err());
         assert!(matches!(Cache::open(dir.path(), 1), Err(HistoryError::InUse(_))));
         drop(cache);
@@ -220,8 +217,7 @@ mod tests {
         let newest = cache.newest(2, Some("a"), 1_790_000_000_004).unwrap();
         assert!(newest[0].contains("\"scan\":3") && newest[1].contains("\"scan\":1"), "{newest:?}");
         assert_eq!(cache.since(1_790_000_000_004).count(), 2);
-        let pages = [(u64::MAX, 2), (1_790_000_000_004, 1), (1_790_000_000_003, 1)];
-        for (before_ms, count) in pages {
+        for (before_ms, count) in [(u64::MAX, 2), (1_790_000_000_004, 1), (1_790_000_000_003, 1)] {
             let page = cache.newest(1, None, before_ms).unwrap();
             assert_eq!(page.len(), count, "both of a millisecond: {page:?}");
         }

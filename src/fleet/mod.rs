@@ -22,7 +22,7 @@ pub(crate) use self::refill::Pages;
 use self::state::Stations;
 use crate::history::HistoryError;
 use crate::outputs::mqtt::{self, Line};
-use crate::outputs::{BackOff, lock};
+use crate::outputs::{BackOff, Sent, lock};
 use crate::serve::{ServeError, Server, Settings, Traffic, unix_ms};
 use crate::station::config::{MqttAddress, is_segment, machine_name};
 
@@ -56,7 +56,7 @@ impl Inner {
 
     /// Stores an answer of a station, if it is new. An answer from the future counts as given now: at
     /// its own time it would stay the newest one.
-    fn answered(&mut self, station: &str, mut answer: Value) -> Result<(), String> {
+    fn answered(&mut self, station: &str, mut answer: Value) -> Sent<()> {
         let now = unix_ms();
         let said = answer["unix_ms"].as_u64();
         if let Some(said) = said.filter(|said| *said > now + CLOCKS_DIFFER_MS) {
@@ -101,7 +101,7 @@ pub(crate) fn start(
     pages: Vec<Pages>,
     serve: &Settings,
 ) -> Result<Server, ServeError> {
-    let system = |error: HistoryError| ServeError::System(error.into());
+    let system = |error: HistoryError| std::io::Error::from(error);
     let cache = Cache::open(folder, most_bytes).map_err(system)?;
     // The broker finds our session by this name, so the name must be the same after a restart.
     let place = format!("{}:{}", machine_name(), folder.display());
@@ -142,14 +142,14 @@ async fn subscribe(fleet: &Fleet, options: &MqttOptions, prefix: &str) {
                         fleet.lock().fails(format!("it does not let this user read {topics}"));
                         continue;
                     }
-                    back_off.reset();
+                    back_off = BackOff::new();
                     if fleet.lock().problem.take().is_some() {
                         tracing::info!("connected to the broker");
                     }
                 }
                 Some(Ok(Event::Incoming(Packet::Publish(message)))) => {
                     if let Err(why) = take(fleet, prefix, &message.topic, &message.payload) {
-                        fleet.lock().pass_over(&message.topic, &why);
+                        fleet.lock().pass_over(&message.topic, &why.to_string());
                     }
                     let _ = line.client.ack(&message).await;
                 }
@@ -168,7 +168,7 @@ const LARGEST_MESSAGE: usize = 256 << 10;
 /// Largest packet that MQTT knows, in bytes.
 const LARGEST_OF_MQTT: usize = (256 << 20) - 1;
 
-fn take(fleet: &Fleet, prefix: &str, topic: &str, payload: &[u8]) -> Result<(), String> {
+fn take(fleet: &Fleet, prefix: &str, topic: &str, payload: &[u8]) -> Sent<()> {
     let below = topic.strip_prefix(prefix).and_then(|rest| rest.strip_prefix('/'));
     let (station, what) = below.and_then(|rest| rest.split_once('/')).unwrap_or_default();
     if !is_segment(station) {
@@ -179,14 +179,15 @@ fn take(fleet: &Fleet, prefix: &str, topic: &str, payload: &[u8]) -> Result<(), 
         return Ok(());
     }
     if payload.len() > LARGEST_MESSAGE {
-        return Err(format!("it has {} bytes, more than {LARGEST_MESSAGE}", payload.len()));
+        return Err(format!("it has {} bytes, more than {LARGEST_MESSAGE}", payload.len()).into());
     }
-    let said: Value = serde_json::from_slice(payload).map_err(|error| error.to_string())?;
+    let said: Value = serde_json::from_slice(payload)?;
     let inner = &mut *fleet.lock();
-    match what {
-        "state" => inner.stations.stated(station, said.as_object().ok_or("it is no JSON object")?),
-        _ => inner.answered(station, said),
+    if what == "state" {
+        let state = said.as_object().ok_or("it is no JSON object")?;
+        return Ok(inner.stations.stated(station, state)?);
     }
+    inner.answered(station, said)
 }
 
 #[cfg(test)]
@@ -209,7 +210,7 @@ mod tests {
         let mut inner = inner(dir.path());
         let future = unix_ms() + 10 * CLOCKS_DIFFER_MS;
         let mut answer = json!({ "station": "a", "unix_ms": future, "state": "named" });
-        assert!(inner.answered("a", answer.clone()).unwrap_err().contains("`id`"));
+        assert!(inner.answered("a", answer.clone()).unwrap_err().to_string().contains("`id`"));
         answer["id"] = "20260921-143000.001-01".into();
         (0..2).for_each(|_| inner.answered("a", answer.clone()).unwrap());
         let heads: Vec<_> = inner.cache.heads().collect();

@@ -14,6 +14,7 @@ use tokio::time::{sleep, timeout};
 
 use super::Fleet;
 use super::state::Due;
+use crate::outputs::Sent;
 use crate::outputs::http::{self, Receiver};
 use crate::station::config::HttpAddress;
 
@@ -23,7 +24,7 @@ pub(crate) enum Pages {
     Host(String),
     /// All names that end with this, which begins with a dot.
     Below(String),
-    /// An address and how many of its first bits count.
+    /// An address and how many of its first bits count; all of them for one address.
     Network(IpAddr, u32),
 }
 
@@ -32,24 +33,20 @@ impl FromStr for Pages {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let expected = "expected a host, such as press-3.hall, *.hall, 10.0.3.7 or 10.0.3.0/24";
-        if let Some((address, bits)) = text.split_once('/') {
-            return match (address.parse::<IpAddr>(), bits.parse()) {
-                (Ok(ip), Ok(bits)) if bits <= if ip.is_ipv4() { 32 } else { 128 } => {
-                    Ok(Self::Network(ip, bits))
-                }
-                _ => Err(expected.into()),
-            };
+        let (address, bits) = text.split_once('/').unzip();
+        if let Ok(ip) = address.unwrap_or(text).parse::<IpAddr>() {
+            let all = if ip.is_ipv4() { 32 } else { 128 };
+            let bits = bits.map_or(Some(all), |bits| bits.parse().ok().filter(|n| *n <= all));
+            return bits.map(|bits| Self::Network(ip, bits)).ok_or_else(|| expected.into());
         }
-        let (name, is_below) = match text.strip_prefix('*') {
-            Some(name) if name.starts_with('.') => (name, true),
-            _ => (text, false),
+        let name = text.to_ascii_lowercase();
+        let is_plain = |name: &str| {
+            !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c))
         };
-        let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-        match name.parse::<IpAddr>() {
-            Ok(ip) => Ok(Self::Host(ip.to_string())),
-            Err(_) if name.is_empty() || !name.chars().all(is_plain) => Err(expected.into()),
-            Err(_) if is_below => Ok(Self::Below(name.to_lowercase())),
-            Err(_) => Ok(Self::Host(name.to_lowercase())),
+        match name.strip_prefix('*') {
+            Some(end) if end.starts_with('.') && is_plain(end) => Ok(Self::Below(end.into())),
+            None if is_plain(&name) => Ok(Self::Host(name)),
+            _ => Err(expected.into()),
         }
     }
 }
@@ -111,18 +108,18 @@ async fn read_due(fleet: Arc<Fleet>, due: Due, pages: Arc<[Pages]>) {
     let all = timeout(HISTORY_PATIENCE, read(&fleet, &due, &pages)).await;
     let done = all.unwrap_or_else(|_| Err("its page is too slow".into()));
     let (station, _, from_ms) = due;
-    fleet.lock().stations.was_read(&station, from_ms, done);
+    fleet.lock().stations.was_read(&station, from_ms, done.map_err(|why| why.to_string()));
 }
 
 /// Reads the history of a station, from the newest scan back to the time where to begin.
-async fn read(fleet: &Fleet, due: &Due, pages: &[Pages]) -> Result<(), String> {
+async fn read(fleet: &Fleet, due: &Due, pages: &[Pages]) -> Sent<()> {
     let (station, page, from_ms) = due;
     let address: HttpAddress = page.parse()?;
     let host = &address.host.0;
     if !pages.iter().any(|pages| pages.allow(host)) {
-        return Err(format!("to ask its page, start the fleet with --pages {host}"));
+        return Err(format!("to ask its page, start the fleet with --pages {host}").into());
     }
-    let receiver = Receiver::of(&address).map_err(|error| error.to_string())?;
+    let receiver = Receiver::of(&address)?;
     let mut before = String::new();
     for _ in 0..MOST_REQUESTS_A_STATION {
         let scans = request(&receiver, &before).await?;
@@ -140,7 +137,7 @@ async fn read(fleet: &Fleet, due: &Due, pages: &[Pages]) -> Result<(), String> {
     Ok(())
 }
 
-fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Result<(), String> {
+fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Sent<()> {
     // Outputs send no answer for a scan that could not be compared, so it is skipped here too.
     let was_compared = scan["state"] != "unnamed";
     let Some(fields) = scan.as_object_mut().filter(|_| was_compared) else { return Ok(()) };
@@ -152,16 +149,15 @@ fn add(fleet: &Fleet, station: &str, mut scan: Value) -> Result<(), String> {
     fleet.lock().answered(station, scan)
 }
 
-async fn request(receiver: &Receiver, before: &str) -> Result<Vec<Value>, String> {
+async fn request(receiver: &Receiver, before: &str) -> Sent<Vec<Value>> {
     // Behind a proxy, a page may be in a folder.
     let folder = receiver.address.path.trim_end_matches('/');
     let path = format!("{folder}/api/v1/scans?limit={A_REQUEST}{before}");
-    let request = Request::get(path).body(Body::empty()).map_err(|error| error.to_string())?;
+    let request = Request::get(path).body(Body::empty())?;
     let reply = timeout(REPLY_PATIENCE, async {
         let reply = http::send(receiver, request).await?;
         let status = reply.status();
-        let body = to_bytes(Body::new(reply.into_body()), LARGEST).await;
-        Ok::<_, String>((status, body.map_err(|error| error.to_string())))
+        Sent::Ok((status, to_bytes(Body::new(reply.into_body()), LARGEST).await))
     });
     let (status, body) = reply.await.map_err(|_| "its page gives no answer")??;
     match status {
@@ -170,9 +166,10 @@ async fn request(receiver: &Receiver, before: &str) -> Result<Vec<Value>, String
         StatusCode::MISDIRECTED_REQUEST => {
             return Err("its page answers only its own machine; run `surfaced fleet` there".into());
         }
-        other => return Err(format!("its page answers {other}")),
+        other => return Err(format!("its page answers {other}").into()),
     }
-    serde_json::from_slice(&body?).map(|Scans { scans }| scans).map_err(|error| error.to_string())
+    let Scans { scans } = serde_json::from_slice(&body?)?;
+    Ok(scans)
 }
 
 #[cfg(test)]
@@ -182,26 +179,23 @@ mod tests {
     #[test]
     fn only_pages_that_were_allowed_are_asked() {
         let allows = |pages: &str, host: &str| pages.parse::<Pages>().unwrap().allow(host);
-        for (pages, host) in [
-            ("press-3", "Press-3"),
-            ("*.hall", "press-3.hall"),
-            ("10.0.3.7", "10.0.3.7"),
-            ("10.0.3.0/24", "10.0.3.200"),
-            ("0.0.0.0/0", "192.168.1.1"),
-            ("::1", "[::1]"),
-            ("fd00::/8", "fd12::1"),
+        for (pages, host, is_allowed) in [
+            ("press-3", "Press-3", true),
+            ("*.hall", "press-3.hall", true),
+            ("10.0.3.7", "10.0.3.7", true),
+            ("10.0.3.0/24", "10.0.3.200", true),
+            ("0.0.0.0/0", "192.168.1.1", true),
+            ("::1", "[::1]", true),
+            ("fd00::/8", "fd12::1", true),
+            ("press-3", "press-3.evil", false),
+            ("*.hall", "hall", false),
+            ("*.hall", "hall.evil", false),
+            ("10.0.3.7", "10.0.3.8", false),
+            ("10.0.3.0/24", "10.0.4.1", false),
+            ("10.0.3.0/24", "10.0.3.1.evil", false),
+            ("10.0.3.0/24", "::1", false),
         ] {
-            assert!(allows(pages, host), "{pages} {host}");
-        }
-        for (pages, host) in [
-            ("press-3", "press-3.evil"),
-            ("*.hall", "hall"),
-            ("*.hall", "hall.evil"),
-            ("10.0.3.0/24", "10.0.4.1"),
-            ("10.0.3.0/24", "10.0.3.1.evil"),
-            ("10.0.3.0/24", "::1"),
-        ] {
-            assert!(!allows(pages, host), "{pages} {host}");
+            assert_eq!(allows(pages, host), is_allowed, "{pages} {host}");
         }
         for pages in
             ["", "*", "*hall", "a/b", "10.0.3.0/33", "http://press-3", "press-3:8080", "a b"]

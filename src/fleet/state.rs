@@ -217,7 +217,7 @@ mod tests {
     fn online(sequence: u64) -> Map<String, Value> {
         let page = "http://127.0.0.1:1";
         let state = json!({ "state": "online", "page": page, "sequence": sequence });
-        state.as_object().unwrap().clone()
+        serde_json::from_value(state).unwrap()
     }
 
     #[test]
@@ -297,14 +297,10 @@ mod tests {
         for unix_ms in [10, 30, 20, 60, 50, 40] {
             answered(&mut stations, None, unix_ms);
         }
-        let view = stations.view(&cache);
-        assert_eq!(
-            (&view[0]["state"], &view[0]["page"]),
-            (&json!("offline"), &json!("http://127.0.0.1:1"))
-        );
-        assert_eq!(view[0]["other"], Value::Null);
-        let order: Vec<_> =
-            view[0]["answers"].as_array().unwrap().iter().map(|a| &a["unix_ms"]).collect();
-        assert_eq!(order, [60, 50, 40, 30, 20]);
+        let view = &stations.view(&cache)[0];
+        assert_eq!([&view["state"], &view["page"]], ["offline", "http://127.0.0.1:1"]);
+        assert_eq!(view["other"], Value::Null);
+        let answers = view["answers"].as_array().unwrap().iter();
+        assert!(answers.map(|one| &one["unix_ms"]).eq(&[60, 50, 40, 30, 20]), "{view}");
     }
 }

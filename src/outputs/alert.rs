@@ -8,11 +8,11 @@ use std::time::{Duration, SystemTime};
 use serde::Serialize;
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
-use tokio::time::{Instant, sleep, timeout, timeout_at};
+use tokio::time::{Instant, sleep, timeout};
 use tokio_modbus::client::{Context, Reader, Writer, tcp};
 use tokio_modbus::slave::Slave;
 
-use super::{BackOff, OutputHealth, Said, every};
+use super::{BackOff, OutputHealth, Said, Sent, every, within};
 use crate::history::{History, news};
 use crate::station::config::{AlertCause, AlertConfig, CoilAddress};
 use crate::station::{Answer, AnswerState};
@@ -86,15 +86,9 @@ impl Watch {
         if !fits || scans < self.rule.scans || answer.unix_ms < self.quiet_until_ms {
             return None;
         }
-        let why = Reason::Answers {
-            scans,
-            of: self.rule.of,
-            id: answer.id.clone(),
-            link: answer.link.clone(),
-            state: answer.state,
-            surface: answer.surface.clone(),
-        };
-        Some(self.alert(answer.unix_ms, why))
+        let (id, link, surface) = (answer.id.clone(), answer.link.clone(), answer.surface.clone());
+        let (of, state) = (self.rule.of, answer.state);
+        Some(self.alert(answer.unix_ms, Reason::Answers { scans, of, id, link, state, surface }))
     }
 
     /// Sees what has drifted by now; gives an alert if something has that the last one did not say. What
@@ -181,31 +175,29 @@ async fn switched_on(health: &OutputHealth, coil: &CoilAddress) -> bool {
     }
 }
 
-async fn switch(coil: &CoilAddress, on: bool) -> Result<(), String> {
+async fn switch(coil: &CoilAddress, on: bool) -> Sent<()> {
     let write = async |mut device: Context| device.write_single_coil(coil.coil, on).await;
     reached(coil, write).await
 }
 
 /// Whether the coil is on now; switches nothing.
-pub(super) async fn read(coil: &CoilAddress) -> Result<bool, String> {
+pub(super) async fn read(coil: &CoilAddress) -> Sent<bool> {
     let read = async |mut device: Context| device.read_coils(coil.coil, 1).await;
-    let coils = reached(coil, read).await?;
-    coils.first().copied().ok_or_else(|| "it gave no coil".into())
+    Ok(*reached(coil, read).await?.first().ok_or("it gave no coil")?)
 }
 
 /// Connects to the coil's device, and does `work` there.
 async fn reached<T>(
     coil: &CoilAddress,
     work: impl AsyncFnOnce(Context) -> tokio_modbus::Result<T>,
-) -> Result<T, String> {
-    let until = Instant::now() + ATTEMPT;
-    let late = |_| "no answer in time".to_string();
+) -> Sent<T> {
     let (host, port) = &coil.host;
-    let stream = timeout_at(until, TcpStream::connect((host.as_str(), *port))).await;
-    let stream = stream.map_err(late)?.map_err(|error| error.to_string())?;
-    let device = tcp::attach_slave(stream, Slave(coil.unit));
-    let done = timeout_at(until, work(device)).await.map_err(late)?;
-    done.map_err(|error| error.to_string())?.map_err(|refusal| refusal.to_string())
+    let reached = async {
+        let stream = TcpStream::connect((host.as_str(), *port)).await?;
+        // The device may be reached, and refuse.
+        Ok(work(tcp::attach_slave(stream, Slave(coil.unit))).await??)
+    };
+    within(ATTEMPT, reached).await
 }
 
 #[cfg(test)]
@@ -229,7 +221,7 @@ mod tests {
             unix_ms: 1000 * second,
             state,
             surface: surface.map(String::from),
-            ..Answer::of(&crate::scan::Scan::of_signals(0, Default::default()), 0.0)
+            ..Answer::default()
         });
         let alerts = answers.filter_map(|answer| watch.hears(&answer));
         alerts.map(|alert| alert.unix_ms / 1000).collect()
@@ -266,7 +258,6 @@ mod tests {
             })
             .collect();
         assert_eq!(said, [(1, 1), (4, 2), (8, 1)]);
-        let answer = Answer::of(&crate::scan::Scan::of_signals(0, Default::default()), 0.0);
-        assert_eq!(watch.hears(&answer), None, "answers are not its business");
+        assert_eq!(watch.hears(&Answer::default()), None, "answers are not its business");
     }
 }

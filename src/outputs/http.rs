@@ -11,11 +11,11 @@ use hyper_util::rt::TokioIo;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
-use tokio::time::{Instant, timeout, timeout_at};
+use tokio::time::{Instant, timeout_at};
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::pki_types::ServerName;
 
-use super::{BackOff, OutputHealth, Pending, Said, tls};
+use super::{BackOff, OutputHealth, Pending, Said, Sent, tls, within};
 use crate::history::HistoryError;
 use crate::station::config::HttpAddress;
 
@@ -68,7 +68,7 @@ pub(super) async fn post_all(
         };
         if deliver(&pending.health, &receiver, text).await {
             pending.done(sequence);
-            back_off.reset();
+            back_off = BackOff::new();
             continue;
         }
         let until = Instant::now() + back_off.next();
@@ -81,66 +81,60 @@ pub(super) async fn post_all(
 
 /// Posts one answer; true if the answer was accepted, or refused for good.
 async fn deliver(health: &OutputHealth, receiver: &Receiver, answer: String) -> bool {
-    let why = match timeout(LONGEST_ATTEMPT, post(receiver, answer)).await {
-        Ok(Ok(status)) if status.is_success() => {
+    let why = match within(LONGEST_ATTEMPT, post(receiver, answer)).await {
+        Ok(status) if status.is_success() => {
             health.arrived();
             return true;
         }
         // Redirects are not followed, and a second attempt would get the same redirect.
-        Ok(Ok(status)) if status.is_redirection() => {
+        Ok(status) if status.is_redirection() => {
             health.failed(&format!(
                 "{status}, a redirect, which is not followed; write the new address into the \
                  configuration"
             ));
             return true;
         }
-        Ok(Ok(status @ StatusCode::TOO_MANY_REQUESTS)) => status.to_string(),
-        Ok(Ok(status)) if status.is_client_error() => {
+        Ok(status) if status.is_client_error() && status != StatusCode::TOO_MANY_REQUESTS => {
             health.failed(&format!("refused with {status}"));
             return true;
         }
-        Ok(Ok(status)) => status.to_string(),
-        Ok(Err(error)) => error,
-        Err(_) => "no answer in time".into(),
+        Ok(status) => status.to_string(),
+        Err(why) => why.to_string(),
     };
     health.failed(&format!("{why}; they are tried again"));
     false
 }
 
-pub(super) async fn post(receiver: &Receiver, answer: String) -> Result<StatusCode, String> {
+pub(super) async fn post(receiver: &Receiver, answer: String) -> Sent<StatusCode> {
     let request = Request::post(&receiver.address.path)
         .header(CONTENT_TYPE, "application/json")
-        .body(Body::from(answer))
-        .map_err(|error| error.to_string())?;
+        .body(Body::from(answer))?;
     Ok(send(receiver, request).await?.status())
 }
 
-/// Sends a request to the host of an address; fails with the reason.
+/// Sends a request to the host of an address.
 pub(crate) async fn send(
     receiver: &Receiver,
     mut request: Request<Body>,
-) -> Result<Response<Incoming>, String> {
-    let text = |error: &dyn std::fmt::Display| error.to_string();
+) -> Sent<Response<Incoming>> {
     let Receiver { address, header, tls } = receiver;
     let (host, port) = (address.host.0.as_str(), address.host.1);
-    let name = address.authority().parse().map_err(|error| text(&error))?;
-    request.headers_mut().insert(HOST, name);
+    request.headers_mut().insert(HOST, address.authority().parse()?);
     request.headers_mut().extend(header.clone());
-    let stream = TcpStream::connect((host, port)).await.map_err(|error| text(&error))?;
+    let stream = TcpStream::connect((host, port)).await?;
     let Some(tls) = tls else { return exchange(stream, request).await };
-    let name = ServerName::try_from(host.to_string()).map_err(|error| text(&error))?;
-    let stream = tls.connect(name, stream).await.map_err(|error| text(&error))?;
-    exchange(stream, request).await
+    let name = ServerName::try_from(host.to_string())?;
+    exchange(tls.connect(name, stream).await?, request).await
 }
 
 async fn exchange(
     stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
     request: Request<Body>,
-) -> Result<Response<Incoming>, String> {
-    let connected = hyper::client::conn::http1::handshake(TokioIo::new(stream)).await;
-    let (mut sender, connection) = connected.map_err(|error| error.to_string())?;
+) -> Sent<Response<Incoming>> {
+    let (mut sender, connection) =
+        hyper::client::conn::http1::handshake(TokioIo::new(stream)).await?;
     // An error of the connection also reaches `send_request`, so the connection's copy is dropped.
     // The connection ends when its reply is read or dropped.
     tokio::spawn(async move { drop(connection.await) });
-    sender.send_request(request).await.map_err(|error| error.to_string())
+    Ok(sender.send_request(request).await?)
 }

@@ -16,15 +16,22 @@ pub(super) const LARGEST: usize = 128 << 10;
 /// How many surfaces remain in an answer that would be too large.
 const BEST: usize = 10;
 /// How many devices are listed, at most. Hardware chooses their names, so there could be many.
-const DEVICES: usize = 64;
+pub(crate) const DEVICES: usize = 64;
 
 #[derive(Serialize)]
-struct Message<'a> {
+struct Message<'a, T> {
     station: &'a str,
-    /// Number of the answer, counted from 1 for each output.
-    sequence: u64,
+    /// Number of the message, counted from 1 for each outbox.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sequence: Option<u64>,
     #[serde(flatten)]
-    answer: &'a Answer,
+    event: &'a T,
+}
+
+#[derive(Serialize)]
+struct AnswerText {
+    #[serde(flatten)]
+    answer: Answer,
     /// The surfaces, the most probable first, if it is one of them; they sum to 1. Empty for an unknown
     /// surface, and for some methods.
     probabilities: Vec<SurfaceProbability>,
@@ -42,16 +49,8 @@ pub(super) fn answer(station: &str, sequence: u64, answer: &Answer) -> String {
     }
 }
 
-/// A change of the surface, or an alert, as JSON; `sequence` counts the messages of an outbox.
+/// A change of the surface, or an alert, as JSON; only messages of an outbox are numbered.
 pub(super) fn event<T: Serialize>(station: &str, sequence: Option<u64>, event: &T) -> String {
-    #[derive(Serialize)]
-    struct Message<'a, T> {
-        station: &'a str,
-        #[serde(skip_serializing_if = "Option::is_none")]
-        sequence: Option<u64>,
-        #[serde(flatten)]
-        event: &'a T,
-    }
     json_text(&Message { station, sequence, event })
 }
 
@@ -61,8 +60,8 @@ fn of_surfaces(station: &str, sequence: u64, answer: &Answer, most: usize) -> St
     let ranked = answer.ranked.iter().filter(means_something).take(most).cloned().collect();
     let mut probabilities = probabilities(answer);
     probabilities.truncate(most);
-    let answer = &Answer { ranked, ..answer.clone() };
-    json_text(&Message { station, sequence, answer, probabilities, unknown: answer.unknown })
+    let answer = Answer { ranked, ..answer.clone() };
+    event(station, Some(sequence), &AnswerText { probabilities, unknown: answer.unknown, answer })
 }
 
 /// The probabilities of all surfaces; empty if the answer has none.
@@ -167,7 +166,6 @@ pub(super) fn discovery(station: &str, answer: &str, state: &str) -> Vec<(String
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scan::Scan;
     use crate::station::AnswerState;
 
     fn said(given: &Answer) -> Value {
@@ -180,7 +178,7 @@ mod tests {
         let ranked =
             |(at, &score): (usize, &f64)| RankedSurface { surface: format!("s{at:06}"), score };
         let ranked = scores.iter().enumerate().map(ranked).collect();
-        Answer { ranked, ..Answer::of(&Scan::of_signals(1, Default::default()), 0.0) }
+        Answer { ranked, ..Answer::default() }
     }
 
     #[test]

@@ -9,12 +9,13 @@
 
 mod alert;
 pub(crate) mod http;
-mod message;
+pub(crate) mod message;
 pub(crate) mod mqtt;
 mod outbox;
 mod tls;
 
 use std::convert::Infallible;
+use std::error::Error;
 use std::future::Future;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -32,7 +33,7 @@ use self::mqtt::Line;
 use self::outbox::Outbox;
 use crate::history::{History, HistoryError};
 use crate::scan::Scan;
-use crate::station::config::{AlertCause, AlertConfig, HttpAddress, OutputsConfig};
+use crate::station::config::{AlertCause, HttpAddress, OutputsConfig};
 use crate::station::{Answer, Change, End, Listener, StationEvent};
 use crate::trial::Doubt;
 
@@ -129,19 +130,13 @@ pub struct Output {
 }
 
 /// The events that an output gets.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Wants {
     /// The state of the station, which the broker is told of.
     card: Option<Card>,
     /// All answers, and not only alerts.
     answers: bool,
     alerts: Vec<Watch>,
-}
-
-impl Wants {
-    fn alert(rule: &AlertConfig) -> Self {
-        Self { card: None, answers: false, alerts: vec![Watch::new(rule)] }
-    }
 }
 
 type Card = Arc<Mutex<StationCard>>;
@@ -220,10 +215,15 @@ impl Output {
         let OutputsConfig { station, http, mqtt, alerts } = config;
         let history = shown.0;
         let folder = folder.join(station);
+        let post = |name: &str, address: &HttpAddress, wants| {
+            let pending = Pending::open(&folder, (name, address.to_string()), station)?;
+            let (health, receiver) = (pending.health.clone(), Receiver::of(address)?);
+            Self::new(health, wants, history, |said| http::post_all(pending, receiver, said))
+        };
+        let of_rule = |rule| Wants { alerts: vec![Watch::new(rule)], ..Wants::default() };
         let mut outputs = Vec::new();
         if let Some(address) = http {
-            let wants = Wants { card: None, answers: true, alerts: Vec::new() };
-            outputs.push(Self::posting((&folder, station), ("http", address), wants, history)?);
+            outputs.push(post("http", address, Wants { answers: true, ..Wants::default() })?);
         }
         if let Some(address) = mqtt {
             let output = ("mqtt", format!("{address}/{station}"));
@@ -236,31 +236,17 @@ impl Output {
         }
         for rule in alerts {
             if let Some(address) = &rule.http {
-                let name = format!("{ALERT}{}", rule.name);
-                let (place, output) = ((&*folder, &**station), (&*name, address));
-                outputs.push(Self::posting(place, output, Wants::alert(rule), history)?);
+                outputs.push(post(&format!("{ALERT}{}", rule.name), address, of_rule(rule))?);
             }
             if let Some(coil) = rule.coil.clone() {
                 let health = OutputHealth::new(coil.to_string(), Some(&rule.name));
                 let hold = rule.hold;
                 let own = health.clone();
                 let switch = move |alerts| alert::switch_all(own, coil, hold, alerts);
-                outputs.push(Self::new(health, Wants::alert(rule), history, switch)?);
+                outputs.push(Self::new(health, of_rule(rule), history, switch)?);
             }
         }
         Ok(outputs)
-    }
-
-    /// Creates an output that posts what it is told, with an outbox of its own name in a station's folder.
-    fn posting(
-        (folder, station): (&Path, &str),
-        (name, address): (&str, &HttpAddress),
-        wants: Wants,
-        history: &Arc<History>,
-    ) -> Result<Self, HistoryError> {
-        let pending = Pending::open(folder, (name, address.to_string()), station)?;
-        let (health, receiver) = (pending.health.clone(), Receiver::of(address)?);
-        Self::new(health, wants, history, |said| http::post_all(pending, receiver, said))
     }
 
     /// Creates an output that runs `work` on its own thread, and watches the drift there if a rule is for it.
@@ -349,10 +335,6 @@ impl BackOff {
         self.0 = (now * 2).min(Self::LONGEST);
         now
     }
-
-    pub(crate) fn reset(&mut self) {
-        self.0 = Self::FIRST;
-    }
 }
 
 /// Reads the passwords and the certificates of the outputs, without connecting.
@@ -381,14 +363,15 @@ pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryErr
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(|error| HistoryError::Io { path: "outputs".into(), error })?;
     let posted = |address: &HttpAddress| {
-        let done = runtime.block_on(tried(post(&Receiver::of(address)?, text.clone())));
+        let receiver = Receiver::of(address)?;
+        let done = runtime.block_on(within(TEST_PATIENCE, post(&receiver, text.clone())));
         Ok::<_, HistoryError>(OutputTest::of(address.to_string(), done))
     };
     let mut tests = config.http.iter().map(posted).collect::<Result<Vec<_>, _>>()?;
     if let Some(address) = &config.mqtt {
         let topic = format!("{}/{}/test", address.prefix, config.station);
         let options = mqtt::options(address, format!("surfaced-test-{}", std::process::id()))?;
-        let done = runtime.block_on(tried(publish(options, &topic, text.clone())));
+        let done = runtime.block_on(within(TEST_PATIENCE, publish(options, &topic, text.clone())));
         tests.push(OutputTest::of(format!("{address}/{}/test", config.station), done));
     }
     for alert in &config.alerts {
@@ -396,7 +379,7 @@ pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryErr
             tests.push(posted(address)?);
         }
         if let Some(coil) = &alert.coil {
-            let done = runtime.block_on(tried(alert::read(coil)));
+            let done = runtime.block_on(within(TEST_PATIENCE, alert::read(coil)));
             let said = |on| format!("the coil is {}", if on { "on" } else { "off" });
             tests.push(OutputTest::of(coil.to_string(), done.map(said)));
         }
@@ -405,26 +388,29 @@ pub(crate) fn test(config: &OutputsConfig) -> Result<Vec<OutputTest>, HistoryErr
 }
 
 impl OutputTest {
-    fn of(output: String, done: Result<String, String>) -> Self {
-        Self { output, arrived: done.is_ok(), said: done.unwrap_or_else(|why| why) }
+    fn of(output: String, done: Sent<String>) -> Self {
+        Self { output, arrived: done.is_ok(), said: done.unwrap_or_else(|why| why.to_string()) }
     }
 }
 
-async fn tried<T>(work: impl Future<Output = Result<T, String>>) -> Result<T, String> {
-    timeout(TEST_PATIENCE, work).await.unwrap_or_else(|_| Err("no answer in time".into()))
+/// What came of sending something, or the reason why it failed.
+pub(crate) type Sent<T> = Result<T, Box<dyn Error + Send + Sync>>;
+
+/// The result of `work`, which fails if it takes too long.
+async fn within<T>(patience: Duration, work: impl Future<Output = Sent<T>>) -> Sent<T> {
+    timeout(patience, work).await.unwrap_or_else(|_| Err("no answer in time".into()))
 }
 
-async fn post(receiver: &Receiver, text: String) -> Result<String, String> {
+async fn post(receiver: &Receiver, text: String) -> Sent<String> {
     let status = http::post(receiver, text).await?;
-    if status.is_success() { Ok(format!("taken with {status}")) } else { Err(status.to_string()) }
+    if status.is_success() { Ok(format!("taken with {status}")) } else { Err(status.to_string())? }
 }
 
-async fn publish(options: MqttOptions, topic: &str, text: String) -> Result<String, String> {
+async fn publish(options: MqttOptions, topic: &str, text: String) -> Sent<String> {
     let (mut line, begin) = (Line::open(options), Instant::now());
-    let published = line.client.try_publish(topic, QoS::AtLeastOnce, false, text);
-    published.map_err(|error| error.to_string())?;
+    line.client.try_publish(topic, QoS::AtLeastOnce, false, text)?;
     while let Some(event) = line.events.recv().await {
-        if let Event::Incoming(Packet::PubAck(_)) = event.map_err(|error| error.to_string())? {
+        if let Event::Incoming(Packet::PubAck(_)) = event? {
             let _ = line.client.try_disconnect();
             return Ok(format!("acknowledged after {} ms", begin.elapsed().as_millis()));
         }
@@ -452,7 +438,5 @@ mod tests {
         let mut back_off = BackOff::new();
         let waits: Vec<u64> = (0..9).map(|_| back_off.next().as_millis() as u64).collect();
         assert_eq!(waits, [500, 1000, 2000, 4000, 8000, 16_000, 32_000, 60_000, 60_000]);
-        back_off.reset();
-        assert_eq!(back_off.next(), BackOff::FIRST);
     }
 }

@@ -101,14 +101,9 @@ impl Publisher {
 
     /// Publishes through one connection. Returns why it broke, or `None` at the end of the station.
     async fn connection(&mut self, answers: &mut mpsc::Receiver<Said>) -> Option<String> {
-        let mut on = Connection {
-            line: Line::open(self.options.clone()),
-            is_connected: false,
-            queued: VecDeque::new(),
-            flying: Vec::new(),
-            awaited: None,
-            state: String::new(),
-        };
+        let line = Line::open(self.options.clone());
+        let (queued, flying, awaited, state) = Default::default();
+        let mut on = Connection { line, is_connected: false, queued, flying, awaited, state };
         let mut state_due = every(STATE_EVERY);
         loop {
             tokio::select! {
@@ -148,8 +143,7 @@ impl Publisher {
                 self.publish_state(true, on);
             }
             Event::Outgoing(Outgoing::Publish(packet)) => {
-                let what = on.queued.pop_front().flatten();
-                on.flying.push((packet, what));
+                on.flying.push((packet, on.queued.pop_front().flatten()));
             }
             Event::Incoming(Packet::PubAck(ack)) => {
                 let at = on.flying.iter().position(|(packet, _)| *packet == ack.pkid);
@@ -159,7 +153,7 @@ impl Publisher {
                     self.pending.health.arrived();
                 }
                 // The pause is reset only now, since a broker may accept a connection but no answer.
-                self.back_off.reset();
+                self.back_off = BackOff::new();
             }
             _ => {}
         }

@@ -108,8 +108,7 @@ impl Outbox {
         }
         let mut fresh = self.log.begin_anew()?;
         let next = self.waiting.front().map_or(self.next, |(first, _)| *first);
-        let head = Line::Head { next, dropped: self.dropped };
-        fresh.append(&json_text(&head))?;
+        fresh.append(&json_text(&Line::Head { next, dropped: self.dropped }))?;
         let mut places = Vec::new();
         for (_, text) in &self.waiting {
             let (place, written) = fresh.append_answer(text.read(Some(&self.log))?);

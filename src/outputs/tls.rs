@@ -33,8 +33,7 @@ pub(super) fn connector(files: &TlsFiles) -> Result<TlsConnector, HistoryError> 
     let config = ClientConfig::builder().with_root_certificates(roots);
     let config = match &files.client {
         Some((certificate, key)) => {
-            let pem = read(key)?;
-            let private = PrivateKeyDer::from_pem_slice(&pem)
+            let private = PrivateKeyDer::from_pem_slice(&read(key)?)
                 .map_err(|error| unusable(key, &error.to_string()))?;
             config
                 .with_client_auth_cert(certificates(certificate)?, private)

@@ -4,7 +4,7 @@ use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use axum::extract::{Request, State};
@@ -23,6 +23,7 @@ use super::request::{Problem, Reply};
 use super::roles::{may_operator, person};
 use super::settings::{Limits, Settings};
 use crate::history::{Actor, Role};
+use crate::outputs::lock;
 
 const TOKEN_COOKIE: &str = "surfaced_token";
 /// The cookie by which a browser that knew the token is recognised later.
@@ -149,11 +150,6 @@ impl Guard {
         Self { traffic, settings: settings.clone(), budgets }
     }
 
-    fn budgets(&self) -> MutexGuard<'_, Budgets> {
-        // The budgets are plain numbers, so they are valid even after a panic.
-        self.budgets.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Lets a request pass, or answers it. A person opens `/?token=…` once; the answer sets the
     /// cookies and redirects to the page's address without the token.
     fn check(&self, request: &Request, client: Client) -> Reply<Admission> {
@@ -167,18 +163,18 @@ impl Guard {
                 let given = in_address.unwrap_or(given);
                 let session = cookie(headers, SESSION_COOKIE);
                 let session = session.and_then(|text| u128::from_str_radix(text, 16).ok());
-                let role =
-                    match self.budgets().try_token((&self.settings, given), (address, session)) {
-                        Err(Problem::Token) if is_open => Role::Operator,
-                        tried => tried?,
-                    };
+                let (token, from) = ((&self.settings, given), (address, session));
+                let role = match lock(&self.budgets).try_token(token, from) {
+                    Err(Problem::Token) if is_open => Role::Operator,
+                    tried => tried?,
+                };
                 if in_address.is_some() {
                     return Ok(Admission::Answered(self.enter(given, client)));
                 }
                 role
             }
             (token, _) => {
-                if !self.budgets().strangers.admit(address, Instant::now()) {
+                if !lock(&self.budgets).strangers.admit(address, Instant::now()) {
                     return Err(Problem::TooOften);
                 }
                 // Without a token, the host must be a name of this machine, since a stranger's DNS may
@@ -205,7 +201,7 @@ impl Guard {
     /// The answer to a client that gave a token, which is one of the two.
     fn enter(&self, token: &str, client: Client) -> Response {
         let secure = if client.tls { "; Secure" } else { "" };
-        let session = self.budgets().begin_session().map(|session| format!("{session:032x}"));
+        let session = lock(&self.budgets).begin_session().map(|session| format!("{session:032x}"));
         let cookie = |name: &str, value: &str| {
             // Without a path, the cookie is for the folder of the page, also behind a proxy.
             let life = "HttpOnly; SameSite=Strict; Max-Age=31536000";
@@ -255,7 +251,7 @@ pub(super) async fn guard(
     let status = response.status();
     if status.is_client_error() {
         guard.traffic.refused.fetch_add(1, Ordering::Relaxed);
-        if guard.budgets().logs(Instant::now()) {
+        if lock(&guard.budgets).logs(Instant::now()) {
             // A stranger may have chosen the path, so it is shortened and escaped for the log.
             let path: String = path.chars().take(100).collect();
             tracing::warn!("refused {method} {path:?} from {}: {status}", client.address);
@@ -444,10 +440,9 @@ mod tests {
     }
 
     fn client(peer: &str, headers: &[(&str, &str)]) -> Client {
-        let mut request = Request::builder();
-        for (name, value) in headers {
-            request = request.header(*name, *value);
-        }
+        let request = headers
+            .iter()
+            .fold(Request::builder(), |request, (name, value)| request.header(*name, *value));
         let mut request = request.body(Body::empty()).unwrap();
         let peer = SocketAddr::new(peer.parse().unwrap(), 1);
         request.extensions_mut().insert(Peer(peer));

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::hub::{CheckView, Hub, Shared};
-use super::request::{Problem, Reply, Said, aside, body, label};
+use super::request::{Problem, Reply, Said, aside, body, few, label};
 use super::review::NOTE;
 use super::roles::By;
 use super::state::unix_ms;
@@ -19,8 +19,6 @@ use crate::history::{Actor, AuditRecord};
 use crate::library::LibraryError;
 use crate::record::edit::{self, Editor, Move, Step};
 use crate::station::Command;
-
-const MOST: usize = 1000;
 
 pub(super) fn router() -> Router<Arc<Hub>> {
     Router::new()
@@ -74,13 +72,13 @@ async fn rename(State(hub): Shared, Extension(by): By, said: Said) -> Reply<Json
 
 async fn move_to(State(hub): Shared, Extension(by): By, said: Said) -> Reply<Json<Step>> {
     let MoveTo { trials, to } = body(said, "{\"trials\": [\"oak/anna-01\"], \"to\": \"ash\"}")?;
-    let (trials, to) = (few(trials)?, label("to", &to)?);
+    let (trials, to) = (few("trials", trials)?, label("to", &to)?);
     edited(&hub, (by, "move"), move |editor| editor.move_to(&trials, &to)).await
 }
 
 fn chosen(said: Said) -> Reply<Vec<String>> {
     let Chosen { trials } = body(said, "{\"trials\": [\"oak/anna-01\"]}")?;
-    few(trials)
+    few("trials", trials)
 }
 
 async fn remove(State(hub): Shared, Extension(by): By, said: Said) -> Reply<Json<Step>> {
@@ -95,13 +93,6 @@ async fn restore(State(hub): Shared, Extension(by): By, said: Said) -> Reply<Jso
 
 async fn undo(State(hub): Shared, Extension(by): By) -> Reply<Json<Step>> {
     edited(&hub, (by, "undo"), Editor::undo).await
-}
-
-fn few(trials: Vec<String>) -> Reply<Vec<String>> {
-    match trials.len() {
-        1..=MOST => Ok(trials),
-        n => Err(Problem::Bad(format!("{n} trials; expected 1 to {MOST}"))),
-    }
 }
 
 /// Makes an edit, notes each of its moves, then tells the station to read the library again.

@@ -4,15 +4,18 @@ use std::io::{self, BufWriter, Write};
 
 use axum::body::{Body, Bytes};
 use axum::extract::Query;
-use axum::extract::rejection::{BytesRejection, QueryRejection};
+use axum::extract::rejection::{BytesRejection, PathRejection, QueryRejection};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Json, Response};
 use serde_json::json;
 use tokio::sync::mpsc::{Sender, channel};
 
+use super::scans::MOST;
 use super::settings::LARGEST_BODY;
 use super::subscribers::EventStream;
+use crate::history::HistoryError;
+use crate::library::LibraryError;
 use crate::trial::checked_label;
 
 #[derive(Debug, thiserror::Error)]
@@ -23,10 +26,16 @@ pub(crate) enum Problem {
     Gone(String),
     #[error("{0}")]
     Failed(String),
+    #[error(transparent)]
+    Library(#[from] LibraryError),
     #[error("this path does not take that method")]
     Method,
     #[error("{0}")]
     Bad(String),
+    #[error("{}", .0.body_text())]
+    Path(#[from] PathRejection),
+    #[error("{}", .0.body_text())]
+    Query(#[from] QueryRejection),
     #[error("the body is larger than {LARGEST_BODY} bytes")]
     Large,
     #[error("the request took too long")]
@@ -65,9 +74,11 @@ impl Problem {
     pub(crate) fn kind(&self) -> (StatusCode, &'static str) {
         match self {
             Self::NotFound | Self::Gone(_) => (StatusCode::NOT_FOUND, "not_found"),
-            Self::Failed(_) => (StatusCode::CONFLICT, "failed"),
+            Self::Failed(_) | Self::Library(_) => (StatusCode::CONFLICT, "failed"),
             Self::Method => (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed"),
-            Self::Bad(_) => (StatusCode::BAD_REQUEST, "bad_request"),
+            Self::Bad(_) | Self::Path(_) | Self::Query(_) => {
+                (StatusCode::BAD_REQUEST, "bad_request")
+            }
             Self::Large => (StatusCode::PAYLOAD_TOO_LARGE, "too_large"),
             Self::Slow => (StatusCode::REQUEST_TIMEOUT, "too_slow"),
             Self::TooOften => (StatusCode::TOO_MANY_REQUESTS, "too_often"),
@@ -100,9 +111,13 @@ impl From<BytesRejection> for Problem {
     }
 }
 
-impl From<QueryRejection> for Problem {
-    fn from(rejection: QueryRejection) -> Self {
-        Self::Bad(rejection.body_text())
+impl From<HistoryError> for Problem {
+    fn from(error: HistoryError) -> Self {
+        match error {
+            HistoryError::NoScan(_) => Self::NotFound,
+            HistoryError::NoSignals(_) => Self::Gone(error.to_string()),
+            _ => Self::Failed(error.to_string()),
+        }
     }
 }
 
@@ -158,6 +173,14 @@ pub(crate) fn body<T: serde::de::DeserializeOwned>(said: Said, expected: &str) -
     let text: &[u8] = if body.is_empty() { b"{}" } else { &body };
     serde_json::from_slice(text)
         .map_err(|error| Problem::Bad(format!("{error}; expected {expected}")))
+}
+
+/// The `what` of a request, which are neither none nor too many.
+pub(crate) fn few(what: &str, all: Vec<String>) -> Reply<Vec<String>> {
+    match all.len() {
+        1..=MOST => Ok(all),
+        n => Err(Problem::Bad(format!("{n} {what}; expected 1 to {MOST}"))),
+    }
 }
 
 /// The checked label of a surface or user; messages call the field `what`.

@@ -13,9 +13,9 @@ use serde_json::{Value, json};
 
 use super::hub::{Hub, Shared};
 use super::library::moved;
-use super::request::{Problem, Reply, Said, aside, body, label};
+use super::request::{Problem, Reply, Said, aside, body, few, label};
 use super::roles::By;
-use super::scans::{MOST, ScanPath};
+use super::scans::ScanPath;
 use super::settings::LibraryFolder;
 use super::subscribers::EventKind;
 use crate::history::{Actor, AuditRecord, Correction, History, HistoryError, HistoryRow, Truth};
@@ -91,9 +91,7 @@ async fn correct_many(State(hub): Shared, Extension(by): By, said: Said) -> Repl
                     `\"unknown\": true`, `\"bad\": true` or neither in the place of `surface`";
     let AllWere { ids, surface, unknown, bad } = body(said, expected)?;
     let truth = Was { surface, unknown, bad }.truth()?;
-    if !(1..=MOST).contains(&ids.len()) {
-        return Err(Problem::Bad(format!("{} ids; expected 1 to {MOST}", ids.len())));
-    }
+    let ids = few("ids", ids)?;
     let scans = corrected(&hub, ids.clone(), by, truth).await?;
     let failed = scans.iter().filter(|scan| scan.is_err()).count();
     let each = ids.iter().zip(&scans).map(|(id, scan)| {

@@ -15,11 +15,8 @@ use serde_json::{Value, json};
 
 use super::hub::{Hub, Shared};
 use super::request::{Asked, CSV, JSON_LINES, Problem, Reply, aside, exported};
-use crate::history::{
-    COLUMNS, Drift, HistoryError, HistoryRow, NOTES, Wanted, nearest_picture, write_csv,
-};
+use crate::history::{COLUMNS, Drift, HistoryRow, NOTES, Wanted, nearest_picture, write_csv};
 use crate::jpeg;
-use crate::library::LibraryError;
 use crate::printable::json_text;
 use crate::scene::SourceId;
 use crate::station::AnswerState;
@@ -41,28 +38,6 @@ pub(crate) fn router() -> Router<Arc<Hub>> {
         .route("/pictures/{file}", get(live_picture))
 }
 
-impl From<HistoryError> for Problem {
-    fn from(error: HistoryError) -> Self {
-        match error {
-            HistoryError::NoScan(_) => Self::NotFound,
-            HistoryError::NoSignals(_) => Self::Gone(error.to_string()),
-            _ => Self::Failed(error.to_string()),
-        }
-    }
-}
-
-impl From<PathRejection> for Problem {
-    fn from(rejection: PathRejection) -> Self {
-        Self::Bad(rejection.body_text())
-    }
-}
-
-impl From<LibraryError> for Problem {
-    fn from(error: LibraryError) -> Self {
-        Self::Failed(error.to_string())
-    }
-}
-
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ScansRequest {
@@ -80,21 +55,16 @@ struct ScansRequest {
 
 impl ScansRequest {
     fn wanted(self) -> Reply<Wanted> {
-        let states = self.state.iter().flat_map(|states| states.split(','));
+        let Self { state, surface, user, from_unix_ms, to_unix_ms, text, .. } = self;
+        let states = state.iter().flat_map(|states| states.split(','));
         let states = states.map(|state| {
             serde_json::from_value::<AnswerState>(state.into()).map_err(|_| {
                 let all = "named, nearest, unsure, unknown, unnamed";
                 Problem::Bad(format!("`state` is one or several of {all}, not `{state}`"))
             })
         });
-        Ok(Wanted {
-            states: states.collect::<Result<_, _>>()?,
-            surface: self.surface,
-            user: self.user,
-            from_unix_ms: self.from_unix_ms,
-            to_unix_ms: self.to_unix_ms,
-            text: self.text,
-        })
+        let states = states.collect::<Result<_, _>>()?;
+        Ok(Wanted { states, surface, user, from_unix_ms, to_unix_ms, text })
     }
 }
 

@@ -64,10 +64,9 @@ impl Server {
         settings.check_tokens()?;
         let bind = |error| ServeError::Bind { address: settings.address, error };
         let (stop, stopped) = watch::channel(false);
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-        let runtime = runtime.map_err(ServeError::System)?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let listener = runtime.block_on(TcpListener::bind(settings.address)).map_err(bind)?;
-        let address = listener.local_addr().map_err(ServeError::System)?;
+        let address = listener.local_addr()?;
         let settings = settings.clone();
         let run = move || {
             runtime.block_on(async move {
@@ -79,8 +78,8 @@ impl Server {
             // An edit of the library may wait long for the disk or another program, so it is given up.
             runtime.shutdown_timeout(SHUTDOWN_GRACE);
         };
-        let thread = std::thread::Builder::new().name("serve".into()).spawn(run);
-        Ok(Self { address, stop, thread: Some(thread.map_err(ServeError::System)?) })
+        let thread = std::thread::Builder::new().name("serve".into()).spawn(run)?;
+        Ok(Self { address, stop, thread: Some(thread) })
     }
 
     /// The address of the server, with the actual port.
@@ -124,8 +123,7 @@ impl Listener for Reporter {
         if matches!(event, StationEvent::Alive | StationEvent::Scan(_)) {
             return;
         }
-        let room = self.queue.capacity();
-        let fits = !matches!(event, StationEvent::Trace(_)) || room > KEPT_FREE;
+        let fits = !matches!(event, StationEvent::Trace(_)) || self.queue.capacity() > KEPT_FREE;
         if !fits || self.queue.try_send(event.clone()).is_err() {
             self.missed.fetch_add(1, Ordering::Relaxed);
         }

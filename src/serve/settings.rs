@@ -198,7 +198,7 @@ pub enum ServeError {
     )]
     SameToken,
     #[error("cannot serve: {0}")]
-    System(std::io::Error),
+    System(#[from] std::io::Error),
 }
 
 #[cfg(test)]

@@ -7,13 +7,12 @@ use std::time::SystemTime;
 use serde::Serialize;
 
 use crate::device::{DeviceState, Warning, WarningKind};
+use crate::outputs::message::DEVICES;
 use crate::scene::Phase;
 use crate::station::{Answer, AnswerState, Enrolling, Guess, LibraryState, StationEvent, damage};
 use crate::trial;
 
 const MOST_WARNINGS: usize = 50;
-/// How many devices are listed, at most. Hardware chooses their names, so there could be many.
-const DEVICES: usize = 64;
 
 pub(crate) fn unix_ms() -> u64 {
     trial::unix_ms(SystemTime::now())
@@ -156,13 +155,7 @@ impl State {
                 (self.finished, self.reading) = (true, false);
                 (self.scan, self.phase, self.guess, self.enrolling) = (None, None, None, None);
             }
-            StationEvent::Guess(_)
-            | StationEvent::Change(_)
-            | StationEvent::Trace(_)
-            | StationEvent::Scan(_)
-            | StationEvent::Streams(_)
-            | StationEvent::Ending(_)
-            | StationEvent::Alive => {}
+            _ => {}
         }
         self.advice = self.advise();
     }
@@ -185,17 +178,17 @@ impl State {
     }
 
     fn answered(&mut self, answer: &Arc<Answer>) {
-        self.counts.scans += 1;
         let counts = &mut self.counts;
+        counts.scans += 1;
         match answer.state {
             AnswerState::Named | AnswerState::Unnamed => {}
             AnswerState::Nearest => counts.nearest += 1,
             AnswerState::Unsure => counts.unsure += 1,
             AnswerState::Unknown => counts.unknown += 1,
         }
-        self.counts.spoiled += u64::from(answer.spoiled().next().is_some());
-        self.counts.damaged += u64::from(!damage(&answer.doubts).is_empty());
-        self.counts.lost_samples += answer.lost_samples;
+        counts.spoiled += u64::from(answer.spoiled().next().is_some());
+        counts.damaged += u64::from(!damage(&answer.doubts).is_empty());
+        counts.lost_samples += answer.lost_samples;
         self.answer = Some(answer.clone());
     }
 

@@ -206,10 +206,8 @@ mod tests {
     #[test]
     fn a_stalled_subscriber_is_bounded_and_holds_up_no_other() {
         let mut subscribers = Subscribers::default();
-        let (mut stalled, mut quick) = (
-            subscribers.subscribe(EventFilter::ALL, state()),
-            subscribers.subscribe(EventFilter::ALL, state()),
-        );
+        let mut stalled = subscribers.subscribe(EventFilter::ALL, state());
+        let mut quick = subscribers.subscribe(EventFilter::ALL, state());
         let mut read = 0;
         for n in 0..10_000 {
             let kind = if n % 2 == 0 { EventKind::Trace } else { EventKind::Answer };

@@ -279,8 +279,7 @@ mod tests {
     #[test]
     fn only_the_newest_bins_of_a_long_stretch_are_sent_and_memory_is_bounded() {
         let mut tracer = Tracer::default();
-        let samples = (0..1_000_000).map(|i| i as f32).collect();
-        let event = tracer.add(&fresh(0, samples));
+        let event = tracer.add(&fresh(0, (0..1_000_000).map(|i| i as f32).collect()));
         assert_eq!(event.streams[0].len(), MOST_BINS);
         assert!((event.streams[0].start_s - 998.0).abs() < 1e-9);
         let (_, stream) = tracer.streams.first_key_value().unwrap();

@@ -191,11 +191,8 @@ pub fn session() -> Vec<StationEvent> {
             SurfaceProbability { surface: "beech".into(), probability: 0.25 },
         ],
         state: Some(AnswerState::Named),
-        doubts: vec![],
-        settled: false,
         needed_s: Some(2.7),
-        since_s: None,
-        enough: false,
+        ..Guess::default()
     };
     vec![
         StationEvent::Streams(meters),
@@ -221,28 +218,20 @@ pub fn answer(scan: u32, surface: Option<&str>) -> Answer {
         scan,
         surface: surface.map(Into::into),
         state: if known { AnswerState::Named } else { AnswerState::Unknown },
-        truth: None,
-        user: None,
-        session: None,
-        trial: None,
-        synthetic: false,
         ranked: vec![score("oak", if known { 0.5 } else { 9.5 }), score("beech", 10.0)],
         margin: if known { 3.0 } else { 0.05 },
         confidence: known.then_some(0.97),
         p_value: Some(if known { 0.6 } else { 0.0 }),
-        unknown: None,
         latency_ms: 12.5,
         scan_s: 4.8,
-        begin_s: None,
         settled_s: known.then_some(1.9),
-        lost_samples: 0,
         sources: vec![id("ac"), id("mi2")],
-        levels: vec![],
         needed_s: Some(2.7),
         doubts: match known {
             true => vec![],
             false => vec![Doubt::FitsNone { surfaces: 2, p_value: 0.0, threshold: 0.01 }],
         },
+        ..Answer::default()
     }
 }
 

@@ -11,10 +11,15 @@ fn surfaced(args: &[&str]) -> Output {
     Command::cargo_bin("surfaced").unwrap().args(args).output().unwrap()
 }
 
-fn json(args: &[&str]) -> Value {
+/// What a command that succeeds prints.
+fn printed(args: &[&str]) -> String {
     let output = surfaced(args);
     assert!(output.status.success(), "{args:?}: {}", stderr(&output));
-    serde_json::from_slice(&output.stdout).unwrap()
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn json(args: &[&str]) -> Value {
+    serde_json::from_str(&printed(args)).unwrap()
 }
 
 fn stderr(output: &Output) -> String {
@@ -32,18 +37,20 @@ fn refused(args: &[&str], code: i32, parts: &[&str]) {
     }
 }
 
-/// A small synthetic dataset: 3 surfaces, 2 expert trials, 2 users.
-fn scene() -> tempfile::TempDir {
+/// A small synthetic dataset, `scene` in a folder: 3 surfaces, 2 expert trials, 2 users.
+fn scene() -> (tempfile::TempDir, String) {
     let dir = tempfile::tempdir().unwrap();
-    let out = dir.path().join("scene");
+    let out = dir.path().join("scene").to_str().unwrap().to_string();
     let args = ["--surfaces", "3", "--trials", "2", "--users", "2", "--seconds", "0.3"];
-    let output = surfaced(&[&["synth", out.to_str().unwrap()], &args[..]].concat());
-    assert!(output.status.success(), "{}", stderr(&output));
-    dir
+    printed(&[&["synth", &out], &args[..]].concat());
+    (dir, out)
 }
 
-fn path(dir: &tempfile::TempDir) -> String {
-    dir.path().join("scene").to_str().unwrap().into()
+/// Writes a file into a folder, and gives its path.
+fn write(dir: &tempfile::TempDir, name: &str, text: &str) -> String {
+    let path = dir.path().join(name);
+    std::fs::write(&path, text).unwrap();
+    path.to_str().unwrap().into()
 }
 
 fn golden(name: &str) -> String {
@@ -83,11 +90,11 @@ fn golden_scores_come_out_of_the_command_line() {
 
 #[test]
 fn an_evaluation_prints_what_was_promised() {
-    let dir = scene();
+    let (_dir, data) = scene();
     for (protocol, queries, folds) in
         [("expert-vs-users", 6, 2), ("leave-one-trial-out", 6, 2), ("all-vs-one-user", 12, 3)]
     {
-        let report = json(&["eval", &path(&dir), "--protocol", protocol, "--json", "--n", "50"]);
+        let report = json(&["eval", &data, "--protocol", protocol, "--json", "--n", "50"]);
         assert_eq!(report["queries"], queries, "{protocol}");
         assert_eq!(report["classes"], 3);
         assert_eq!(report["folds"].as_array().unwrap().len(), folds);
@@ -104,8 +111,8 @@ fn an_evaluation_prints_what_was_promised() {
 
 #[test]
 fn an_evaluation_chooses_a_protocol_and_says_which() {
-    let dir = scene();
-    let output = surfaced(&["eval", &path(&dir), "--method", "knn", "--sources", "mi2"]);
+    let (_dir, data) = scene();
+    let output = surfaced(&["eval", &data, "--method", "knn", "--sources", "mi2"]);
     let said = stderr(&output);
     assert!(said.contains("protocol: all-vs-one-user (each person left out in turn)"), "{said}");
     assert!(said.contains("next: surfaced chart "), "{said}");
@@ -113,10 +120,9 @@ fn an_evaluation_chooses_a_protocol_and_says_which() {
     assert!(shown.contains(" of 12 queries, each among 3 surfaces)"), "{shown}");
     assert!(shown.contains(" for other people, by 3"), "{shown}");
     assert!(shown.contains("mean over 3 users: "), "{shown}");
-    let replayed = surfaced(&["replay", &path(&dir), "--method", "knn", "--sources", "mi2"]);
-    let shown = String::from_utf8(replayed.stdout).unwrap();
+    let shown = printed(&["replay", &data, "--method", "knn", "--sources", "mi2"]);
     assert!(shown.contains(" of 12 scans") && !shown.contains("interval"), "{shown}");
-    let knn = ["eval", &path(&dir), "--method", "knn", "--enrolled", "2"];
+    let knn = ["eval", &data, "--method", "knn", "--enrolled", "2"];
     refused(&knn, 1, &["no user has more than 2 trial(s)"]);
     let within = [&knn[..], &["--protocol", "leave-one-trial-out"]].concat();
     refused(&within, 2, &["--enrolled goes with expert-vs-users"]);
@@ -124,8 +130,7 @@ fn an_evaluation_chooses_a_protocol_and_says_which() {
 
 #[test]
 fn an_evaluation_tells_each_query_and_what_was_not_asked() {
-    let dir = scene();
-    let data = path(&dir);
+    let (dir, data) = scene();
     let folders = |of: &str| {
         let all = std::fs::read_dir(of).unwrap().map(|entry| entry.unwrap().path());
         let mut all: Vec<_> = all.filter(|path| path.is_dir()).collect();
@@ -174,8 +179,7 @@ fn timeless(mut value: Value) -> Value {
 
 #[test]
 fn one_seed_prints_one_document_whatever_the_threads() {
-    let dir = scene();
-    let data = path(&dir);
+    let (_dir, data) = scene();
     let run = |threads: &str, seed: &str| {
         let mut command = Command::cargo_bin("surfaced").unwrap();
         let args = ["eval", &data, "--protocol", "expert-vs-users", "--json", "--seed", seed];
@@ -188,10 +192,7 @@ fn one_seed_prints_one_document_whatever_the_threads() {
 }
 
 fn lines(args: &[&str]) -> Vec<Value> {
-    let output = surfaced(args);
-    assert!(output.status.success(), "{args:?}: {}", stderr(&output));
-    let text = String::from_utf8(output.stdout).unwrap();
-    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    printed(args).lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
 /// (surface, user, trial, answer) of each scan, sorted.
@@ -228,8 +229,8 @@ fn replay_gives_the_labels_of_eval_on_the_real_sounds() {
 
 #[test]
 fn a_line_of_replay_holds_what_was_promised() {
-    let dir = scene();
-    let all = lines(&["replay", &path(&dir), "--json", "--n", "50"]);
+    let (_dir, data) = scene();
+    let all = lines(&["replay", &data, "--json", "--n", "50"]);
     assert_eq!(all.len(), 12, "each person against the others");
     for line in all {
         assert_eq!(line["ranked"].as_array().unwrap().len(), 3);
@@ -245,9 +246,9 @@ fn a_line_of_replay_holds_what_was_promised() {
 
 #[test]
 fn trials_are_compared_source_by_source() {
-    let dir = scene();
-    let trial = |name: &str| dir.path().join("scene").join(name).to_str().unwrap().to_string();
-    let (a, b) = (trial("Synth001Mesh/expert-01"), trial("Synth002Stone/user1-01"));
+    let (_dir, data) = scene();
+    let (a, b) =
+        (format!("{data}/Synth001Mesh/expert-01"), format!("{data}/Synth002Stone/user1-01"));
     let report = json(&["compare", &a, &b, "--json", "--permutations", "50"]);
     let sources = report["sources"].as_array().unwrap();
     assert_eq!(sources.len(), 8);
@@ -255,28 +256,22 @@ fn trials_are_compared_source_by_source() {
     assert!((report["ds"].as_f64().unwrap() / product - 1.0).abs() < 1e-9);
     let alike = |source: &Value| source["neighbours"].as_f64().is_some_and(|r| r > 0.3 && r <= 1.0);
     assert!(sources.iter().any(|s| s["source"] == "ir" && alike(s)), "{sources:?}");
-    let shown = String::from_utf8(surfaced(&["compare", &a, &b, "--permutations", "50"]).stdout);
-    assert!(shown.unwrap().contains("neighbouring samples are alike, so that p is too small: "));
+    let shown = printed(&["compare", &a, &b, "--permutations", "50"]);
+    assert!(shown.contains("neighbouring samples are alike, so that p is too small: "));
     let itself = json(&["compare", &a, &a, "--json", "--permutations", "50"]);
     assert!(itself["sources"].as_array().unwrap().iter().all(|s| s["p_value"] == 1.0));
 }
 
 #[test]
 fn wrong_usage_ends_with_code_two_and_says_what_there_is() {
-    let dir = scene();
-    let data = path(&dir);
-    let eval = |more: &[&'static str]| {
-        let head = ["eval", data.as_str(), "--protocol", "expert-vs-users"];
-        let args: Vec<&str> = head.into_iter().chain(more.iter().copied()).collect();
-        surfaced(&args)
+    let (_dir, data) = scene();
+    let eval = |option, value, parts: &[&str]| {
+        let args = ["eval", &data, "--protocol", "expert-vs-users", option, value];
+        refused(&args, 2, parts);
     };
-    let said = |output: Output| (output.status.code(), stderr(&output));
-    let (code, text) = said(eval(&["--sources", "mi9"]));
-    assert!(code == Some(2) && text.contains("mi9") && text.contains("ac, ca1"), "{text}");
-    let (code, text) = said(eval(&["--n", "0"]));
-    assert!(code == Some(2) && text.contains("1 or more"), "{text}");
-    let (code, text) = said(eval(&["--query-seconds", "0"]));
-    assert!(code == Some(2) && text.contains("positive number of seconds"), "{text}");
+    eval("--sources", "mi9", &["mi9", "ac, ca1"]);
+    eval("--n", "0", &["1 or more"]);
+    eval("--query-seconds", "0", &["positive number of seconds"]);
     refused(&["replay", &data, "--library", &data], 2, &["meet itself"]);
     let mixed = ["replay", &data, "--method", "embedding", "--n", "50"];
     refused(&mixed, 2, &["goes with --method reference alone, not with embedding"]);
@@ -289,8 +284,7 @@ fn wrong_usage_ends_with_code_two_and_says_what_there_is() {
 
 #[test]
 fn bad_data_end_with_code_one_and_say_what_to_do() {
-    let dir = scene();
-    let data = path(&dir);
+    let (dir, data) = scene();
     refused(&["eval", "/no/such/place", "--protocol", "expert-vs-users"], 1, &["/no/such/place"]);
     refused(&["synth", &data], 1, &["not empty"]);
     refused(&["compare", "nowhere", "nowhere"], 1, &["no such trial", "DATA:SURFACE:NUMBER"]);
@@ -299,11 +293,7 @@ fn bad_data_end_with_code_one_and_say_what_to_do() {
     let several = format!("{data}:Synth001Mesh:1");
     refused(&["compare", &several, &several], 1, &["trials 1 of `Synth001Mesh`", "add :USER"]);
 
-    let write = |name: &str, text: &str| {
-        let path = dir.path().join(name);
-        std::fs::write(&path, text).unwrap();
-        path.to_str().unwrap().to_string()
-    };
+    let write = |name: &str, text: &str| write(&dir, name, text);
     let good = write("good.csv", "1,2\n3,4\n");
     let samples = |other: &str, parts: &[&str]| {
         refused(&["compare", "--samples", &good, other], 1, parts);
@@ -316,18 +306,14 @@ fn bad_data_end_with_code_one_and_say_what_to_do() {
 
 #[test]
 fn a_library_of_one_class_or_one_trial_is_refused() {
-    let dir = scene();
+    let (dir, data) = scene();
     let one_class = dir.path().join("one-class");
     let from = dir.path().join("scene/Synth001Mesh");
+    std::fs::create_dir_all(one_class.join("Synth001Mesh")).unwrap();
     for trial in ["expert-01", "expert-02"] {
-        let to = one_class.join("Synth001Mesh").join(trial);
-        std::fs::create_dir_all(&to).unwrap();
-        for file in std::fs::read_dir(from.join(trial)).unwrap() {
-            let file = file.unwrap().path();
-            std::fs::copy(&file, to.join(file.file_name().unwrap())).unwrap();
-        }
+        std::fs::rename(from.join(trial), one_class.join("Synth001Mesh").join(trial)).unwrap();
     }
-    let (data, one) = (path(&dir), one_class.to_str().unwrap().to_string());
+    let one = one_class.to_str().unwrap().to_string();
     refused(
         &["replay", &data, "--library", &one],
         1,
@@ -342,10 +328,10 @@ fn a_library_of_one_class_or_one_trial_is_refused() {
 
 #[test]
 fn a_stuck_sensor_is_reported() {
-    let dir = scene();
+    let (dir, data) = scene();
     let file = dir.path().join("scene/Synth001Mesh/user1-01/ir.wav");
     common::write_wav(&file, 10_000, 1, &[500; 3000]);
-    let output = surfaced(&["replay", &path(&dir), "--n", "50"]);
+    let output = surfaced(&["replay", &data, "--n", "50"]);
     assert_eq!(output.status.code(), Some(0));
     let said = stderr(&output);
     assert!(said.contains("ir: channel 1 is stuck at 0.015258789; check its cable"), "{said}");
@@ -389,8 +375,8 @@ fn an_evaluation_that_names_nothing_is_no_success() {
 
 #[test]
 fn an_output_takes_the_place_of_nothing_but_its_like() {
-    let dir = scene();
-    let (data, wav) = (path(&dir), dir.path().join("scene/Synth001Mesh/user1-01/ir.wav"));
+    let (dir, data) = scene();
+    let wav = dir.path().join("scene/Synth001Mesh/user1-01/ir.wav");
     let (wav, before) = (wav.to_str().unwrap(), std::fs::read(&wav).unwrap());
     let nowhere = dir.path().join("no/x.svg").to_str().unwrap().to_string();
     let kept = &["ir.wav: another file has this name"][..];
@@ -410,8 +396,7 @@ fn an_output_takes_the_place_of_nothing_but_its_like() {
 
 #[test]
 fn an_option_that_would_change_nothing_is_refused() {
-    let dir = scene();
-    let data = path(&dir);
+    let (_dir, data) = scene();
     let eval = |more: &[&str], says| refused(&[&["eval", &data], more].concat(), 2, &[says]);
     eval(&["--settle-loss", "0.1"], "--settle-loss goes with --settle");
     eval(&["--false-rejections", "0.1"], "--false-rejections goes with --leave-surfaces-out");
@@ -426,14 +411,10 @@ fn dependence_follows_p_and_says_where_pairs_are_not_independent() {
     let dir = tempfile::tempdir().unwrap();
     let write = |name: &str, values: &[f64]| {
         let text: Vec<String> = values.iter().map(f64::to_string).collect();
-        let path = dir.path().join(name);
-        std::fs::write(&path, text.join("\n")).unwrap();
-        path.to_str().unwrap().to_string()
+        write(&dir, name, &text.join("\n"))
     };
     let tested = |x: &[f64], y: &[f64]| {
-        let (x, y) = (write("x.csv", x), write("y.csv", y));
-        let output = surfaced(&["dependence", &x, &y, "--permutations", "200"]);
-        String::from_utf8(output.stdout).unwrap()
+        printed(&["dependence", &write("x.csv", x), &write("y.csv", y), "--permutations", "200"])
     };
     // Ties: HSIC is above κ by rounding alone.
     let once = |ones: &[usize]| -> Vec<f64> {
@@ -452,10 +433,7 @@ fn dependence_follows_p_and_says_where_pairs_are_not_independent() {
 #[test]
 fn a_build_without_mcap_says_how_to_get_it() {
     for args in [["export", "my-library", "my-library.mcap"], ["import", "a.mcap", "my-library"]] {
-        let output = Command::cargo_bin("surfaced").unwrap().args(args).output().unwrap();
-        assert_eq!(output.status.code(), Some(2));
-        let said = String::from_utf8_lossy(&output.stderr);
-        common::says(&said, &["cannot read or write MCAP", "--features mcap"]);
+        refused(&args, 2, &["cannot read or write MCAP", "--features mcap"]);
     }
 }
 
