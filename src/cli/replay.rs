@@ -246,7 +246,9 @@ fn play(args: &Args, how: &Comparing, mut stage: ReplayStage, lock: Option<Libra
     if let Some(folder) = library {
         let (folder, scene) = (folder.clone(), stage.scene.clone());
         let answering = (&args.answers, &args.accuracy);
-        station.load = Some(naming::load(&folder, &scene, how, answering, None));
+        let load = naming::load(&folder, &scene, how, answering, None);
+        let is_continuous = station.continuous.is_some();
+        station.load = Some(if is_continuous { naming::with_scan_time(load) } else { load });
         station.store = Some(ScanStore::new(folder.clone(), scene.clone()));
         settings.check = Some(naming::check(&folder, how));
         settings.library = Some(LibraryFolder { folder, scene });

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use console::Term;
+use console::{Term, truncate_str};
 
 use super::system::has_status_line;
 use super::{say, show};
@@ -63,8 +63,7 @@ impl Terminal {
         let devices = self.devices.iter().map(|(name, state)| format!("{name} {state}"));
         let line = format!("{now} │ {}", show::listed(devices));
         let columns = Term::stderr().size_checked().map_or(80, |(_, columns)| columns);
-        let fits: String = line.chars().take(usize::from(columns.max(20)) - 1).collect();
-        say::status(&fits);
+        say::status(&truncate_str(&line, usize::from(columns.max(20)) - 1, ""));
     }
 
     fn answer(&mut self, answer: &Answer) {

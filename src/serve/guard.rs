@@ -339,14 +339,21 @@ impl Client {
             return Self { address: peer, tls: false };
         }
         let headers = request.headers();
-        let forwarded: Vec<IpAddr> = words(headers, "x-forwarded-for")
-            .filter_map(|word| word.parse::<IpAddr>().ok())
-            .map(|address| address.to_canonical())
-            .collect();
-        let address = forwarded.into_iter().rfind(|address| !proxies.contains(address));
+        let forwarded: Vec<Option<IpAddr>> =
+            words(headers, "x-forwarded-for").map(forwarded_address).collect();
+        let is_proxy = |address: &Option<IpAddr>| address.is_some_and(|a| proxies.contains(&a));
+        // One that cannot be read is not passed over: a client may have invented those before it.
+        let address = forwarded.into_iter().rfind(|address| !is_proxy(address)).flatten();
         let tls = words(headers, "x-forwarded-proto").last().is_some_and(|word| word == "https");
         Self { address: address.unwrap_or(peer), tls }
     }
+}
+
+/// The address in an entry of `X-Forwarded-For`, to which some proxies add a port.
+fn forwarded_address(word: &str) -> Option<IpAddr> {
+    let with_port = word.parse::<SocketAddr>().map(|address| address.ip());
+    let address = with_port.or_else(|_| word.trim_matches(['[', ']']).parse());
+    address.ok().map(|address: IpAddr| address.to_canonical())
 }
 
 /// The comma-separated parts of all header lines with this name.
@@ -458,6 +465,14 @@ mod tests {
         assert_eq!((behind.address.to_string(), behind.tls), ("2.2.2.2".into(), true));
         let chain = client("::ffff:10.0.0.9", &[("x-forwarded-for", "2.2.2.2, 10.0.0.9")]);
         assert_eq!((chain.address.to_string(), chain.tls), ("2.2.2.2".into(), false));
+        for (entries, of) in [
+            ("1.1.1.1, 2.2.2.2:4711", "2.2.2.2"),
+            ("1.1.1.1, [2001:db8::5]:80, 10.0.0.9", "2001:db8::5"),
+            ("1.1.1.1, unknown", "10.0.0.9"),
+        ] {
+            let behind = client("10.0.0.9", &[("x-forwarded-for", entries)]);
+            assert_eq!(behind.address.to_string(), of, "{entries}");
+        }
         assert_eq!(client("10.0.0.9", &[]).address.to_string(), "10.0.0.9");
     }
 
