@@ -31,7 +31,7 @@ fn played(trial: &Trial, chunk_s: f64) -> Trial {
     let device = Replay::new(&Scene::lmt108(), vec![Entry::in_memory(trial.clone())]);
     let session =
         Session::start(vec![Box::new(device.chunk_s(chunk_s))], Options::default()).unwrap();
-    let scan = session.events().iter().find_map(|event| match event {
+    let scan = session.events.iter().find_map(|event| match event {
         Event::Scan(scan) => Some(scan.trial),
         _ => None,
     });

@@ -75,7 +75,7 @@ fn a_slow_reader_costs_no_data_where_devices_wait() {
     };
     let session = Session::start(vec![Box::new(replay(&trials))], options).unwrap();
     let mut scans = Vec::new();
-    for event in session.events() {
+    for event in &session.events {
         std::thread::sleep(Duration::from_millis(3));
         if let Event::Scan(scan) = event {
             scans.push(*scan);
@@ -91,11 +91,11 @@ fn a_reader_that_never_reads_holds_up_no_live_device() {
         Options { ring_s: 10.0, events: 1, progress_every_s: Some(0.01), ..Options::default() };
     let live = replay(&trials).speed(Speed::RealTime(50.0));
     let session = Session::start(vec![Box::new(live)], options).unwrap();
-    let sound = session.meters().iter().find(|meter| meter.id == id("mi2")).unwrap().clone();
+    let sound = session.meters.iter().find(|meter| meter.id == id("mi2")).unwrap().clone();
     while sound.counts().received < 24_000 {
         std::thread::sleep(Duration::from_millis(1));
     }
-    let scans = session.events().iter().filter(|event| matches!(event, Event::Scan(_))).count();
+    let scans = session.events.iter().filter(|event| matches!(event, Event::Scan(_))).count();
     assert_eq!((scans, session.wait().unwrap().lost()), (3, 0));
 }
 
@@ -312,7 +312,7 @@ fn a_stop_ends_a_replay_wherever_it_is() {
         };
         let session =
             Session::start(vec![Box::new(replay(&trials).speed(speed))], options).unwrap();
-        for _ in session.events().iter().take(read) {}
+        for _ in session.events.iter().take(read) {}
         session.request_stop();
         let totals = session.wait().unwrap();
         assert!(totals.abandoned.is_empty() && totals.failed.is_empty());
@@ -356,7 +356,7 @@ fn traces_show_every_stream_without_a_hole() {
     let options = Options { trace_every_s: Some(0.001), ..Options::default() };
     let session = Session::start(vec![Box::new(replay(&trials))], options).unwrap();
     let mut next = 0;
-    for event in session.events() {
+    for event in &session.events {
         if let Event::Trace(trace) = event {
             for fresh in trace.fresh.iter().filter(|fresh| fresh.source == id("mi2")) {
                 assert_eq!(fresh.start, next);

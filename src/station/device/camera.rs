@@ -53,8 +53,8 @@ pub struct Camera {
     /// The time after which all frames show a switch of the light: light and exposure control need
     /// time, and some frames are on their way.
     settle: Duration,
-    shutter: Shutter,
-    viewfinder: Viewfinder,
+    pub shutter: Shutter,
+    pub viewfinder: Viewfinder,
     name: String,
 }
 
@@ -91,7 +91,7 @@ impl Camera {
         }
     }
 
-    /// Adds the stream `stream` of pictures with flash; [`Camera::shutter`] requests each picture.
+    /// Adds the stream `stream` of pictures with flash; its `shutter` requests each picture.
     /// Frames are dropped for the time `settle` after a switch of the light, until light and
     /// exposure are stable.
     pub fn flash(mut self, stream: SourceId, flash: Flash, settle: Duration) -> Self {
@@ -99,14 +99,6 @@ impl Camera {
         self.settle = settle;
         self.viewfinder.light(FlashState::Off);
         self
-    }
-
-    pub fn shutter(&self) -> Shutter {
-        self.shutter.clone()
-    }
-
-    pub fn viewfinder(&self) -> Viewfinder {
-        self.viewfinder.clone()
     }
 }
 

@@ -26,8 +26,8 @@ use serialport::ClearBuffer;
 use super::serial::{BUFFER, OVERFLOWED, REPORT_EVERY, STALLED, Selector, lost, read_some};
 use super::system;
 use super::{
-    Device, DeviceError, DeviceLink, DeviceState, Disconnected, OpenError, RETRY, StreamSpec,
-    WarningKind, keep_connected,
+    Device, DeviceError, DeviceLink, DeviceReportKind, DeviceState, Disconnected, OpenError, RETRY,
+    StreamSpec, WarningKind, keep_connected,
 };
 use crate::ring::Sink;
 
@@ -257,7 +257,7 @@ impl Work<'_> {
                     put_back(bytes);
                 }
                 let intake = self.measured(&survey).map_err(OpenError::Unfit)?;
-                self.link.rate(intake.rate_hz);
+                self.link.send(DeviceReportKind::Rate(intake.rate_hz));
                 self.intake = Some(intake);
             }
         }
@@ -322,7 +322,7 @@ impl Work<'_> {
                 let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) else { return };
                 match waits {
                     // Pushing fails only after a stop, when data no longer count.
-                    true => drop(sink.push_waiting(samples, link.stop())),
+                    true => drop(sink.push_waiting(samples, &link.stop)),
                     false => overflowed += sink.push(samples),
                 }
             }
@@ -367,7 +367,7 @@ impl Work<'_> {
             return;
         }
         let seen_hz = self.pace.off_hz.map(|seen_hz| clocks::rounded(seen_hz, 3));
-        self.link.off_pace(seen_hz);
+        self.link.send(DeviceReportKind::OffPace(seen_hz));
         if let Some(seen_hz) = seen_hz {
             let text = format!(
                 "its rate is {seen_hz} Hz, but {rate_hz} Hz are expected, so scans have a wrong \

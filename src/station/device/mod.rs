@@ -127,7 +127,7 @@ pub enum DeviceReportKind {
 #[derive(Debug)]
 pub struct DeviceLink {
     device: usize,
-    stop: Stop,
+    pub stop: Stop,
     reports: Sender<DeviceReport>,
     last: RefCell<Option<(DeviceState, String)>>,
     /// Whether the device was lost as soon as it was opened, so that opening it again is no news.
@@ -141,10 +141,6 @@ impl DeviceLink {
 
     pub fn stopped(&self) -> bool {
         self.stop.requested()
-    }
-
-    pub fn stop(&self) -> &Stop {
-        &self.stop
     }
 
     /// Sleeps until `instant`, or until a stop is requested. Returns false after a stop.
@@ -181,14 +177,6 @@ impl DeviceLink {
     /// they may occur a thousand times a second.
     pub fn warn(&self, kind: WarningKind, text: impl Into<String>) {
         self.send(DeviceReportKind::Warning(Warning::new(kind, text)));
-    }
-
-    pub fn rate(&self, rate_hz: f64) {
-        self.send(DeviceReportKind::Rate(rate_hz));
-    }
-
-    pub fn off_pace(&self, seen_hz: Option<f64>) {
-        self.send(DeviceReportKind::OffPace(seen_hz));
     }
 
     /// Reports the result of the device's thread, also after a stop.
@@ -363,10 +351,14 @@ mod running;
 mod tests {
     use super::*;
 
+    fn link() -> (DeviceLink, crossbeam_channel::Receiver<DeviceReport>) {
+        let (send, reports) = crossbeam_channel::unbounded();
+        (DeviceLink::new(0, Stop::default(), send), reports)
+    }
+
     #[test]
     fn a_state_is_reported_once_a_change_of_it_or_of_its_reason() {
-        let (sender, reports) = crossbeam_channel::bounded(8);
-        let link = DeviceLink::new(0, Stop::default(), sender);
+        let (link, reports) = link();
         link.state(DeviceState::Opening, "");
         link.state(DeviceState::Streaming, "");
         link.state(DeviceState::Streaming, "");
@@ -379,9 +371,8 @@ mod tests {
 
     #[test]
     fn a_session_that_is_gone_stops_the_device() {
-        let (sender, reports) = crossbeam_channel::bounded(8);
+        let (link, reports) = link();
         drop(reports);
-        let link = DeviceLink::new(0, Stop::default(), sender);
         link.mark(Mark::End { at: Instant::now() });
         assert!(link.stopped());
     }
@@ -398,15 +389,13 @@ mod tests {
 
     #[test]
     fn a_peer_that_hangs_up_at_once_is_told_once_and_asked_more_rarely() {
-        let (send, reports) = crossbeam_channel::unbounded();
-        let stop = Stop::default();
-        let link = DeviceLink::new(0, stop.clone(), send);
+        let (link, reports) = link();
         let (mut attempts, begin) = (0, Instant::now());
         let connect = || {
             attempts += 1;
             link.state(DeviceState::Opening, "it");
             if attempts == 3 {
-                stop.request();
+                link.stop.request();
             }
             Err(Disconnected::Lost("it hung up".into()))
         };
@@ -420,14 +409,12 @@ mod tests {
 
     #[test]
     fn equal_failures_to_open_make_one_report() {
-        let (send, reports) = crossbeam_channel::unbounded();
-        let stop = Stop::default();
-        let link = DeviceLink::new(0, stop.clone(), send);
+        let (link, reports) = link();
         let mut attempts = 0;
         let connect = || {
             attempts += 1;
             if attempts == 3 {
-                stop.request();
+                link.stop.request();
             }
             Err(OpenError::Absent("it".into()).into())
         };

@@ -337,7 +337,7 @@ impl Player<'_> {
     fn picture(&mut self, index: usize, image: Image) -> Result<(), DeviceError> {
         self.open(index, self.sinks[index].position(), 1.0, 3);
         if let Some(sink) = self.sinks[index].images() {
-            self.replay.speed.push(sink, &[image.into()], self.link.stop())?;
+            self.replay.speed.push(sink, &[image.into()], &self.link.stop)?;
         }
         self.close(index);
         Ok(())
@@ -398,6 +398,6 @@ impl Player<'_> {
             }
             samples = &wide;
         }
-        self.replay.speed.push(sink, samples, self.link.stop())
+        self.replay.speed.push(sink, samples, &self.link.stop)
     }
 }

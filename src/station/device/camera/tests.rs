@@ -187,7 +187,7 @@ fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
     let ca2 = SourceId::new("ca2").unwrap();
     // Long enough for a loaded machine to see the light on.
     let camera = camera(video).flash(ca2, Flash::Camera, Duration::from_millis(400));
-    let (shutter, finder) = (camera.shutter(), camera.viewfinder());
+    let (shutter, finder) = (camera.shutter.clone(), camera.viewfinder.clone());
     let (running, mut taps) = start(camera);
     running.says(&["opening", "streaming"]);
     assert_eq!(finder.view().flash, FlashState::Off);
@@ -217,8 +217,8 @@ fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
         let mut video = scripted(|_, _| CameraAct::Frame(grey()));
         video.has_torch = false;
         let camera = camera(video).flash(ca2(), flash, Duration::from_millis(50));
-        camera.shutter().flash();
-        let finder = camera.viewfinder();
+        camera.shutter.flash();
+        let finder = camera.viewfinder.clone();
         let (running, mut taps) = start(camera);
         running.comes_to_say(part);
         assert_eq!(finder.view().flash, FlashState::Failed);
