@@ -13,7 +13,6 @@ use crate::history::{Drift, Precision, Quantity};
 use crate::outputs::OutputView;
 use crate::printable::Printable;
 use crate::ring::Counts;
-use crate::station::AnswerState;
 
 pub(super) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
@@ -84,14 +83,14 @@ impl HubState {
         let counts = state.counts;
         let others = counts.nearest + counts.unsure + counts.unknown;
         let answers = [
-            (AnswerState::Named, counts.scans - others),
-            (AnswerState::Nearest, counts.nearest),
-            (AnswerState::Unsure, counts.unsure),
-            (AnswerState::Unknown, counts.unknown),
-            (AnswerState::Unnamed, counts.unnamed),
+            ("named", counts.scans - others),
+            ("nearest", counts.nearest),
+            ("unsure", counts.unsure),
+            ("unknown", counts.unknown),
+            ("unnamed", counts.unnamed),
         ];
         let head = ("surfaced_scans_total", "counter", "Scans that were answered.");
-        page.family([head], answers.map(|(of, count)| (vec![("answer", of.as_str())], [count])));
+        page.family([head], answers.map(|(of, count)| (vec![("answer", of)], [count])));
         let count = |of: &AtomicU64| of.load(Ordering::Relaxed);
         let (requests, refused) = (count(&traffic.requests), count(&traffic.refused));
         for (name, help, value) in [

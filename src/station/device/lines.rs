@@ -39,7 +39,7 @@ pub use layout::{Column, Count, LinesStream};
 pub use survey::{ColumnSurvey, SURVEY_S, Survey};
 
 use intake::GARBAGE;
-use pace::{Arrived, Pace};
+use pace::Pace;
 
 /// Pause after a read that did not fill half of the buffer, so that one read takes many lines, even if
 /// each line is sent by itself.
@@ -362,8 +362,7 @@ impl Work<'_> {
     fn look_at_pace(&mut self, now_s: f64) {
         let Some(intake) = &self.intake else { return };
         let (frames, rate_hz, unsettled) = (intake.frames, intake.rate_hz, intake.is_unsettled());
-        let clock_hz = intake.clock_hz();
-        if !self.pace.rows(Arrived { now_s, frames, rate_hz, unsettled, clock_hz }) {
+        if !self.pace.rows(now_s, frames, rate_hz, unsettled, intake.clock_hz()) {
             return;
         }
         let seen_hz = self.pace.off_hz.map(|seen_hz| clocks::rounded(seen_hz, 3));
