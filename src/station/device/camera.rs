@@ -73,10 +73,16 @@ struct CameraWatch<'a> {
 }
 
 impl Camera {
-    /// A camera that `video` opens. Its stream `plain` gets one picture in each period `every`;
-    /// other frames are dropped. `turn` makes the pictures upright.
-    pub fn new(plain: SourceId, video: Arc<dyn Video>, turn: Turn, every: Duration) -> Self {
-        let name = format!("camera {}", video.device());
+    /// The camera called `id`, which `video` opens. Its stream `plain` gets one picture in each period
+    /// `every`; other frames are dropped. `turn` makes the pictures upright.
+    pub fn new(
+        plain: SourceId,
+        id: &str,
+        video: Arc<dyn Video>,
+        turn: Turn,
+        every: Duration,
+    ) -> Self {
+        let name = format!("camera {id}");
         let viewfinder = Viewfinder::new(plain.clone());
         Self {
             plain,
@@ -253,8 +259,6 @@ impl CameraWatch<'_> {
 
 /// A camera that can be opened any number of times.
 pub trait Video: Send + Sync {
-    fn device(&self) -> String;
-
     /// Opens the camera and starts its stream. Runs on the reader's thread.
     fn open(&self) -> Result<Box<dyn Frames>, OpenError>;
 }

@@ -143,8 +143,7 @@ impl DeviceGroup {
                     }
                     _ => level.hop(&[], [], held),
                 };
-                highest =
-                    new.map_or(highest, |x| Some(highest.map_or(x, |highest| highest.max(x))));
+                highest = highest.into_iter().chain(new).reduce(f64::max);
                 let quiet = self.detector.config.quiet;
                 pressed |= level.kind == SensorKind::Force && new.is_some_and(|x| x >= quiet);
             }

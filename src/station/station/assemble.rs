@@ -70,8 +70,9 @@ impl Assembled {
     #[cfg(feature = "microphone")]
     fn add_microphone(&mut self, config: &MicrophoneConfig) -> Result<(), OpenError> {
         use crate::device::microphone::{Alsa, Microphone};
-        let alsa = Box::new(Alsa::new(config.device.clone())?);
-        self.add(Box::new(Microphone::new(config.stream.clone(), config.pick, alsa)));
+        let MicrophoneConfig { device, pick, stream } = config;
+        let alsa = Box::new(Alsa::new(device.clone())?);
+        self.add(Box::new(Microphone::new(stream.clone(), device, *pick, alsa)));
         Ok(())
     }
 
@@ -85,8 +86,9 @@ impl Assembled {
         use std::sync::Arc;
 
         use crate::device::camera::{Camera, Flash, V4l};
-        let video = Arc::new(V4l::new(config.device.clone(), config.turn));
-        let mut camera = Camera::new(config.source.clone(), video, config.turn, config.every);
+        let CameraConfig { device, turn, every, source, .. } = config;
+        let video = Arc::new(V4l { id: device.clone(), turn: *turn });
+        let mut camera = Camera::new(source.clone(), device, video, *turn, *every);
         self.viewfinder = Some(camera.viewfinder.clone());
         let by_stylus = light.map(Flash::Stylus);
         if let Some(flash) = &config.flash

@@ -34,10 +34,6 @@ struct Playing {
 }
 
 impl Video for ScriptedCamera {
-    fn device(&self) -> String {
-        "eye".into()
-    }
-
     fn open(&self) -> Result<Box<dyn Frames>, OpenError> {
         let opening = self.openings.fetch_add(1, Ordering::SeqCst);
         match &self.first {
@@ -86,7 +82,8 @@ fn scripted(script: impl Fn(usize, usize) -> CameraAct + Send + Sync + 'static) 
 }
 
 fn camera(video: ScriptedCamera) -> Camera {
-    Camera::new(SourceId::new("ca1").unwrap(), Arc::new(video), Turn::None, Duration::ZERO)
+    let plain = SourceId::new("ca1").unwrap();
+    Camera::new(plain, "eye", Arc::new(video), Turn::None, Duration::ZERO)
 }
 
 fn start(camera: Camera) -> (Running, Vec<ImageTap>) {
