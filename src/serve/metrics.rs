@@ -129,11 +129,16 @@ impl HubState {
         let help = "Scans of a reference surface since it was made one.";
         page.family([("surfaced_reference_scans", "gauge", help)], scans);
         let help = "Things that have drifted, by scans of the reference surfaces.";
-        let kinds = [Quantity::Fit, Quantity::Distance, Quantity::Level, Quantity::Noise];
-        let drifted = kinds.map(|kind| {
+        let kinds = [
+            ("fit", Quantity::Fit),
+            ("distance", Quantity::Distance),
+            ("level", Quantity::Level),
+            ("noise", Quantity::Noise),
+        ];
+        let drifted = kinds.map(|(name, kind)| {
             let charts = drift.references.iter().flat_map(|of| &of.series);
             let count = charts.filter(|chart| chart.quantity == kind && chart.drifted).count();
-            (vec![("quantity", kind.as_str())], [count as u64])
+            (vec![("quantity", name)], [count as u64])
         });
         page.family([("surfaced_drifted", "gauge", help)], drifted);
         let head = ("surfaced_readers", "gauge", "Subscribers to the stream of events.");

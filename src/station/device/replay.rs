@@ -341,22 +341,18 @@ impl Player<'_> {
             if self.link.stopped() {
                 return Err(Stopped.into());
             }
-            let mut still = Vec::with_capacity(tracks.len());
-            for mut track in tracks {
-                let frames = track.frames;
-                let until = ((played_s * track.series.rate_hz()) as usize).min(frames);
+            for track in &mut tracks {
+                let until = ((played_s * track.series.rate_hz()) as usize).min(track.frames);
                 if until > track.played {
-                    self.push(&track, until)?;
+                    self.push(track, until)?;
                     track.played = until;
                 }
-                match until < frames {
-                    true => still.push(track),
-                    // The sources of joined drags end with the scan.
-                    false if self.replay.is_joined => {}
-                    false => self.close(track.index),
+                // The sources of joined drags end with the scan.
+                if until == track.frames && !self.replay.is_joined {
+                    self.close(track.index);
                 }
             }
-            tracks = still;
+            tracks.retain(|track| track.played < track.frames);
         }
         Ok(())
     }

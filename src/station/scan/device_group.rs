@@ -104,7 +104,9 @@ impl DeviceGroup {
         if rate_hz != self.rate_hz {
             // The device has measured its rate, before its first frame.
             self.rate_hz = rate_hz;
-            self.channels.iter_mut().for_each(|(_, level)| *level = level.at_rate(rate_hz));
+            for (at, level) in &mut self.channels {
+                *level = StreamLevel::new(level.kind, streams[*at].channels, rate_hz);
+            }
             self.detector = Detector::new(self.detector.config, self.hop_s());
         }
         let kept = |stream: &Stream| match &stream.buffer {
