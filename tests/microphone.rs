@@ -64,7 +64,7 @@ fn a_real_dragging_sound_is_captured_whole_at_its_pace() {
     let sound_s = sound.len() as f64 / f64::from(RATE_HZ);
 
     let alsa = Box::new(Alsa::new("default").unwrap());
-    let mut microphone = Microphone::new(id("mi2"), Pick::Mean, alsa);
+    let mut microphone = Microphone::new(id("mi2"), "default", Pick::Mean, alsa);
     let (waker, woken) = Waker::new();
     let (sink, mut tap) = series(1, RATE_HZ as usize, waker);
     let (sender, reports) = crossbeam_channel::unbounded();

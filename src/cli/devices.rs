@@ -132,7 +132,7 @@ fn watch(address: &LinesAddress, args: &Args) -> Done {
         port: address.to_string(),
         rate_hz: survey.rate_hz().ok(),
         columns: survey.columns(),
-        first_lines: survey.first_lines().to_vec(),
+        first_lines: survey.first_lines.clone(),
         fitting_share: survey.fitting_share(),
         remarks: survey.remarks(),
         problem: fitting.as_ref().err().cloned(),

@@ -65,7 +65,7 @@ fn cells(row: HistoryRow) -> Vec<String> {
         Some(Truth::Unknown) => "unknown".into(),
         Some(Truth::Bad) => "bad".into(),
     };
-    let (state, drag) = (head.state.as_str().into(), format!("{scan_s:.1} s"));
+    let (state, drag) = (head.state.to_string(), format!("{scan_s:.1} s"));
     vec![head.id, state, surface, drag, was, reasons.join("; ")]
 }
 

@@ -262,7 +262,7 @@ fn chart_rows(drift: &Drift) -> impl Iterator<Item = Vec<String>> + '_ {
         };
         vec![
             surface.to_string(),
-            chart.quantity.as_str().into(),
+            chart.quantity.to_string(),
             channel.map_or("-".into(), |(source, channel)| format!("{source} {channel}")),
             chart.scans.to_string(),
             number(chart.centre),

@@ -230,8 +230,9 @@ fn play(args: &Args, how: &Comparing, mut stage: ReplayStage, lock: Option<Libra
     let mut tally = Tally::new(!args.json, queries.len());
     let is_shown = args.serve.is_wanted() && args.speed == Speed::RealTime(1.0);
     let rest_s = if is_shown { REST_S } else { 0.0 };
-    let device = Replay::new(&stage.scene, queries).speed(args.speed).rest_s(rest_s);
-    let device = device.synthetic(stage.synthetic).joined(config.is_continuous);
+    let (speed, is_joined, synthetic) = (args.speed, config.is_continuous, stage.synthetic);
+    let replay = Replay::new(&stage.scene, queries);
+    let device = Replay { speed, rest_s, is_joined, synthetic, ..replay };
     let options = args.serve.options(Options::default());
     let mut station = Station::new(vec![Box::new(device)], options).listener(&mut tally);
     station.continuous = config.continuous();

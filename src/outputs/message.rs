@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::device::DeviceState;
 use crate::printable::json_text;
 use crate::recognise::{RankedSurface, stated_probabilities};
-use crate::station::{Answer, StationEvent, SurfaceProbability};
+use crate::station::{Answer, AnswerState, StationEvent, SurfaceProbability};
 
 /// The largest answer, in bytes (about 1000 surfaces), since many brokers refuse larger messages.
 pub(super) const LARGEST: usize = 128 << 10;
@@ -78,7 +78,7 @@ fn probabilities(answer: &Answer) -> Vec<SurfaceProbability> {
 #[derive(Clone, Debug, Default)]
 pub(super) struct StationCard {
     devices: BTreeMap<String, (DeviceState, String)>,
-    counts: BTreeMap<&'static str, u64>,
+    counts: BTreeMap<AnswerState, u64>,
 }
 
 impl StationCard {
@@ -90,7 +90,7 @@ impl StationCard {
                 self.devices.insert(device.clone(), (*state, detail.clone()));
             }
             StationEvent::Answer(answer) | StationEvent::Unnamed(answer) => {
-                *self.counts.entry(answer.state.as_str()).or_default() += 1;
+                *self.counts.entry(answer.state).or_default() += 1;
             }
             _ => {}
         }
@@ -166,7 +166,6 @@ pub(super) fn discovery(station: &str, answer: &str, state: &str) -> Vec<(String
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::station::AnswerState;
 
     fn said(given: &Answer) -> Value {
         let text = answer("press-3", 7, given);

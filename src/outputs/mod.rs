@@ -18,7 +18,7 @@ use std::convert::Infallible;
 use std::error::Error;
 use std::future::Future;
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use rumqttc::{Event, MqttOptions, Packet, QoS};
@@ -36,6 +36,8 @@ use crate::scan::Scan;
 use crate::station::config::{AlertCause, HttpAddress, OutputsConfig};
 use crate::station::{Answer, Change, End, Listener, StationEvent};
 use crate::trial::Doubt;
+
+pub(crate) use surfaced_method::system::lock;
 
 /// How many answers may wait between the station and an outbox.
 const QUEUE: usize = 256;
@@ -140,11 +142,6 @@ struct Wants {
 }
 
 type Card = Arc<Mutex<StationCard>>;
-
-pub(crate) fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Each change leaves the value valid, so the value can be used even after a panic.
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// An interval that goes on from a tick that comes late.
 pub(crate) fn every(period: Duration) -> Interval {

@@ -13,7 +13,6 @@ use crate::history::{Drift, Precision, Quantity};
 use crate::outputs::OutputView;
 use crate::printable::Printable;
 use crate::ring::Counts;
-use crate::station::AnswerState;
 
 pub(super) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
@@ -84,14 +83,14 @@ impl HubState {
         let counts = state.counts;
         let others = counts.nearest + counts.unsure + counts.unknown;
         let answers = [
-            (AnswerState::Named, counts.scans - others),
-            (AnswerState::Nearest, counts.nearest),
-            (AnswerState::Unsure, counts.unsure),
-            (AnswerState::Unknown, counts.unknown),
-            (AnswerState::Unnamed, counts.unnamed),
+            ("named", counts.scans - others),
+            ("nearest", counts.nearest),
+            ("unsure", counts.unsure),
+            ("unknown", counts.unknown),
+            ("unnamed", counts.unnamed),
         ];
         let head = ("surfaced_scans_total", "counter", "Scans that were answered.");
-        page.family([head], answers.map(|(of, count)| (vec![("answer", of.as_str())], [count])));
+        page.family([head], answers.map(|(of, count)| (vec![("answer", of)], [count])));
         let count = |of: &AtomicU64| of.load(Ordering::Relaxed);
         let (requests, refused) = (count(&traffic.requests), count(&traffic.refused));
         for (name, help, value) in [
@@ -130,11 +129,16 @@ impl HubState {
         let help = "Scans of a reference surface since it was made one.";
         page.family([("surfaced_reference_scans", "gauge", help)], scans);
         let help = "Things that have drifted, by scans of the reference surfaces.";
-        let kinds = [Quantity::Fit, Quantity::Distance, Quantity::Level, Quantity::Noise];
-        let drifted = kinds.map(|kind| {
+        let kinds = [
+            ("fit", Quantity::Fit),
+            ("distance", Quantity::Distance),
+            ("level", Quantity::Level),
+            ("noise", Quantity::Noise),
+        ];
+        let drifted = kinds.map(|(name, kind)| {
             let charts = drift.references.iter().flat_map(|of| &of.series);
             let count = charts.filter(|chart| chart.quantity == kind && chart.drifted).count();
-            (vec![("quantity", kind.as_str())], [count as u64])
+            (vec![("quantity", name)], [count as u64])
         });
         page.family([("surfaced_drifted", "gauge", help)], drifted);
         let head = ("surfaced_readers", "gauge", "Subscribers to the stream of events.");

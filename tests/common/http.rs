@@ -159,7 +159,7 @@ impl Device for Stylus {
 
     fn run(&mut self, sinks: &mut [Sink], control: &DeviceLink) -> Result<(), DeviceError> {
         let sink = sinks[0].series().unwrap();
-        sink.push_waiting(&vec![0.5; 3 * 50_000], control.stop())?;
+        sink.push_waiting(&vec![0.5; 3 * 50_000], &control.stop)?;
         Ok(())
     }
 }
@@ -167,8 +167,8 @@ impl Device for Stylus {
 /// The notices of a short session: a library, one scan named, one unknown, a third in progress.
 pub fn session() -> Vec<StationEvent> {
     let session = Session::start(vec![Box::new(Stylus)], Options::default()).unwrap();
-    let meters = session.meters().to_vec();
-    session.events().iter().find(|event| matches!(event, Event::Finished(_)));
+    let meters = session.meters.to_vec();
+    session.events.iter().find(|event| matches!(event, Event::Finished(_)));
     session.wait().unwrap();
     let library = LibraryState {
         name: "workshop".into(),

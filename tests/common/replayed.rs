@@ -102,7 +102,7 @@ pub fn listen(device: impl Device + 'static, options: Options) -> Reported {
     let (mut sum, mut scans, mut so_far) = (PartialScan::default(), Vec::new(), Vec::new());
     let (mut warnings, mut lost) = (Vec::new(), Vec::new());
     let mut finished = false;
-    for event in session.events() {
+    for event in &session.events {
         assert!(!finished, "nothing follows the end");
         match event {
             Event::Scan(scan) => scans.push(*scan),

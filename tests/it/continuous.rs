@@ -79,7 +79,7 @@ fn joined_surfaces_are_told_apart_soon_after_each_joint_and_an_unknown_one_is_un
     let trials = parts.flat_map(|(at, &surface)| {
         (0..3).map(move |part| Entry::in_memory(trial(surface, 100 + 3 * at as u32 + part, 2.0)))
     });
-    let device = Replay::new(&scene(), trials.collect()).joined(true);
+    let device = Replay { is_joined: true, ..Replay::new(&scene(), trials.collect()) };
     let told = Told::default();
     let mut station =
         Station::new(vec![Box::new(device)], Options::default()).listener(told.clone());

@@ -28,10 +28,10 @@ fn library() -> Vec<Entry> {
 
 /// Plays a trial through the rings in chunks of `chunk_s` and gives what came out.
 fn played(trial: &Trial, chunk_s: f64) -> Trial {
-    let device = Replay::new(&Scene::lmt108(), vec![Entry::in_memory(trial.clone())]);
-    let session =
-        Session::start(vec![Box::new(device.chunk_s(chunk_s))], Options::default()).unwrap();
-    let scan = session.events().iter().find_map(|event| match event {
+    let replay = Replay::new(&Scene::lmt108(), vec![Entry::in_memory(trial.clone())]);
+    let device = Box::new(Replay { chunk_s, ..replay });
+    let session = Session::start(vec![device], Options::default()).unwrap();
+    let scan = session.events.iter().find_map(|event| match event {
         Event::Scan(scan) => Some(scan.trial),
         _ => None,
     });

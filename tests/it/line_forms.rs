@@ -261,7 +261,7 @@ fn what_has_two_readings_is_an_error_that_shows_both() {
 fn a_cell_that_is_damaged_is_missing_and_never_a_number() {
     for cell in [
         "nan", "NaN", "-nan", "inf", "-inf", "ovf", "null", "", "-", " - ", "1.2.3", "1-2", "0x",
-        "1e999",
+        "1e999", "imu_link", "1x3", "\u{b5}",
     ] {
         let mut text = vec!["1.5,2.5,3.5".to_string(); 30];
         text.push(format!("1.5,{cell},3.5"));

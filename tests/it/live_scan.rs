@@ -105,7 +105,7 @@ fn scans(sensors: Vec<Sensor>) -> (Vec<Scan>, Vec<String>) {
 /// All scans and warnings of a session.
 fn all(session: &Session) -> (Vec<Scan>, Vec<String>) {
     let (mut scans, mut warnings) = (Vec::new(), Vec::new());
-    for event in session.events() {
+    for event in &session.events {
         match event {
             Event::Scan(scan) => scans.push(*scan),
             Event::Warning(warning) => warnings.push(warning.text),

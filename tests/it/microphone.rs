@@ -43,10 +43,6 @@ impl Drop for ScriptedStream {
 }
 
 impl Sound for ScriptedMicrophone {
-    fn device(&self) -> String {
-        "ear".into()
-    }
-
     fn open(
         &mut self,
         mut sink: CallbackSink,
@@ -102,7 +98,7 @@ fn start(script: MicrophoneScript, first: Option<OpenError>) -> RunningMicrophon
     let openings = Arc::new(AtomicUsize::new(0));
     let sound = ScriptedMicrophone { script, openings: openings.clone(), first };
     let id = SourceId::new("sound").unwrap();
-    let microphone = Microphone::new(id, Pick::Mean, Box::new(sound));
+    let microphone = Microphone::new(id, "ear", Pick::Mean, Box::new(sound));
     let (sink, tap) = series(1, 60 * 44_100, Waker::new().0);
     let device = Running::start(microphone, vec![Sink::Series(sink)]);
     RunningMicrophone { device, tap, openings }

@@ -86,7 +86,7 @@ fn each_doubt_warning_and_refusal_has_its_row_among_the_remedies() {
     let doubts = variants(include_str!("../../src/method/trial/doubt.rs"), "pub enum Doubt {");
     assert_eq!(listed("Doubt", "kind"), doubts);
     let warnings =
-        variants(include_str!("../../src/station/device/warning.rs"), "pub enum WarningKind {");
+        variants(include_str!("../../src/station/device/mod.rs"), "pub enum WarningKind {");
     assert_eq!(listed("Warning", "kind"), warnings);
     let problems = include_str!("../../src/serve/request.rs").split_once("fn kind(").unwrap().1;
     let problems = problems.split_once("\n    }\n").unwrap().0;

@@ -17,7 +17,7 @@ use surfaced::trial::{Signal, Trial, TrialKey};
 #[test]
 fn a_scan_holds_the_data_of_the_recording_and_not_its_name() {
     let trials = [whole_trial(1, 9_000), whole_trial(2, 4_000)];
-    let reported = listen(replay(&trials).synthetic(true), Options::default());
+    let reported = listen(Replay { synthetic: true, ..replay(&trials) }, Options::default());
     assert!(same_signals(&reported.scans, &trials));
     for (scan, trial) in reported.scans.iter().zip(&trials) {
         assert_eq!(scan.truth.as_ref(), Some(&trial.key));
@@ -46,7 +46,7 @@ proptest! {
         let trials: Vec<_> =
             frames.iter().enumerate().map(|(i, &n)| whole_trial(i as u32 + 1, n)).collect();
         let options = Options { ring_s, ring_images, ..Options::default() };
-        let reported = listen(replay(&trials).chunk_s(chunk_s), options);
+        let reported = listen(Replay { chunk_s, ..replay(&trials) }, options);
         prop_assert!(same_signals(&reported.scans, &trials));
         prop_assert_eq!(reported.totals.lost(), 0);
     }
@@ -58,7 +58,7 @@ proptest! {
         let trials = [whole_trial(1, 6_000), whole_trial(2, 2_000)];
         let options = |ring_s| Options { ring_s, progress_every_s: Some(0.02), ..Options::default() };
         let plain = listen(replay(&trials), options(1.0));
-        let other = listen(replay(&trials).chunk_s(chunk_s), options(ring_s));
+        let other = listen(Replay { chunk_s, ..replay(&trials) }, options(ring_s));
         prop_assert!(plain.so_far.len() >= 8, "{}", plain.so_far.len());
         prop_assert_eq!(plain.so_far, other.so_far);
     }
@@ -75,7 +75,7 @@ fn a_slow_reader_costs_no_data_where_devices_wait() {
     };
     let session = Session::start(vec![Box::new(replay(&trials))], options).unwrap();
     let mut scans = Vec::new();
-    for event in session.events() {
+    for event in &session.events {
         std::thread::sleep(Duration::from_millis(3));
         if let Event::Scan(scan) = event {
             scans.push(*scan);
@@ -89,13 +89,13 @@ fn a_reader_that_never_reads_holds_up_no_live_device() {
     let trials: Vec<_> = (1..4).map(|n| whole_trial(n, 8_000)).collect();
     let options =
         Options { ring_s: 10.0, events: 1, progress_every_s: Some(0.01), ..Options::default() };
-    let live = replay(&trials).speed(Speed::RealTime(50.0));
+    let live = Replay { speed: Speed::RealTime(50.0), ..replay(&trials) };
     let session = Session::start(vec![Box::new(live)], options).unwrap();
-    let sound = session.meters().iter().find(|meter| meter.id == id("mi2")).unwrap().clone();
+    let sound = session.meters.iter().find(|meter| meter.id == id("mi2")).unwrap().clone();
     while sound.counts().received < 24_000 {
         std::thread::sleep(Duration::from_millis(1));
     }
-    let scans = session.events().iter().filter(|event| matches!(event, Event::Scan(_))).count();
+    let scans = session.events.iter().filter(|event| matches!(event, Event::Scan(_))).count();
     assert_eq!((scans, session.wait().unwrap().lost()), (3, 0));
 }
 
@@ -150,7 +150,8 @@ fn what_a_small_ring_loses_is_counted_to_the_frame() {
     let trials = [whole_trial(1, 8_000), whole_trial(2, 8_000)];
     // Each chunk is ten times what the ring holds, so that most is lost on any machine.
     let options = Options { ring_s: 0.002, ..Options::default() };
-    let reported = listen(replay(&trials).speed(Speed::RealTime(50.0)).chunk_s(0.02), options);
+    let speed = Speed::RealTime(50.0);
+    let reported = listen(Replay { speed, chunk_s: 0.02, ..replay(&trials) }, options);
     assert_eq!(reported.scans.len(), 2);
     for scan in &reported.scans {
         assert!(scan.lost_samples > 0 && !scan.spoiled.is_empty());
@@ -172,7 +173,7 @@ fn what_a_small_ring_loses_is_counted_to_the_frame() {
 fn in_real_time_with_room_nothing_is_lost() {
     let trials = [whole_trial(1, 8_000)];
     let options = Options { ring_s: 10.0, ..Options::default() };
-    let reported = listen(replay(&trials).speed(Speed::RealTime(50.0)), options);
+    let reported = listen(Replay { speed: Speed::RealTime(50.0), ..replay(&trials) }, options);
     assert!(same_signals(&reported.scans, &trials));
     assert!(reported.scans[0].spoiled.is_empty());
 }
@@ -311,8 +312,8 @@ fn a_stop_ends_a_replay_wherever_it_is() {
             ..Options::default()
         };
         let session =
-            Session::start(vec![Box::new(replay(&trials).speed(speed))], options).unwrap();
-        for _ in session.events().iter().take(read) {}
+            Session::start(vec![Box::new(Replay { speed, ..replay(&trials) })], options).unwrap();
+        for _ in session.events.iter().take(read) {}
         session.request_stop();
         let totals = session.wait().unwrap();
         assert!(totals.abandoned.is_empty() && totals.failed.is_empty());
@@ -356,7 +357,7 @@ fn traces_show_every_stream_without_a_hole() {
     let options = Options { trace_every_s: Some(0.001), ..Options::default() };
     let session = Session::start(vec![Box::new(replay(&trials))], options).unwrap();
     let mut next = 0;
-    for event in session.events() {
+    for event in &session.events {
         if let Event::Trace(trace) = event {
             for fresh in trace.fresh.iter().filter(|fresh| fresh.source == id("mi2")) {
                 assert_eq!(fresh.start, next);

@@ -357,7 +357,7 @@ fn the_light_is_asked_for_until_it_is_on() {
     let link = dir.path().join("stylus");
     let mut fake = Fake::plug(&link);
     let mut stylus = driver(&link);
-    let light = stylus.light();
+    let light = stylus.light.clone();
     light.set(true);
     let (sender, _reports) = crossbeam_channel::bounded(1024);
     let stop = Stop::default();

@@ -8,7 +8,7 @@ use surfaced::device::serial::Selector;
 use surfaced::scene::SourceId;
 use surfaced::station::AnswerState;
 use surfaced::station::config::{
-    AlertCause, HttpAddress, MqttAddress, Password, StationConfig, TlsFiles,
+    AlertCause, CoilAddress, HttpAddress, MqttAddress, Password, StationConfig, TlsFiles,
 };
 
 fn parse(text: &str) -> Result<StationConfig, String> {
@@ -177,6 +177,11 @@ fn addresses_are_taken_apart_and_others_refused() {
     let with = |user: &str, password| Some((user.to_string(), password));
     assert!(mqtt.credentials == with("me", Password::Given("secret".into())));
     assert!(!format!("{mqtt:?}").contains("secret"));
+    let (mqtt, http) = ("mqtts://[::1]:8883/hall-3", "http://[fe80::1]:80/answers?a=1");
+    assert_eq!(mqtt.parse::<MqttAddress>().unwrap().to_string(), mqtt);
+    assert_eq!(http.parse::<HttpAddress>().unwrap().to_string(), http);
+    let coil = "modbus://[::1]:502/1/12";
+    assert_eq!(coil.parse::<CoilAddress>().unwrap().to_string(), coil);
     let safe: MqttAddress = "mqtts://broker".parse().unwrap();
     assert_eq!(
         (safe.to_string().as_str(), safe.tls),
@@ -207,8 +212,8 @@ fn a_password_file_belongs_to_a_user_and_no_mistake_shows_a_password() {
         let why = stray.unwrap_err();
         assert!(why.contains("line 4: password_file: ") && !why.contains("secret"), "{why}");
     }
-    let why = outputs("mqtt = \"mqtt://me:secret@broker").unwrap_err();
-    assert!(why.contains("me:******@broker") && why.contains("line 3"), "{why}");
+    let why = outputs("mqtt = \"mqtt://me:sécr@et@broker").unwrap_err();
+    assert!(why.contains("me:********@broker") && why.contains("line 3"), "{why}");
 }
 
 #[test]

@@ -9,6 +9,7 @@ mod windows;
 use std::fs::{self, File};
 use std::io;
 use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tempfile::NamedTempFile;
 
@@ -18,6 +19,11 @@ pub use unix::*;
 #[cfg(windows)]
 #[doc(hidden)]
 pub use windows::*;
+
+/// Locks a value that each change leaves valid, so that it can be used even after a panic of a thread.
+pub fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// Renames a file or folder, but never replaces anything; [`io::ErrorKind::AlreadyExists`] if `to`
 /// exists. Linux guarantees this. On other systems, `to` is checked just before the rename.

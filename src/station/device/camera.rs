@@ -53,8 +53,8 @@ pub struct Camera {
     /// The time after which all frames show a switch of the light: light and exposure control need
     /// time, and some frames are on their way.
     settle: Duration,
-    shutter: Shutter,
-    viewfinder: Viewfinder,
+    pub shutter: Shutter,
+    pub viewfinder: Viewfinder,
     name: String,
 }
 
@@ -73,10 +73,16 @@ struct CameraWatch<'a> {
 }
 
 impl Camera {
-    /// A camera that `video` opens. Its stream `plain` gets one picture in each period `every`;
-    /// other frames are dropped. `turn` makes the pictures upright.
-    pub fn new(plain: SourceId, video: Arc<dyn Video>, turn: Turn, every: Duration) -> Self {
-        let name = format!("camera {}", video.device());
+    /// The camera called `id`, which `video` opens. Its stream `plain` gets one picture in each period
+    /// `every`; other frames are dropped. `turn` makes the pictures upright.
+    pub fn new(
+        plain: SourceId,
+        id: &str,
+        video: Arc<dyn Video>,
+        turn: Turn,
+        every: Duration,
+    ) -> Self {
+        let name = format!("camera {id}");
         let viewfinder = Viewfinder::new(plain.clone());
         Self {
             plain,
@@ -91,7 +97,7 @@ impl Camera {
         }
     }
 
-    /// Adds the stream `stream` of pictures with flash; [`Camera::shutter`] requests each picture.
+    /// Adds the stream `stream` of pictures with flash; its `shutter` requests each picture.
     /// Frames are dropped for the time `settle` after a switch of the light, until light and
     /// exposure are stable.
     pub fn flash(mut self, stream: SourceId, flash: Flash, settle: Duration) -> Self {
@@ -99,14 +105,6 @@ impl Camera {
         self.settle = settle;
         self.viewfinder.light(FlashState::Off);
         self
-    }
-
-    pub fn shutter(&self) -> Shutter {
-        self.shutter.clone()
-    }
-
-    pub fn viewfinder(&self) -> Viewfinder {
-        self.viewfinder.clone()
     }
 }
 
@@ -261,8 +259,6 @@ impl CameraWatch<'_> {
 
 /// A camera that can be opened any number of times.
 pub trait Video: Send + Sync {
-    fn device(&self) -> String;
-
     /// Opens the camera and starts its stream. Runs on the reader's thread.
     fn open(&self) -> Result<Box<dyn Frames>, OpenError>;
 }

@@ -26,8 +26,8 @@ use serialport::ClearBuffer;
 use super::serial::{BUFFER, OVERFLOWED, REPORT_EVERY, STALLED, Selector, lost, read_some};
 use super::system;
 use super::{
-    Device, DeviceError, DeviceLink, DeviceState, Disconnected, OpenError, RETRY, StreamSpec,
-    WarningKind, keep_connected,
+    Device, DeviceError, DeviceLink, DeviceReportKind, DeviceState, Disconnected, OpenError, RETRY,
+    StreamSpec, WarningKind, keep_connected,
 };
 use crate::ring::Sink;
 
@@ -39,7 +39,7 @@ pub use layout::{Column, Count, LinesStream};
 pub use survey::{ColumnSurvey, SURVEY_S, Survey};
 
 use intake::GARBAGE;
-use pace::{Arrived, Pace};
+use pace::Pace;
 
 /// Pause after a read that did not fill half of the buffer, so that one read takes many lines, even if
 /// each line is sent by itself.
@@ -257,7 +257,7 @@ impl Work<'_> {
                     put_back(bytes);
                 }
                 let intake = self.measured(&survey).map_err(OpenError::Unfit)?;
-                self.link.rate(intake.rate_hz);
+                self.link.send(DeviceReportKind::Rate(intake.rate_hz));
                 self.intake = Some(intake);
             }
         }
@@ -322,7 +322,7 @@ impl Work<'_> {
                 let Some(sink) = sinks.get_mut(stream).and_then(Sink::series) else { return };
                 match waits {
                     // Pushing fails only after a stop, when data no longer count.
-                    true => drop(sink.push_waiting(samples, link.stop())),
+                    true => drop(sink.push_waiting(samples, &link.stop)),
                     false => overflowed += sink.push(samples),
                 }
             }
@@ -362,12 +362,11 @@ impl Work<'_> {
     fn look_at_pace(&mut self, now_s: f64) {
         let Some(intake) = &self.intake else { return };
         let (frames, rate_hz, unsettled) = (intake.frames, intake.rate_hz, intake.is_unsettled());
-        let clock_hz = intake.clock_hz();
-        if !self.pace.rows(Arrived { now_s, frames, rate_hz, unsettled, clock_hz }) {
+        if !self.pace.rows(now_s, frames, rate_hz, unsettled, intake.clock_hz()) {
             return;
         }
         let seen_hz = self.pace.off_hz.map(|seen_hz| clocks::rounded(seen_hz, 3));
-        self.link.off_pace(seen_hz);
+        self.link.send(DeviceReportKind::OffPace(seen_hz));
         if let Some(seen_hz) = seen_hz {
             let text = format!(
                 "its rate is {seen_hz} Hz, but {rate_hz} Hz are expected, so scans have a wrong \

@@ -48,8 +48,6 @@ pub enum StreamError {
 }
 
 pub trait Sound: Send {
-    fn device(&self) -> String;
-
     /// Opens the microphone at [`RATE_HZ`]. A callback feeds `sink` and sends errors to `errors`
     /// (by `try_send`, since it must not wait) until the returned value is dropped.
     fn open(
@@ -68,9 +66,8 @@ pub struct Microphone {
 }
 
 impl Microphone {
-    pub fn new(stream: SourceId, pick: Pick, sound: Box<dyn Sound>) -> Self {
-        let name = format!("microphone {}", sound.device());
-        Self { stream, pick, sound, name }
+    pub fn new(stream: SourceId, id: &str, pick: Pick, sound: Box<dyn Sound>) -> Self {
+        Self { stream, pick, sound, name: format!("microphone {id}") }
     }
 }
 

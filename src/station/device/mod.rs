@@ -17,10 +17,8 @@ mod replay;
 #[doc(hidden)]
 pub mod serial;
 mod system;
-mod warning;
 
 pub use replay::{Replay, Speed};
-pub use warning::{Warning, WarningKind};
 
 use std::cell::{Cell, RefCell};
 use std::fmt;
@@ -124,10 +122,70 @@ pub enum DeviceReportKind {
     Ended(Result<(), DeviceError>),
 }
 
+/// What a warning is about: something was lost, damaged or not understood, and work continues. A kind stays
+/// the same between versions; `src/serve/remedies.md` has a row for each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WarningKind {
+    /// A device did not stop in time.
+    Abandoned,
+    /// The crystal of a stylus has failed.
+    Crystal,
+    /// Data of a device were damaged, late or not understood.
+    Damaged,
+    /// Reference scans say that the station drifts.
+    Drift,
+    /// An order cannot be followed here.
+    Ignored,
+    /// A part of the recordings, or a device, is left out.
+    LeftOut,
+    /// The level of a sound is too low or too high.
+    Level,
+    /// The library cannot be read.
+    LibraryUnread,
+    /// The light of a camera cannot be switched.
+    Light,
+    /// A scan reached the longest time.
+    LongestScan,
+    /// A trial was not written.
+    TrialUnwritten,
+    /// The rate of a sensor is not the expected one.
+    OffPace,
+    /// A scan was cut off, and is not named.
+    ScanCut,
+    /// The begin or end of a scan does not fit the data.
+    ScanMark,
+    /// Two columns seem to have changed places.
+    Swapped,
+    /// A device cannot be opened, for another reason than before.
+    Unopened,
+    /// A scan was not named.
+    Unnamed,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Warning {
+    pub kind: WarningKind,
+    /// The warning in words.
+    pub text: String,
+}
+
+impl Warning {
+    pub fn new(kind: WarningKind, text: impl Into<String>) -> Self {
+        Self { kind, text: text.into() }
+    }
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
 #[derive(Debug)]
 pub struct DeviceLink {
     device: usize,
-    stop: Stop,
+    pub stop: Stop,
     reports: Sender<DeviceReport>,
     last: RefCell<Option<(DeviceState, String)>>,
     /// Whether the device was lost as soon as it was opened, so that opening it again is no news.
@@ -141,10 +199,6 @@ impl DeviceLink {
 
     pub fn stopped(&self) -> bool {
         self.stop.requested()
-    }
-
-    pub fn stop(&self) -> &Stop {
-        &self.stop
     }
 
     /// Sleeps until `instant`, or until a stop is requested. Returns false after a stop.
@@ -181,14 +235,6 @@ impl DeviceLink {
     /// they may occur a thousand times a second.
     pub fn warn(&self, kind: WarningKind, text: impl Into<String>) {
         self.send(DeviceReportKind::Warning(Warning::new(kind, text)));
-    }
-
-    pub fn rate(&self, rate_hz: f64) {
-        self.send(DeviceReportKind::Rate(rate_hz));
-    }
-
-    pub fn off_pace(&self, seen_hz: Option<f64>) {
-        self.send(DeviceReportKind::OffPace(seen_hz));
     }
 
     /// Reports the result of the device's thread, also after a stop.
@@ -363,10 +409,14 @@ mod running;
 mod tests {
     use super::*;
 
+    fn link() -> (DeviceLink, crossbeam_channel::Receiver<DeviceReport>) {
+        let (send, reports) = crossbeam_channel::unbounded();
+        (DeviceLink::new(0, Stop::default(), send), reports)
+    }
+
     #[test]
     fn a_state_is_reported_once_a_change_of_it_or_of_its_reason() {
-        let (sender, reports) = crossbeam_channel::bounded(8);
-        let link = DeviceLink::new(0, Stop::default(), sender);
+        let (link, reports) = link();
         link.state(DeviceState::Opening, "");
         link.state(DeviceState::Streaming, "");
         link.state(DeviceState::Streaming, "");
@@ -379,9 +429,8 @@ mod tests {
 
     #[test]
     fn a_session_that_is_gone_stops_the_device() {
-        let (sender, reports) = crossbeam_channel::bounded(8);
+        let (link, reports) = link();
         drop(reports);
-        let link = DeviceLink::new(0, Stop::default(), sender);
         link.mark(Mark::End { at: Instant::now() });
         assert!(link.stopped());
     }
@@ -398,15 +447,13 @@ mod tests {
 
     #[test]
     fn a_peer_that_hangs_up_at_once_is_told_once_and_asked_more_rarely() {
-        let (send, reports) = crossbeam_channel::unbounded();
-        let stop = Stop::default();
-        let link = DeviceLink::new(0, stop.clone(), send);
+        let (link, reports) = link();
         let (mut attempts, begin) = (0, Instant::now());
         let connect = || {
             attempts += 1;
             link.state(DeviceState::Opening, "it");
             if attempts == 3 {
-                stop.request();
+                link.stop.request();
             }
             Err(Disconnected::Lost("it hung up".into()))
         };
@@ -420,14 +467,12 @@ mod tests {
 
     #[test]
     fn equal_failures_to_open_make_one_report() {
-        let (send, reports) = crossbeam_channel::unbounded();
-        let stop = Stop::default();
-        let link = DeviceLink::new(0, stop.clone(), send);
+        let (link, reports) = link();
         let mut attempts = 0;
         let connect = || {
             attempts += 1;
             if attempts == 3 {
-                stop.request();
+                link.stop.request();
             }
             Err(OpenError::Absent("it".into()).into())
         };

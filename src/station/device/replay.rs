@@ -25,19 +25,24 @@ const ANY_RATE_HZ: f64 = 44_100.0;
 
 #[derive(Debug)]
 pub struct Replay {
-    specs: Vec<SourceSpec>,
-    entries: Vec<Entry>,
-    speed: Speed,
-    chunk_s: f64,
-    rest_s: f64,
-    is_joined: bool,
-    synthetic: bool,
+    /// Each of these sources gets one stream; other sources of trials are left out.
+    pub specs: Vec<SourceSpec>,
+    /// Played in this order. Each trial is read from disk while the previous trial plays.
+    pub entries: Vec<Entry>,
+    pub speed: Speed,
+    /// A recording is pushed in parts of this length, in seconds.
+    pub chunk_s: f64,
+    /// Rest between two trials in real time, in seconds, so that people can read an answer.
+    pub rest_s: f64,
+    /// Whether the drags are joined to one scan, without pictures and taps. All sources of a trial are
+    /// cut to the shortest of them. A trial with other sources or rates than the one before it begins
+    /// another scan.
+    pub is_joined: bool,
+    pub synthetic: bool,
 }
 
 impl Replay {
-    /// Plays `entries` in this order, as fast as the session takes the data. Each source of `scene`
-    /// gets one stream, sorted by name; other sources are left out. Each trial is read from disk
-    /// while the previous trial plays.
+    /// Plays `entries` as fast as the session takes the data, with the sources of `scene`.
     pub fn new(scene: &Scene, entries: Vec<Entry>) -> Self {
         Self {
             specs: scene.sources().cloned().collect(),
@@ -48,35 +53,6 @@ impl Replay {
             is_joined: false,
             synthetic: false,
         }
-    }
-
-    pub fn speed(mut self, speed: Speed) -> Self {
-        self.speed = speed;
-        self
-    }
-
-    /// Pushes a recording in parts of this length, in seconds.
-    pub fn chunk_s(mut self, seconds: f64) -> Self {
-        self.chunk_s = seconds.max(1e-6);
-        self
-    }
-
-    /// Rests for this time between two trials in real time, so that people can read an answer.
-    pub fn rest_s(mut self, seconds: f64) -> Self {
-        self.rest_s = seconds;
-        self
-    }
-
-    /// Joins the drags to one scan, without pictures and taps. All sources of a trial are cut to the shortest
-    /// of them. A trial with other sources or rates than the one before it begins another scan.
-    pub fn joined(mut self, is_joined: bool) -> Self {
-        self.is_joined = is_joined;
-        self
-    }
-
-    pub fn synthetic(mut self, synthetic: bool) -> Self {
-        self.synthetic = synthetic;
-        self
     }
 }
 
@@ -337,7 +313,7 @@ impl Player<'_> {
     fn picture(&mut self, index: usize, image: Image) -> Result<(), DeviceError> {
         self.open(index, self.sinks[index].position(), 1.0, 3);
         if let Some(sink) = self.sinks[index].images() {
-            self.replay.speed.push(sink, &[image.into()], self.link.stop())?;
+            self.replay.speed.push(sink, &[image.into()], &self.link.stop)?;
         }
         self.close(index);
         Ok(())
@@ -355,7 +331,7 @@ impl Player<'_> {
         let mut step = 0_u32;
         while !tracks.is_empty() {
             step += 1;
-            let played_s = f64::from(step) * self.replay.chunk_s;
+            let played_s = f64::from(step) * self.replay.chunk_s.max(1e-6);
             if let Speed::RealTime(factor) = self.replay.speed {
                 let longest =
                     tracks.iter().map(|track| track.series.duration_s()).fold(0.0, f64::max);
@@ -365,22 +341,18 @@ impl Player<'_> {
             if self.link.stopped() {
                 return Err(Stopped.into());
             }
-            let mut still = Vec::with_capacity(tracks.len());
-            for mut track in tracks {
-                let frames = track.frames;
-                let until = ((played_s * track.series.rate_hz()) as usize).min(frames);
+            for track in &mut tracks {
+                let until = ((played_s * track.series.rate_hz()) as usize).min(track.frames);
                 if until > track.played {
-                    self.push(&track, until)?;
+                    self.push(track, until)?;
                     track.played = until;
                 }
-                match until < frames {
-                    true => still.push(track),
-                    // The sources of joined drags end with the scan.
-                    false if self.replay.is_joined => {}
-                    false => self.close(track.index),
+                // The sources of joined drags end with the scan.
+                if until == track.frames && !self.replay.is_joined {
+                    self.close(track.index);
                 }
             }
-            tracks = still;
+            tracks.retain(|track| track.played < track.frames);
         }
         Ok(())
     }
@@ -398,6 +370,6 @@ impl Player<'_> {
             }
             samples = &wide;
         }
-        self.replay.speed.push(sink, samples, self.link.stop())
+        self.replay.speed.push(sink, samples, &self.link.stop)
     }
 }

@@ -45,7 +45,7 @@ pub struct StylusConfig {
 pub struct Stylus {
     name: String,
     config: StylusConfig,
-    light: Light,
+    pub light: Light,
 }
 
 impl Stylus {
@@ -55,10 +55,6 @@ impl Stylus {
             port => format!("stylus {port}"),
         };
         Self { name, config, light: Light::default() }
-    }
-
-    pub fn light(&self) -> Light {
-        self.light.clone()
     }
 }
 

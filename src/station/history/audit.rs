@@ -9,7 +9,6 @@
 use std::collections::VecDeque;
 use std::io::{self, Write};
 use std::path::Path;
-use std::sync::{MutexGuard, PoisonError};
 use std::time::SystemTime;
 
 use serde::Serialize;
@@ -18,6 +17,7 @@ use serde_json::{Map, Value};
 use super::log::Log;
 use super::{History, HistoryError, MOST_IN_MEMORY};
 use crate::printable::json_text;
+use crate::system::lock;
 use crate::trial::unix_ms;
 
 const FILE: &str = "audit.jsonl";
@@ -84,11 +84,10 @@ type Row = Map<String, Value>;
 #[derive(Debug, Default)]
 pub(super) struct AuditLog {
     log: Option<Log>,
-    in_memory: VecDeque<Row>,
-    /// Number of the records that were in memory so far, by which those have their ids.
-    count: u64,
-    /// Lines that could not be written to disk yet.
+    /// Lines that are not on disk: those that could not be written yet, or all without a disk.
     unwritten: VecDeque<String>,
+    /// Without a disk, the bytes of the lines that were dropped, which stand before the others.
+    dropped: u64,
 }
 
 impl AuditLog {
@@ -97,18 +96,10 @@ impl AuditLog {
     }
 
     fn add(&mut self, record: &AuditRecord) -> Result<(), HistoryError> {
-        let text = json_text(record);
-        if self.log.is_none() {
-            self.in_memory.extend(row(text.as_bytes(), self.count));
-            self.count += 1;
-            if self.in_memory.len() > MOST_IN_MEMORY {
-                self.in_memory.pop_front();
-            }
-            return Ok(());
-        }
-        self.unwritten.push_back(text);
+        self.unwritten.push_back(json_text(record));
         if self.unwritten.len() > MOST_IN_MEMORY {
-            self.unwritten.pop_front();
+            let line = self.unwritten.pop_front().unwrap_or_default();
+            self.dropped += line.len() as u64 + 1;
         }
         self.write()
     }
@@ -123,9 +114,9 @@ impl AuditLog {
         Ok(())
     }
 
-    /// The records that are not on disk yet, the oldest first. Each has the id that it will have there.
+    /// The records that are not on disk, the oldest first. Each has the id that it would have there.
     fn waiting(&self) -> Vec<Row> {
-        let mut at = self.log.as_ref().map_or(0, |log| log.bytes);
+        let mut at = self.log.as_ref().map_or(self.dropped, |log| log.bytes);
         let mut rows = Vec::new();
         for line in &self.unwritten {
             rows.extend(row(line.as_bytes(), at));
@@ -135,12 +126,11 @@ impl AuditLog {
     }
 
     fn newest(&self, before: u64, most: usize) -> Result<Vec<Row>, HistoryError> {
-        let Some(log) = &self.log else {
-            let older = self.in_memory.iter().rev().filter(|row| row["id"].as_u64() < Some(before));
-            return Ok(older.take(most).cloned().collect());
-        };
         let mut waiting = self.waiting();
         waiting.retain(|row| row["id"].as_u64() < Some(before));
+        let Some(log) = &self.log else {
+            return Ok(waiting.into_iter().rev().take(most).collect());
+        };
         let end = before.min(log.bytes);
         let mut span = USUAL_LINE.saturating_mul(most as u64);
         loop {
@@ -167,15 +157,10 @@ fn row(line: &[u8], id: u64) -> Option<Row> {
 }
 
 impl History {
-    fn audit(&self) -> MutexGuard<'_, AuditLog> {
-        // A record is added whole or not at all, so the log is usable even after a panic of a thread.
-        self.audit.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Adds records of changes that were made. A record that cannot be written to disk is tried again
     /// with the next one, and every few seconds.
     pub fn note_changes(&self, records: impl IntoIterator<Item = AuditRecord>) {
-        let mut log = self.audit();
+        let mut log = lock(&self.audit);
         for record in records {
             if let Err(error) = log.add(&record) {
                 tracing::warn!("a change is not yet in the audit log: {error}");
@@ -185,21 +170,20 @@ impl History {
 
     pub(super) fn write_waiting_changes(&self) {
         // That they wait was said when they were made.
-        let _ = self.audit().write();
+        let _ = lock(&self.audit).write();
     }
 
     /// At most `most` records of changes, the newest first. With `before`, all are older than the
     /// record with that id.
     pub fn changes(&self, before: Option<u64>, most: usize) -> Result<Vec<Row>, HistoryError> {
-        self.audit().newest(before.unwrap_or(u64::MAX), most)
+        lock(&self.audit).newest(before.unwrap_or(u64::MAX), most)
     }
 
     /// Writes all records of changes, the oldest first, with a line of JSON for each.
     pub fn write_changes(&self, mut out: impl Write) -> io::Result<()> {
         let (log, others) = {
-            let audit = self.audit();
-            let others = audit.in_memory.iter().cloned().chain(audit.waiting());
-            (audit.log.as_ref().map(Log::share).transpose()?, others.collect::<Vec<_>>())
+            let audit = lock(&self.audit);
+            (audit.log.as_ref().map(Log::share).transpose()?, audit.waiting())
         };
         if let Some(log) = log {
             log.each(0..log.bytes, |line, at| match row(line, at.offset) {
@@ -259,13 +243,13 @@ mod tests {
         let history = History::open(dir.path(), 1 << 20).unwrap();
         note(&history, "a");
         let refused = |subject: &str| format!("{{\"subject\": \"{subject}\"}}");
-        history.audit().unwritten = ["b", "c"].map(refused).into();
+        lock(&history.audit).unwritten = ["b", "c"].map(refused).into();
         let waiting = history.changes(None, 2).unwrap();
         assert_eq!(subjects(&waiting), ["c", "b"]);
         let older = history.changes(waiting[1]["id"].as_u64(), 2).unwrap();
         assert_eq!(subjects(&older), ["a"]);
         history.write_waiting_changes();
-        assert!(history.audit().unwritten.is_empty());
+        assert!(lock(&history.audit).unwritten.is_empty());
         assert_eq!(history.changes(None, 2).unwrap(), waiting);
     }
 

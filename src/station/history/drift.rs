@@ -52,16 +52,14 @@ pub enum Quantity {
     Noise,
 }
 
-impl Quantity {
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Fit => "fit",
-            Self::Distance => "distance",
-            Self::Level => "level",
-            Self::Noise => "noise",
-        }
+impl std::fmt::Display for Quantity {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        // Writes the quantity's name in JSON.
+        self.serialize(f)
     }
+}
 
+impl Quantity {
     /// The least spread, and the direction in which the quantity gets worse.
     fn how(self) -> (f64, Worse) {
         match self {

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, UNIX_EPOCH};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
@@ -17,6 +17,7 @@ use crate::printable::json_text;
 use crate::record::{TrialOptions, write_trial};
 use crate::scene::Scene;
 use crate::station::{AnsweredScan, End, Listener, StationEvent, Why};
+use crate::system::lock;
 use crate::trial::{Signal, Trial, TrialKey, lines, utc};
 
 /// How many scans may wait in the queue of each thread. Scans of ten seconds then take some 50 MB.
@@ -120,8 +121,8 @@ impl Drop for Keeper {
         self.scans = None;
         if !self.end.wait(Duration::MAX) {
             self.waiting.try_iter().for_each(|scan| tell_lost(&scan));
-            let Work { history, .. } = &*self.work;
-            for id in std::mem::take(&mut *self.work.without_notes()) {
+            let Work { history, without_notes, .. } = &*self.work;
+            for id in std::mem::take(&mut *lock(without_notes)) {
                 history.note(history.kept(&id));
             }
         }
@@ -133,11 +134,6 @@ fn tell_lost(scan: &AnsweredScan) {
 }
 
 impl Work {
-    fn without_notes(&self) -> MutexGuard<'_, BTreeSet<String>> {
-        // Each change is one insertion or removal, so the set is usable even after a panic.
-        self.without_notes.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn write_all(&self, scans: &Receiver<Arc<AnsweredScan>>, notes: &Sender<Written>) {
         loop {
             let scan = match scans.recv_timeout(RETRY) {
@@ -156,9 +152,9 @@ impl Work {
                 continue;
             };
             let id = scan.answer.id.clone();
-            self.without_notes().insert(id.clone());
+            lock(&self.without_notes).insert(id.clone());
             let too_many_wait = notes.try_send((scan, folder)).is_err();
-            if too_many_wait && self.without_notes().remove(&id) {
+            if too_many_wait && lock(&self.without_notes).remove(&id) {
                 self.history.note(self.history.kept(&id));
             }
         }
@@ -191,7 +187,7 @@ impl Work {
         for (scan, folder) in written {
             let noted = self.note(&scan, &folder);
             let id = &scan.answer.id;
-            if self.without_notes().remove(id) {
+            if lock(&self.without_notes).remove(id) {
                 let kept = self.history.kept(id);
                 self.history.note(noted.and(kept));
             }

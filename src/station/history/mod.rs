@@ -36,7 +36,7 @@ pub use keeper::Keeper;
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -50,6 +50,7 @@ use crate::recognise::wilson_interval;
 use crate::record::edit::Move;
 use crate::scene::SourceId;
 use crate::station::{Answer, AnswerState};
+use crate::system::lock;
 
 const MOST_IN_MEMORY: usize = 1000;
 /// Name of the folder of a history. It lies in the folder of the library that names the scans.
@@ -154,21 +155,15 @@ impl History {
         Ok(Self { inner: Mutex::new(inner), ..Self::default() })
     }
 
-    fn lock(&self) -> MutexGuard<'_, HistoryState> {
-        // Each change is complete in itself, so the state is usable even after a panic of a thread.
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Until the guard is dropped, nobody else can turn a scan into a trial, or correct such a trial.
     /// So a scan becomes only one trial, even if several clients ask at once.
     pub fn reviewing(&self) -> MutexGuard<'_, ()> {
-        // The lock holds no data, so it is usable even after a panic of a thread.
-        self.review.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.review)
     }
 
     /// Adds an answer. If it cannot be written, it is kept in memory, and the error is returned.
     pub fn answered(&self, answer: &Answer) -> Result<(), HistoryError> {
-        let inner = &mut *self.lock();
+        let inner = &mut *lock(&self.inner);
         // Room is made first, since a full disk would refuse the answer.
         let room = inner.make_room().and_then(|()| inner.bound_log());
         let head = Head::of(answer);
@@ -188,7 +183,7 @@ impl History {
 
     /// Notes that the signals of a scan are on disk, and removes the oldest if space is short.
     pub(crate) fn kept(&self, id: &str) -> Result<(), HistoryError> {
-        let inner = &mut *self.lock();
+        let inner = &mut *lock(&self.inner);
         let Some(bytes) = inner.disk.as_ref().map(|disk| disk.signal_bytes(id)).transpose()? else {
             return Ok(());
         };
@@ -201,7 +196,7 @@ impl History {
     /// Sets the reference surfaces, each with the moment from which its scans count, in milliseconds
     /// since 1970.
     pub fn refer(&self, surfaces: &BTreeMap<String, u64>) {
-        let inner = &mut *self.lock();
+        let inner = &mut *lock(&self.inner);
         if inner.references != *surfaces {
             inner.references.clone_from(surfaces);
             (inner.readings, inner.drift) = (BTreeMap::new(), None);
@@ -210,7 +205,7 @@ impl History {
 
     /// The drift of the station, by its reference scans so far. Reads those that it has not read yet.
     pub fn drift(&self) -> Arc<Drift> {
-        self.lock().drift()
+        lock(&self.inner).drift()
     }
 
     /// Sets the correction of a scan (what it truly was), or removes it. Returns the correction before.
@@ -219,7 +214,7 @@ impl History {
         id: &str,
         correction: Option<Correction>,
     ) -> Result<Option<Correction>, HistoryError> {
-        let inner = &mut *self.lock();
+        let inner = &mut *lock(&self.inner);
         let before = inner.find(id)?.correction.clone();
         if let Some(disk) = &inner.disk {
             let label = correction.as_ref().and_then(Correction::surface);
@@ -236,7 +231,7 @@ impl History {
         trial: Option<String>,
         person: Option<String>,
     ) -> Result<(), HistoryError> {
-        let inner = &mut *self.lock();
+        let inner = &mut *lock(&self.inner);
         inner.find(id)?;
         inner.change(LogLine::Trial { id: id.into(), trial, person })
     }
@@ -249,7 +244,7 @@ impl History {
         scan_of: impl Fn(&Move) -> Option<String>,
         person: Option<&str>,
     ) -> Result<(), HistoryError> {
-        let inner = &mut *self.lock();
+        let inner = &mut *lock(&self.inner);
         let went: BTreeMap<String, &str> =
             moves.iter().filter_map(|one| Some((scan_of(one)?, one.to.as_str()))).collect();
         let of = |entry: &HistoryEntry| {
@@ -271,7 +266,7 @@ impl History {
         wanted: &Wanted,
     ) -> Result<Vec<HistoryRow>, HistoryError> {
         let end = {
-            let inner = &*self.lock();
+            let inner = &*lock(&self.inner);
             before.map_or(inner.entries.len(), |name| inner.position(name).unwrap_or(0))
         };
         (0..end).rev().filter_map(|at| self.at(at, wanted)).take(most).collect()
@@ -282,11 +277,11 @@ impl History {
         &self,
         wanted: Wanted,
     ) -> impl Iterator<Item = Result<HistoryRow, HistoryError>> + '_ {
-        (0..self.lock().entries.len()).filter_map(move |at| self.at(at, &wanted))
+        (0..lock(&self.inner).entries.len()).filter_map(move |at| self.at(at, &wanted))
     }
 
     fn at(&self, at: usize, wanted: &Wanted) -> Option<Result<HistoryRow, HistoryError>> {
-        let inner = self.lock();
+        let inner = lock(&self.inner);
         let row = inner.row(inner.entries.get(at).filter(|entry| wanted.lets(entry))?);
         drop(inner);
         Some(row).filter(|row| row.as_ref().map_or(true, |row| wanted.lets_text(row)))
@@ -298,12 +293,12 @@ impl History {
 
     /// The answer with this name (its id), or the newest one with this scan number.
     pub fn answer(&self, name: &str) -> Result<HistoryRow, HistoryError> {
-        let inner = &*self.lock();
+        let inner = &*lock(&self.inner);
         inner.row(inner.find(name)?)
     }
 
     pub fn folder(&self, name: &str) -> Result<PathBuf, HistoryError> {
-        let inner = &*self.lock();
+        let inner = &*lock(&self.inner);
         let HistoryEntry { head: Head { id, .. }, signals, .. } = inner.find(name)?;
         let folder = inner.disk.as_ref().filter(|_| signals.is_some()).map(|disk| disk.folder(id));
         folder.ok_or_else(|| HistoryError::NoSignals(id.clone()))
@@ -311,11 +306,11 @@ impl History {
 
     /// The history's folder, a library into which scans are written as trials; `None` in memory.
     pub fn root(&self) -> Option<PathBuf> {
-        self.lock().disk.as_ref().map(|disk| disk.root.clone())
+        lock(&self.inner).disk.as_ref().map(|disk| disk.root.clone())
     }
 
     pub fn precision(&self) -> Vec<Precision> {
-        let inner = &*self.lock();
+        let inner = &*lock(&self.inner);
         let answered = inner.entries.iter().filter(|e| e.head.state != AnswerState::Unnamed);
         let corrected = answered
             .filter_map(|entry| Some((entry.head.surface.as_deref(), entry.correction.as_ref()?)));
@@ -328,11 +323,11 @@ impl History {
             matches!(entry.head.state, AnswerState::Unknown | AnswerState::Unsure)
                 && entry.correction.is_none()
         };
-        self.lock().entries.iter().filter(doubtful).count()
+        lock(&self.inner).entries.iter().filter(doubtful).count()
     }
 
     pub fn extent(&self) -> Extent {
-        let inner = &*self.lock();
+        let inner = &*lock(&self.inner);
         let log = inner.disk.as_ref().map_or(0, |disk| disk.log.bytes);
         Extent {
             scans: inner.entries.len(),
@@ -346,7 +341,7 @@ impl History {
     /// Stores as `problem` why scans cannot be kept now. Warns only if there was no problem before.
     fn note(&self, done: Result<(), HistoryError>) {
         let problem = done.err().map(|error| error.to_string());
-        let before = std::mem::replace(&mut self.lock().problem, problem.clone());
+        let before = std::mem::replace(&mut lock(&self.inner).problem, problem.clone());
         if let (None, Some(problem)) = (before, problem) {
             tracing::warn!("scans are not kept in the history: {problem}");
         }

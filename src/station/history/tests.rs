@@ -162,9 +162,9 @@ fn the_oldest_signals_make_room_and_their_answers_stay() {
     assert_eq!((on_disk, scans(&history).len()), (3, 10));
     assert!(history.extent().bytes <= 80_000);
     // As on a disk that is nearly full.
-    history.lock().let_go(20_001).unwrap();
+    lock(&history.inner).let_go(20_001).unwrap();
     assert_eq!(kept(), [&ids[9]]);
-    history.lock().let_go(1 << 20).unwrap();
+    lock(&history.inner).let_go(1 << 20).unwrap();
     assert_eq!((kept().len(), scans(&history).len()), (0, 10));
     // Signals that find no room at all are a problem, which is told.
     let answer = answer(11, Some("oak"));

@@ -352,11 +352,6 @@ impl StreamLevel {
         }
     }
 
-    /// A new meter of the same stream at another rate in Hz; it has learnt nothing yet.
-    pub(super) fn at_rate(&self, rate_hz: f64) -> Self {
-        Self::new(self.kind, self.channels, rate_hz)
-    }
-
     /// Takes the interleaved frames of the next hop, and returns the hop's level; `None` if more than
     /// half of its frames are `missing` (ranges in order, counted from the hop's first frame), or if
     /// there are none. Missing frames count for nothing. The noise floor is learnt unless `held` (during

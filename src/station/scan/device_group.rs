@@ -104,7 +104,9 @@ impl DeviceGroup {
         if rate_hz != self.rate_hz {
             // The device has measured its rate, before its first frame.
             self.rate_hz = rate_hz;
-            self.channels.iter_mut().for_each(|(_, level)| *level = level.at_rate(rate_hz));
+            for (at, level) in &mut self.channels {
+                *level = StreamLevel::new(level.kind, streams[*at].channels, rate_hz);
+            }
             self.detector = Detector::new(self.detector.config, self.hop_s());
         }
         let kept = |stream: &Stream| match &stream.buffer {
@@ -143,8 +145,7 @@ impl DeviceGroup {
                     }
                     _ => level.hop(&[], [], held),
                 };
-                highest =
-                    new.map_or(highest, |x| Some(highest.map_or(x, |highest| highest.max(x))));
+                highest = highest.into_iter().chain(new).reduce(f64::max);
                 let quiet = self.detector.config.quiet;
                 pressed |= level.kind == SensorKind::Force && new.is_some_and(|x| x >= quiet);
             }

@@ -132,9 +132,6 @@ fn is_long(gap: &Range<u64>, rate_hz: f64) -> bool {
     (gap.end - gap.start) as f64 > BRIDGED_S * rate_hz
 }
 
-/// The signal of one source, the number of its lost frames, and why the signal should not be trusted.
-type CutPiece = (Option<Signal>, u64, Option<Doubt>);
-
 /// Cuts a scan out of the streams; `None` if the scan has not ended.
 pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
     let (ended_at, _) = marked.ended?;
@@ -173,7 +170,12 @@ pub(super) fn cut(marked: Marked, streams: &[Stream]) -> Option<Scan> {
     })
 }
 
-fn cut_series(source: &SourceId, cut: &SourceSpan, history: &SeriesHistory) -> CutPiece {
+/// The signal of one source, the number of its lost frames, and why the signal should not be trusted.
+fn cut_series(
+    source: &SourceId,
+    cut: &SourceSpan,
+    history: &SeriesHistory,
+) -> (Option<Signal>, u64, Option<Doubt>) {
     let end = cut.end.unwrap_or(cut.start);
     let (seconds, of) = (|frames: u64| frames as f64 / cut.rate_hz, || source.clone());
     let expected_s = seconds(end - cut.start);

@@ -50,12 +50,13 @@ impl StreamMeter {
 /// Running devices and their collector. Dropping the session asks them to stop, and does not wait.
 #[derive(Debug)]
 pub struct Session {
-    events: Receiver<Event>,
+    /// The events; the last is [`Event::Finished`]. All clones of the receiver draw from one queue.
+    pub events: Receiver<Event>,
     commands: Sender<ScanCommand>,
     stop: Stop,
     waker: Waker,
     begun: Arc<AtomicU32>,
-    meters: Vec<StreamMeter>,
+    pub meters: Vec<StreamMeter>,
     devices: Vec<(String, JoinHandle<()>)>,
     collector: Option<JoinHandle<Totals>>,
 }
@@ -129,15 +130,6 @@ impl Session {
             session.devices.push((name, thread));
         }
         Ok(session)
-    }
-
-    /// The events; the last is [`Event::Finished`]. All clones of the receiver draw from one queue.
-    pub fn events(&self) -> &Receiver<Event> {
-        &self.events
-    }
-
-    pub fn meters(&self) -> &[StreamMeter] {
-        &self.meters
     }
 
     pub fn next_scan(&self) -> u32 {

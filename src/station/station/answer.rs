@@ -125,15 +125,10 @@ pub enum AnswerState {
     Unnamed,
 }
 
-impl AnswerState {
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Named => "named",
-            Self::Nearest => "nearest",
-            Self::Unsure => "unsure",
-            Self::Unknown => "unknown",
-            Self::Unnamed => "unnamed",
-        }
+impl std::fmt::Display for AnswerState {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        // Writes the state's name in JSON.
+        self.serialize(f)
     }
 }
 

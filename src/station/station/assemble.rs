@@ -34,7 +34,7 @@ impl Listener for Shutter {
 pub fn assemble(config: &StationConfig) -> Assembled {
     let mut all = Assembled::default();
     let stylus = config.stylus.clone().map(Stylus::new);
-    let light = stylus.as_ref().map(Stylus::light);
+    let light = stylus.as_ref().map(|stylus| stylus.light.clone());
     stylus.into_iter().for_each(|stylus| all.add(Box::new(stylus)));
     for lines in config.lines.iter().cloned() {
         all.add(Box::new(Lines::new(lines)));
@@ -70,8 +70,9 @@ impl Assembled {
     #[cfg(feature = "microphone")]
     fn add_microphone(&mut self, config: &MicrophoneConfig) -> Result<(), OpenError> {
         use crate::device::microphone::{Alsa, Microphone};
-        let alsa = Box::new(Alsa::new(config.device.clone())?);
-        self.add(Box::new(Microphone::new(config.stream.clone(), config.pick, alsa)));
+        let MicrophoneConfig { device, pick, stream } = config;
+        let alsa = Box::new(Alsa::new(device.clone())?);
+        self.add(Box::new(Microphone::new(stream.clone(), device, *pick, alsa)));
         Ok(())
     }
 
@@ -85,19 +86,16 @@ impl Assembled {
         use std::sync::Arc;
 
         use crate::device::camera::{Camera, Flash, V4l};
-        let video = Arc::new(V4l::new(config.device.clone(), config.turn));
-        let mut camera = Camera::new(config.source.clone(), video, config.turn, config.every);
-        self.viewfinder = Some(camera.viewfinder());
-        if let Some(flash) = &config.flash {
-            let by = match (flash.by_camera, light) {
-                (true, _) => Some(Flash::Camera),
-                (false, Some(light)) => Some(Flash::Stylus(light)),
-                (false, None) => None,
-            };
-            if let Some(by) = by {
-                camera = camera.flash(flash.source.clone(), by, flash.settle);
-                self.flasher = Some(camera.shutter());
-            }
+        let CameraConfig { device, turn, every, source, .. } = config;
+        let video = Arc::new(V4l { id: device.clone(), turn: *turn });
+        let mut camera = Camera::new(source.clone(), device, video, *turn, *every);
+        self.viewfinder = Some(camera.viewfinder.clone());
+        let by_stylus = light.map(Flash::Stylus);
+        if let Some(flash) = &config.flash
+            && let Some(by) = if flash.by_camera { Some(Flash::Camera) } else { by_stylus }
+        {
+            camera = camera.flash(flash.source.clone(), by, flash.settle);
+            self.flasher = Some(camera.shutter.clone());
         }
         self.add(Box::new(camera));
         Ok(())

@@ -154,7 +154,7 @@ impl<'a> StationRun<'a> {
             listeners,
         };
         keep.into_iter().for_each(|keep| run.orders.set_own(keep));
-        run.emit(StationEvent::Streams(run.session.meters().to_vec()));
+        run.emit(StationEvent::Streams(run.session.meters.to_vec()));
         run.report_order();
         match recogniser {
             Some(recogniser) => run.loaded(Ok(recogniser)),
@@ -187,7 +187,7 @@ impl<'a> StationRun<'a> {
             }
             // A recording is paused until its scans are named; live devices cannot be paused.
             let reads = !finished && (!self.waits || self.to_do.is_empty());
-            let events = if reads { self.session.events().clone() } else { never() };
+            let events = if reads { self.session.events.clone() } else { never() };
             let done = self.worker.done.clone();
             let stored = self.recording.as_ref().map_or_else(never, |thread| thread.stored.clone());
             let loaded = self.loading.clone().unwrap_or_else(never);

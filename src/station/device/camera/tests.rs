@@ -34,10 +34,6 @@ struct Playing {
 }
 
 impl Video for ScriptedCamera {
-    fn device(&self) -> String {
-        "eye".into()
-    }
-
     fn open(&self) -> Result<Box<dyn Frames>, OpenError> {
         let opening = self.openings.fetch_add(1, Ordering::SeqCst);
         match &self.first {
@@ -86,7 +82,8 @@ fn scripted(script: impl Fn(usize, usize) -> CameraAct + Send + Sync + 'static) 
 }
 
 fn camera(video: ScriptedCamera) -> Camera {
-    Camera::new(SourceId::new("ca1").unwrap(), Arc::new(video), Turn::None, Duration::ZERO)
+    let plain = SourceId::new("ca1").unwrap();
+    Camera::new(plain, "eye", Arc::new(video), Turn::None, Duration::ZERO)
 }
 
 fn start(camera: Camera) -> (Running, Vec<ImageTap>) {
@@ -187,7 +184,7 @@ fn a_flash_picture_is_taken_in_the_light_and_no_plain_one_is() {
     let ca2 = SourceId::new("ca2").unwrap();
     // Long enough for a loaded machine to see the light on.
     let camera = camera(video).flash(ca2, Flash::Camera, Duration::from_millis(400));
-    let (shutter, finder) = (camera.shutter(), camera.viewfinder());
+    let (shutter, finder) = (camera.shutter.clone(), camera.viewfinder.clone());
     let (running, mut taps) = start(camera);
     running.says(&["opening", "streaming"]);
     assert_eq!(finder.view().flash, FlashState::Off);
@@ -217,8 +214,8 @@ fn a_flash_that_does_not_work_is_said_and_leaves_the_camera_alone() {
         let mut video = scripted(|_, _| CameraAct::Frame(grey()));
         video.has_torch = false;
         let camera = camera(video).flash(ca2(), flash, Duration::from_millis(50));
-        camera.shutter().flash();
-        let finder = camera.viewfinder();
+        camera.shutter.flash();
+        let finder = camera.viewfinder.clone();
         let (running, mut taps) = start(camera);
         running.comes_to_say(part);
         assert_eq!(finder.view().flash, FlashState::Failed);

@@ -27,25 +27,16 @@ const V4L2_CID_FLASH_LED_MODE: u128 = 0x009c_0901;
 const TORCH: i64 = 2;
 const NO_LIGHT: i64 = 0;
 
+/// A camera. It is opened with the smallest picture size that covers the compared region, once `turn`
+/// has made the picture upright.
 #[derive(Clone, Debug)]
 pub struct V4l {
-    id: String,
-    turn: Turn,
-}
-
-impl V4l {
-    /// The camera with this name from `surfaced devices`. It is opened with the smallest picture
-    /// size that covers the compared region, once `turn` has made the picture upright.
-    pub(crate) fn new(id: impl Into<String>, turn: Turn) -> Self {
-        Self { id: id.into(), turn }
-    }
+    /// Its name from `surfaced devices`.
+    pub(crate) id: String,
+    pub(crate) turn: Turn,
 }
 
 impl Video for V4l {
-    fn device(&self) -> String {
-        self.id.clone()
-    }
-
     fn open(&self) -> Result<Box<dyn Frames>, OpenError> {
         let number = camera_number(Path::new(DEV), &self.id)?;
         let mut camera = open(number, &self.id)?;

@@ -1,7 +1,7 @@
 //! Shows a camera's whole picture, the compared region and the light to any number of readers.
 //! Holds only the newest picture; the page (`serve/page/camera.js`) asks twice a second at most.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use image::RgbImage;
 use serde::Serialize;
@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::compared_region::{Region, region, small};
 use crate::jpeg;
 use crate::scene::SourceId;
+use crate::system::lock;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -38,29 +39,24 @@ impl Viewfinder {
         Self(Arc::new(Mutex::new((view, None))))
     }
 
-    fn lock(&self) -> MutexGuard<'_, (CameraView, Option<Arc<RgbImage>>)> {
-        // A lock poisoned by a panic is usable: any mixture of old and new parts is valid.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Sets the picture to show: a whole picture, already upright.
     pub fn show(&self, picture: RgbImage) {
-        let mut seen = self.lock();
+        let mut seen = lock(&self.0);
         seen.0.region = Some(region(&picture));
         seen.1 = Some(Arc::new(picture));
     }
 
     pub fn light(&self, flash: FlashState) {
-        self.lock().0.flash = flash;
+        lock(&self.0).0.flash = flash;
     }
 
     pub fn view(&self) -> CameraView {
-        self.lock().0.clone()
+        lock(&self.0).0.clone()
     }
 
     /// The whole picture as a JPEG file of at most 480 × 480 pixels; `None` before the first.
     pub fn jpeg(&self) -> Option<Vec<u8>> {
-        let picture = self.lock().1.clone()?;
+        let picture = lock(&self.0).1.clone()?;
         let shown = small(&picture);
         jpeg::encode_rgb(shown.as_raw(), shown.dimensions()).ok()
     }

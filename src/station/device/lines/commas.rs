@@ -19,10 +19,8 @@ enum Look {
     Unsure,
     /// The commas separate integers that are padded with zeros.
     Padded,
-    /// Commas are decimal commas and separators at once.
+    /// Commas are decimal commas and separators at once, or seem to separate thousands.
     Both,
-    /// Commas seem to separate thousands.
-    Thousands,
     /// Points are decimal points, and commas can only separate.
     Apart,
 }
@@ -73,12 +71,8 @@ impl Commas {
                 (self.apart, self.both) = (true, false);
                 Some(false)
             }
-            Look::Both | Look::Thousands if self.padded => Some(false),
-            Look::Likely | Look::Unsure | Look::Both | Look::Thousands
-                if self.apart && !self.proved =>
-            {
-                Some(false)
-            }
+            Look::Both if self.padded => Some(false),
+            Look::Likely | Look::Unsure | Look::Both if self.apart && !self.proved => Some(false),
             Look::Decimal => {
                 self.proved = true;
                 Some(true)
@@ -95,7 +89,7 @@ impl Commas {
                 self.doubted |= self.guessed;
                 None
             }
-            Look::Both | Look::Thousands => {
+            Look::Both => {
                 self.both = true;
                 None
             }
@@ -154,7 +148,7 @@ fn look(line: &[u8]) -> Look {
         return Look::Decimal;
     }
     if let Some(text) = quoted.find(|text| is_grouped(text, b',', b'.')) {
-        return if text.contains(&b'.') { Look::Thousands } else { Look::Unsure };
+        return if text.contains(&b'.') { Look::Both } else { Look::Unsure };
     }
     let mut runs = Runs { alike: true, ..Runs::default() };
     let in_run = |byte: &u8| matches!(byte, b'0'..=b'9' | b'.' | b',' | b'-' | b'+' | b':');
@@ -261,7 +255,7 @@ impl Runs {
         match () {
             () if self.one + self.many == 0 || list && !other => Look::Separate,
             () if self.integers && (self.many > 0 || self.numbers == 1) => Look::Padded,
-            () if self.grouped || self.points && thousands => Look::Thousands,
+            () if self.grouped || self.points && thousands => Look::Both,
             () if self.points && self.thousands > 0 && self.many == 0 => Look::Both,
             () if self.pointed && !groups => Look::Apart,
             () if self.points => Look::Separate,
@@ -294,7 +288,8 @@ mod tests {
             "\"0,1\",\"9,8\"",
         ];
         let separate = ["1,982.19", "1, 2, 3", "[1,2] [3,4]", "a:1,b:2", "12:30:01,250 1", "1;2"];
-        let thousands = ["1,050.5 2,000.5", "1,982.19;5", "F: 1,982.19 N", "\"1,982.1\",\"5\""];
+        let mut both = vec!["0,12,9,05", "1.234,56;2.000,10", "9,05"];
+        both.extend(["1,050.5 2,000.5", "1,982.19;5", "F: 1,982.19 N", "\"1,982.1\",\"5\""]);
         let mut unsure = vec!["1,2 3,4", "512,498 601,330", "1, 2,3"];
         unsure.extend(["-50;1,000", "4 1,000", "6,411\t99,446", "F: 1,050", "\"1,982\""]);
         for (expected, lines) in [
@@ -303,8 +298,7 @@ mod tests {
             (Look::Separate, &separate),
             (Look::Apart, &["0.5,1;2,3"]),
             (Look::Integers, &["1,2,3", "1,2", "1,-2", "1,2,3;4,5,6", "$512,300,200;"]),
-            (Look::Both, &["0,12,9,05", "1.234,56;2.000,10", "9,05"]),
-            (Look::Thousands, &thousands),
+            (Look::Both, &both),
             (Look::Unsure, &unsure),
         ] {
             for line in lines {

@@ -28,34 +28,24 @@ pub(super) struct Pace {
     pub off_hz: Option<f64>,
 }
 
-/// The frames so far, at a time in seconds, and the rate at which they are expected.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Arrived {
-    pub now_s: f64,
-    pub frames: u64,
-    pub rate_hz: f64,
-    /// Whether it is not known yet how many frames a silence lacked.
-    pub unsettled: bool,
-    /// The rate by the device's own clock, if it sends one.
-    pub clock_hz: Option<f64>,
-}
-
 impl Pace {
     /// Begins anew with the next row, after a connection or a long silence.
     pub(super) fn restart(&mut self, now_s: f64) {
-        let off_hz = self.off_hz;
-        *self = Self {
-            last_s: f64::NEG_INFINITY,
-            steady_s: now_s,
-            looked_s: now_s,
-            from: None,
-            off_hz,
-        };
+        (self.from, self.last_s) = (None, f64::NEG_INFINITY);
+        (self.steady_s, self.looked_s) = (now_s, now_s);
     }
 
-    /// To be called whenever rows have come. Returns whether `off_hz` has changed.
-    pub(super) fn rows(&mut self, arrived: Arrived) -> bool {
-        let Arrived { now_s, frames, rate_hz, unsettled, clock_hz } = arrived;
+    /// To be called whenever rows have come, with the frames so far, the expected rate, whether it is not
+    /// known yet how many frames a silence lacked, and the rate by the device's own clock, if it sends one.
+    /// Returns whether `off_hz` has changed.
+    pub(super) fn rows(
+        &mut self,
+        now_s: f64,
+        frames: u64,
+        rate_hz: f64,
+        unsettled: bool,
+        clock_hz: Option<f64>,
+    ) -> bool {
         if unsettled || now_s - self.last_s >= SILENCE_S.max(SILENCE_ROWS / rate_hz) {
             self.steady_s = now_s;
         }
@@ -109,8 +99,7 @@ mod tests {
         for block in 1..=(seconds * 100.0) as u32 {
             *frames += hz / 100.0;
             let now_s = from_s + f64::from(block) / 100.0;
-            let (rate_hz, unsettled, clock_hz) = (400.0, false, None);
-            if pace.rows(Arrived { now_s, frames: *frames as u64, rate_hz, unsettled, clock_hz }) {
+            if pace.rows(now_s, *frames as u64, 400.0, false, None) {
                 told.push(pace.off_hz.map(f64::round));
             }
         }

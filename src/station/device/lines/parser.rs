@@ -147,10 +147,7 @@ impl LineParser {
 
     fn keep(&mut self, part: &[u8]) {
         self.too_long |= self.line.len() + part.len() > LONGEST_LINE;
-        match self.too_long {
-            true => self.line.clear(),
-            false => self.line.extend_from_slice(part),
-        }
+        if self.too_long { self.line.clear() } else { self.line.extend_from_slice(part) }
     }
 
     fn finish(&mut self, line: &[u8], on: &mut impl FnMut(&[u8], Line<'_>)) {

@@ -56,7 +56,7 @@ pub struct Survey {
     bytes: u64,
     /// Number of bytes that plain text does not hold.
     strange: u64,
-    first_lines: Vec<String>,
+    pub first_lines: Vec<String>,
     /// The first line that is a row, and the first that is neither row nor header.
     fit: Option<String>,
     misfit: Option<String>,
@@ -166,10 +166,6 @@ impl Survey {
     /// Share of the lines that are rows, headers aside.
     pub fn fitting_share(&self) -> f64 {
         self.rows as f64 / (self.rows + self.others).max(1) as f64
-    }
-
-    pub fn first_lines(&self) -> &[String] {
-        &self.first_lines
     }
 
     pub fn has_decimal_commas(&self) -> bool {

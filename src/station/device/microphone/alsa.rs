@@ -41,10 +41,6 @@ impl Alsa {
 }
 
 impl Sound for Alsa {
-    fn device(&self) -> String {
-        self.id.clone()
-    }
-
     fn open(
         &mut self,
         sink: CallbackSink,

@@ -7,13 +7,14 @@ use crate::trial::Signal;
 
 const RATE_HZ: f64 = 10_000.0;
 
-fn detector() -> Detector {
-    detector_at(RATE_HZ)
+fn detector(rate_hz: f64) -> Detector {
+    Detector::new(StationConfig::embedded().detection.detector, hop_s(rate_hz))
 }
 
-fn detector_at(rate_hz: f64) -> Detector {
-    let hop_s = hop_s(rate_hz);
-    Detector::new(StationConfig::embedded().detection.detector, hop_s)
+/// The events of a detector for the levels of this many hops; `None` is a hop in a gap.
+fn events(hops: u64, level: impl Fn(u64) -> Option<f64>) -> Vec<DetectorEvent> {
+    let mut detector = detector(RATE_HZ);
+    (0..hops).filter_map(|hop| detector.hop(level(hop), false)).collect()
 }
 
 /// Pseudo-random noise of this amplitude, determined by its seed.
@@ -32,8 +33,7 @@ fn find(
     rate_hz: f64,
     samples: &[f32],
 ) -> (Vec<f64>, Vec<DetectorEvent>) {
-    let (mut level, mut detector) =
-        (StreamLevel::new(kind, channels, rate_hz), detector_at(rate_hz));
+    let (mut level, mut detector) = (StreamLevel::new(kind, channels, rate_hz), detector(rate_hz));
     let (mut levels, mut found) = (Vec::new(), Vec::new());
     let begin = |hop: usize| (hop as f64 * hop_frames(rate_hz)).round() as usize * channels;
     for hop in (0..).take_while(|hop| begin(hop + 1) <= samples.len()) {
@@ -169,8 +169,7 @@ fn a_soft_drag_after_a_bump_or_a_loud_part_is_one_drag() {
         361..=700 => 30.0,
         _ => 1.0,
     };
-    let mut detector = detector();
-    let found: Vec<_> = (0..1000).filter_map(|hop| detector.hop(Some(level(hop)), false)).collect();
+    let found = events(1000, |hop| Some(level(hop)));
     assert_eq!(found, drag(None, 100, 701, false));
 }
 
@@ -183,20 +182,15 @@ fn a_pause_within_the_drag_does_not_end_it_and_a_long_one_does() {
         600..=649 => 4.0,
         _ => 1.0,
     };
-    let mut detector = detector();
-    let found: Vec<_> = (0..1000).filter_map(|hop| detector.hop(Some(level(hop)), false)).collect();
+    let found = events(1000, |hop| Some(level(hop)));
     assert_eq!(found, drag(Some((100, 110)), 200, 650, false));
 }
 
 #[test]
 fn a_tap_long_ago_belongs_to_no_drag_and_the_last_of_two_taps_does() {
     let run = |taps: [u64; 2], drag: u64| {
-        let mut detector = detector();
         let on = |hop: u64| taps.iter().any(|t| (*t..t + 8).contains(&hop)) || hop >= drag;
-        let found: Vec<_> = (0..drag + 100)
-            .filter_map(|hop| detector.hop(Some(if on(hop) { 9.0 } else { 0.0 }), false))
-            .collect();
-        found[0]
+        events(drag + 100, |hop| Some(if on(hop) { 9.0 } else { 0.0 }))[0]
     };
     assert_eq!(run([100, 150], 300), DetectorEvent::Drag { tap: Some((150, 158)), start: 300 });
     assert_eq!(run([100, 150], 800), DetectorEvent::Drag { tap: None, start: 800 });
@@ -294,11 +288,8 @@ fn slow_streams_at_rest_have_no_drag() {
 
 /// Levels of a drag from hop 100 to 300, with a gap; the events.
 fn with_gap(gap: std::ops::Range<u64>) -> Vec<DetectorEvent> {
-    let mut detector = detector();
     let level = |hop: u64| if (100..300).contains(&hop) { 9.0 } else { 1.0 };
-    (0..1500)
-        .filter_map(|hop| detector.hop((!gap.contains(&hop)).then(|| level(hop)), false))
-        .collect()
+    events(1500, |hop| (!gap.contains(&hop)).then(|| level(hop)))
 }
 
 #[test]

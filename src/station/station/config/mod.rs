@@ -159,20 +159,17 @@ impl StationConfig {
     }
 
     fn part_of(&self, stream: &SourceId) -> Option<DevicePart> {
-        let camera = self.camera.as_ref();
-        let of_stylus = |of: &StylusConfig| of.streams.iter().any(|w| w.id == *stream);
-        let of_lines = |of: &LinesConfig| of.streams.iter().any(|s| s.id == *stream);
-        if self.stylus.as_ref().is_some_and(of_stylus) {
-            Some(DevicePart::Stylus)
-        } else if let Some(number) = self.lines.iter().position(of_lines) {
-            Some(DevicePart::Lines(number))
-        } else if self.microphone.as_ref().is_some_and(|of| of.stream == *stream) {
-            Some(DevicePart::Microphone)
-        } else if camera.is_some_and(|of| of.source == *stream) {
-            Some(DevicePart::Camera)
-        } else {
-            let flash = camera?.flash.as_ref();
-            flash.is_some_and(|of| of.source == *stream).then_some(DevicePart::Flash)
+        let stylus = self.stylus.iter().flat_map(|of| &of.streams).any(|of| of.id == *stream);
+        let lines = self.lines.iter().position(|of| of.streams.iter().any(|s| s.id == *stream));
+        let sound = self.microphone.iter().any(|of| of.stream == *stream);
+        let camera = self.camera.iter().any(|of| of.source == *stream);
+        let flash = self.camera.iter().flat_map(|of| &of.flash).any(|of| of.source == *stream);
+        match lines {
+            Some(number) => Some(DevicePart::Lines(number)),
+            None if stylus => Some(DevicePart::Stylus),
+            None if sound => Some(DevicePart::Microphone),
+            None if camera => Some(DevicePart::Camera),
+            None => flash.then_some(DevicePart::Flash),
         }
     }
 }

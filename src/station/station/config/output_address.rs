@@ -286,24 +286,6 @@ mod tests {
     }
 
     #[test]
-    fn an_address_is_shown_as_it_is_written() {
-        for text in ["mqtts://[::1]:8883/hall-3", "mqtt://broker:1883/surfaced"] {
-            assert_eq!(text.parse::<MqttAddress>().unwrap().to_string(), text);
-        }
-        let (http, coil) = ("http://[fe80::1]:80/answers?a=1", "modbus://[::1]:502/1/12");
-        assert_eq!(http.parse::<HttpAddress>().unwrap().to_string(), http);
-        assert_eq!(coil.parse::<CoilAddress>().unwrap().to_string(), coil);
-    }
-
-    #[test]
-    fn a_line_of_the_configuration_is_shown_without_its_password() {
-        let text = "[outputs]\nmqtt = \"mqtt://me:sécr@et@broker/a\" x\nhttp = \"http://here/\"\n";
-        let shown = without_passwords(text);
-        assert!(shown.contains("mqtt://me:********@broker/a\" x\nhttp"), "{shown}");
-        assert_eq!(shown.len(), text.len());
-    }
-
-    #[test]
     fn the_name_of_the_machine_is_a_segment_of_a_topic() {
         assert!(is_segment(&machine_name()), "{}", machine_name());
         assert!(!is_segment("") && !is_segment("a b") && !is_segment("a/b") && !is_segment("é"));

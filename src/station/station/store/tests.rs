@@ -9,6 +9,12 @@ fn scan(number: u32) -> Box<Scan> {
     scan_at(number, 0.0)
 }
 
+/// The outcome of a scan that the thread stores.
+fn stored(thread: &mut RecordingThread, scan: Box<Scan>, enrolment: Enrolment) -> Enrolled {
+    thread.store(scan, enrolment, None);
+    thread.stored.recv().unwrap().enrolled
+}
+
 /// A scan in which every source starts at `level`.
 fn scan_at(number: u32, level: f32) -> Box<Scan> {
     let signal = |channels: usize| {
@@ -34,12 +40,16 @@ fn enrolment() -> Enrolment {
     Enrolment { order: 0, keep }
 }
 
+/// Like [`enrolment`], but refuses a scan that would be a bad trial.
+fn strict() -> Enrolment {
+    Enrolment { order: 0, keep: Keep { good_only: true, ..enrolment().keep } }
+}
+
 #[test]
 fn a_trial_belongs_to_the_session_of_its_station() {
     let dir = tempfile::tempdir().unwrap();
     let mut thread = start(dir.path());
-    thread.store(scan(1), enrolment(), None);
-    let enrolled = thread.stored.recv().unwrap().enrolled;
+    let enrolled = stored(&mut thread, scan(1), enrolment());
     let said = (enrolled.outcome, enrolled.session.as_deref());
     assert_eq!(said, (EnrolledOutcome::Kept, Some(SESSION)));
     let library = dataset::open(dir.path(), &Scene::lmt108()).unwrap();
@@ -99,16 +109,12 @@ fn two_that_record_under_one_label_both_keep_every_scan_and_mix_none() {
 fn a_trial_that_a_script_adds_meanwhile_keeps_its_number() {
     let dir = tempfile::tempdir().unwrap();
     let mut thread = start(dir.path());
-    let stored = thread.stored.clone();
-    let number = || stored.recv().unwrap().enrolled.trial;
-    thread.store(scan(1), enrolment(), None);
-    assert_eq!(number(), Some(1));
+    assert_eq!(stored(&mut thread, scan(1), enrolment()).trial, Some(1));
     let script = dir.path().join("oak/trial2");
     std::fs::create_dir(&script).unwrap();
     std::fs::copy(dir.path().join("oak/anna-01/ir.wav"), script.join("ir.wav")).unwrap();
     std::fs::write(script.join("trial.toml"), "user = \"anna\"\n").unwrap();
-    thread.store(scan(2), enrolment(), None);
-    assert_eq!(number(), Some(3));
+    assert_eq!(stored(&mut thread, scan(2), enrolment()).trial, Some(3));
 }
 
 #[test]
@@ -133,18 +139,15 @@ fn at_the_end_a_scan_takes_the_number_after_those_in_the_names_of_folders() {
 fn a_scan_that_was_refused_is_kept_once_somebody_says_so() {
     let dir = tempfile::tempdir().unwrap();
     let mut thread = start(dir.path());
-    let stored = thread.stored.clone();
-    let strict = Enrolment { order: 0, keep: Keep { good_only: true, ..enrolment().keep } };
-    thread.store(scan(1), strict.clone(), None);
-    let refused = stored.recv().unwrap().enrolled;
+    let refused = stored(&mut thread, scan(1), strict());
     assert_eq!(refused.outcome, EnrolledOutcome::Refused);
     let short = Doubt::TooShort { scan_s: 0.01, needed_s: 1.0, settled: false };
     assert_eq!(refused.doubts, [short]);
-    thread.keep_refused(2, strict.clone());
-    let lost = stored.recv().unwrap().enrolled;
+    thread.keep_refused(2, strict());
+    let lost = thread.stored.recv().unwrap().enrolled;
     assert_eq!((lost.scan, lost.outcome), (2, EnrolledOutcome::Lost), "another was refused last");
-    thread.keep_refused(1, strict);
-    let kept = stored.recv().unwrap().enrolled;
+    thread.keep_refused(1, strict());
+    let kept = thread.stored.recv().unwrap().enrolled;
     assert_eq!((kept.scan, kept.outcome, kept.trial), (1, EnrolledOutcome::Kept, Some(1)));
     assert_eq!(dataset::open(dir.path(), &Scene::lmt108()).unwrap().entries.len(), 1);
 }
@@ -173,11 +176,8 @@ fn a_trial_without_a_sensor_is_refused_once_the_sensor_was_there_and_says_so_bef
         without.map(|id| scan.trial.signals.remove(id));
         scan
     };
-    let strict = Enrolment { order: 0, keep: Keep { good_only: true, ..enrolment().keep } };
-    let stored = thread.stored.clone();
     let mut outcome = |scan| {
-        thread.store(scan, strict.clone(), None);
-        let enrolled = stored.recv().unwrap().enrolled;
+        let enrolled = stored(&mut thread, scan, strict());
         (enrolled.outcome, enrolled.doubts)
     };
     let lacks = vec![Doubt::SourceMissing { source: SourceId::new("fr").unwrap() }];

@@ -26,10 +26,10 @@ fn take(intake: &mut LinesIntake, bytes: &[u8], now_s: f64, out: &mut [Vec<f32>]
 }
 
 /// Samples and errors of a stream of one column that gets one of `texts` each millisecond.
-fn alone(count: Option<Count>, texts: &[&str]) -> (Vec<f32>, ErrorCounts) {
+fn alone(count: Option<Count>, texts: &[impl AsRef<str>]) -> (Vec<f32>, ErrorCounts) {
     let (mut intake, mut out) = of_column(1, count, 1000.0);
     for (at, text) in texts.iter().enumerate() {
-        take(&mut intake, text.as_bytes(), at as f64 * 1e-3, &mut out);
+        take(&mut intake, text.as_ref().as_bytes(), at as f64 * 1e-3, &mut out);
     }
     (out.remove(0), intake.errors)
 }
@@ -112,7 +112,6 @@ fn a_counter_shows_losses_exactly_even_where_it_begins_again() {
 fn rows_that_come_twice_or_out_of_order_are_dropped_and_are_no_restart() {
     let of = |numbers: &[u32]| {
         let texts: Vec<String> = numbers.iter().map(|number| format!("{number}\n")).collect();
-        let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
         let (samples, counts) = alone(Some(Count::Rows(Column::Place(1))), &texts);
         (samples.len(), missing(&samples), counts.0[OUT_OF_ORDER], counts.0[RESTARTS])
     };
@@ -130,7 +129,6 @@ fn microseconds_show_losses_whatever_their_jitter() {
     // One row per 1000 µs: two rows are lost, and the counter of 32 bits starts again.
     let times = [4_294_964_296_u64, 4_294_965_290, 4_294_966_310, 2_000, 3_010];
     let texts: Vec<String> = times.iter().map(|t| format!("1,{t}\n")).collect();
-    let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
     let (samples, counts) = alone(micros.clone(), &texts);
     assert_eq!((missing(&samples), counts.0[GAPS], counts.0[RESTARTS]), (2, 1, 0), "{samples:?}");
     // A row that comes late is not a row that is lost.
