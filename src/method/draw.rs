@@ -57,7 +57,7 @@ impl Look {
     }
 
     /// The lines above a figure, each at most `pixels` wide. Synthetic data are always marked.
-    pub(crate) fn head(self, title: &str, synthetic: bool, pixels: u32) -> Vec<String> {
+    fn head(self, title: &str, synthetic: bool, pixels: u32) -> Vec<String> {
         let text = match (self.no_title, synthetic) {
             (true, false) => return Vec::new(),
             (true, true) => "SYNTHETIC data".into(),
@@ -85,15 +85,21 @@ const LETTER: f64 = 0.54;
 /// Distance of the head from the left edge.
 const MARGIN: i32 = 12;
 
-/// Height of a head in pixels.
-pub(crate) fn head_height(lines: &[String]) -> u32 {
-    (lines.len() as i32 * (HEAD_FONT + 5) + if lines.is_empty() { 0 } else { 8 }) as u32
-}
-
-/// Draws the lines of a [`Look::head`] at the top.
-pub(crate) fn draw_head(root: &Area<'_>, lines: &[String]) -> Drawn {
-    (0..).zip(lines).try_for_each(|(row, line)| {
-        put(root, line.as_str(), (MARGIN, 8 + row * (HEAD_FONT + 5)), HEAD_FONT)
+/// Like [`svg`], with the lines of a [`Look::head`] above a figure of this size.
+pub(crate) fn titled(
+    (title, synthetic): (&str, bool),
+    (width, height): (u32, u32),
+    look: Look,
+    draw: impl FnOnce(&Area<'_>) -> Drawn,
+) -> Result<String, FigureError> {
+    let lines = look.head(title, synthetic, width);
+    let gap = if lines.is_empty() { 0 } else { 8 };
+    let head = (lines.len() as i32 * (HEAD_FONT + 5) + gap) as u32;
+    svg((width, head + height), look, |root| {
+        for (row, line) in (0..).zip(lines) {
+            put(root, line, (MARGIN, 8 + row * (HEAD_FONT + 5)), HEAD_FONT)?;
+        }
+        draw(&root.split_vertically(head).1)
     })
 }
 

@@ -7,8 +7,7 @@ use super::algorithm1::CurvePoint;
 use super::pooled::PooledDependence;
 use super::report::{ByRule, PooledRow, Second, SourceDuration};
 use crate::draw::{
-    Area, COLOURS, Drawn, FigureError, GREY, Look, axes, draw_head, head_height, plain, svg,
-    three_digits,
+    Area, COLOURS, Drawn, FigureError, GREY, Look, axes, plain, three_digits, titled,
 };
 use crate::recognise::AccuracyAt;
 use crate::scene::SourceId;
@@ -25,15 +24,15 @@ const FONT: &str = "sans-serif";
 type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
 
 /// An SVG with two panels a row. `pooled` has a panel for each source, with all surfaces; Algorithm
-/// 1 has one for each surface and source. The last panel has accuracy against scan time. The title is
-/// the name of the data.
+/// 1 has one for each surface and source. The last panel has accuracy against scan time. `data` is
+/// their name, which is the title, and whether they are synthetic.
 ///
 /// # Errors
 /// If no surface and source has a curve.
 pub fn figure(
     durations: &[SourceDuration],
     accuracy: Option<&AccuracyCurve>,
-    (data, synthetic): (&str, bool),
+    data: (&str, bool),
     look: Look,
 ) -> Result<String, FigureError> {
     let mut panels: Vec<DrawnPanel<'_>> = Vec::new();
@@ -61,12 +60,8 @@ pub fn figure(
     let width = look.pixels(if panels.len() > 1 { WIDTH } else { WIDTH / 2 });
     let columns = panels.len().min((width / LEAST) as usize).clamp(1, 2);
     let rows = panels.len().div_ceil(columns);
-    let lines = look.head(data, synthetic, width);
-    let head = head_height(&lines);
-    svg((width, head + PANEL * rows as u32), look, |root| {
-        draw_head(root, &lines)?;
-        let (_, rest) = root.split_vertically(head);
-        let areas = rest.split_evenly((rows, columns));
+    titled(data, (width, PANEL * rows as u32), look, |area| {
+        let areas = area.split_evenly((rows, columns));
         areas.iter().zip(&panels).try_for_each(|(area, panel)| panel(area))
     })
 }
