@@ -1,7 +1,7 @@
 //! The loudness and the band of a series.
 
 use crate::spectrum::amplitude_spectrum;
-use crate::trial::Series;
+use crate::trial::{Series, power};
 
 /// Least root mean square, to keep the logarithm of silence finite; far below a 16-bit step.
 const SILENCE: f64 = 1e-12;
@@ -9,12 +9,7 @@ const SILENCE: f64 = 1e-12;
 /// Level of a series: ln of the root mean square over time and channels, after the mean of each
 /// channel was subtracted.
 pub(super) fn level_of(series: &Series) -> f64 {
-    let of_channel = |channel| {
-        let n = series.frames() as f64;
-        let mean = series.channel(channel).sum::<f64>() / n;
-        series.channel(channel).map(|x| (x - mean).powi(2)).sum::<f64>() / n
-    };
-    let power: f64 = (0..series.channels()).map(of_channel).sum();
+    let power: f64 = (0..series.channels()).map(|channel| power(series.channel(channel))).sum();
     (power / series.channels() as f64).sqrt().max(SILENCE).ln()
 }
 

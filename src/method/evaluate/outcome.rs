@@ -70,7 +70,8 @@ impl Serialize for Share {
     }
 }
 
-#[derive(Clone, Debug, PartialEq)]
+/// The answer to a query; by default, none was given.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Prediction {
     /// The query; its surface is the truth.
     pub key: TrialKey,
@@ -91,21 +92,6 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    /// The prediction for a query that could not be named.
-    pub(crate) fn none(key: TrialKey, fold: usize) -> Self {
-        Self {
-            key,
-            fold,
-            surface: String::new(),
-            margin: 0.0,
-            query_ms: 0.0,
-            sources: Vec::new(),
-            confidence: None,
-            p_value: None,
-            probabilities: Vec::new(),
-        }
-    }
-
     pub fn is_correct(&self) -> bool {
         self.surface == self.key.surface
     }
@@ -384,7 +370,7 @@ mod tests {
 
     fn prediction(truth: &str, answer: &str, fold: usize) -> Prediction {
         let key = TrialKey::new(truth, "user1", 1);
-        Prediction { surface: answer.into(), ..Prediction::none(key, fold) }
+        Prediction { key, fold, surface: answer.into(), ..Prediction::default() }
     }
 
     fn outcome(predictions: &[Prediction]) -> Outcome {

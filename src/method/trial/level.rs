@@ -1,18 +1,22 @@
 //! The level of a channel: its root mean square, without its mean, in dB relative to 1.
 
+/// The mean square of some values, without their mean.
+pub(crate) fn power(values: impl ExactSizeIterator<Item = f64> + Clone) -> f64 {
+    let count = values.len() as f64;
+    let mean = values.clone().sum::<f64>() / count;
+    values.map(|x| (x - mean).powi(2)).sum::<f64>() / count
+}
+
 /// The level at which silence stands, in dB; far below a step of 16 bits.
 const SILENCE_DB: f64 = -200.0;
 
 /// The level of each channel of interleaved samples, in dB, rounded to 0.01 dB; empty without samples.
 pub fn channel_levels_db(samples: &[f32], channels: usize) -> Vec<f64> {
-    let frames = samples.len() / channels.max(1);
-    if frames == 0 {
+    if samples.len() < channels.max(1) {
         return Vec::new();
     }
     let of = |channel: usize| {
-        let values = || samples[channel..].iter().step_by(channels).map(|&x| f64::from(x));
-        let mean = values().sum::<f64>() / frames as f64;
-        let power = values().map(|x| (x - mean).powi(2)).sum::<f64>() / frames as f64;
+        let power = power(samples[channel..].iter().step_by(channels).map(|&x| f64::from(x)));
         ((1000.0 * power.log10()).round() / 100.0).max(SILENCE_DB)
     };
     (0..channels).map(of).collect()

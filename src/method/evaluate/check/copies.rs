@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use super::Audited;
-use super::finding::{Fault, FaultKind, Finding, Inspected, SHOWN, look};
+use super::finding::{Fault, FaultKind, Finding, SHOWN, look};
+use super::inspect::Inspected;
 use crate::evaluate::leak::{Leaks, Shared};
 use crate::library::Entry;
 use crate::printable::some_of;

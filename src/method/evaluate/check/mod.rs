@@ -3,17 +3,18 @@
 
 mod copies;
 mod finding;
+mod inspect;
 mod session;
 mod suspect;
-mod usual;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde::ser::{SerializeMap, Serializer};
 
+use self::finding::FaultKind;
 pub use self::finding::Finding;
-use self::finding::{FaultKind, Inspected, inspect};
+use self::inspect::{Inspected, inspect};
 use self::suspect::{Suspects, suspects};
 use super::evaluation::{Evaluation, Measured, ProgressFn};
 use super::fold::{Fold, Protocol, folds};
@@ -40,7 +41,6 @@ pub struct CheckReport {
     /// be left out.
     #[serde(flatten, serialize_with = "left_out_share")]
     pub share: Option<(Share, Interval)>,
-    /// Which trials are left out, and what that leaves untold.
     pub left_out: String,
     /// How many trials of each surface the accuracy does not count, since no library without them has their
     /// surface.
@@ -143,7 +143,8 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let leaks = Leaks::of(&entries, progress);
     let still = still(&entries, audited.scene);
     findings.extend(finding::never_moving(&still, &inspected, audited));
-    let (of_signals, of_sources) = finding::of_signals(&inspected, &leaks, &still, audited);
+    let copies = copies::of_one_label(&inspected, &leaks, audited);
+    let (of_signals, of_sources) = finding::of_signals(&inspected, copies, &still, audited);
     findings.extend(of_signals);
     findings.extend(copies::shared(&leaks, &keys, &entries, audited));
     let mut advice = opened.library.remarks;
@@ -404,7 +405,7 @@ fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
 mod tests {
     use super::*;
     use crate::recognise::MethodSpec;
-    use crate::trial::{Series, Signal, Trial};
+    use crate::trial::{Series, Trial};
 
     fn left(folds: &[Fold]) -> Vec<usize> {
         let mut left: Vec<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
@@ -444,17 +445,13 @@ mod tests {
     /// Eight trials of each of two surfaces by each of three people, and of a third by one of them alone.
     #[test]
     fn an_accuracy_for_other_people_counts_no_trial_that_is_named_by_the_same_person_s() {
-        let scene = "format = 1\n[sources.ir]\ndomain = \"time\"\nrate_hz = 100\n";
-        let scene = Scene::from_toml(scene).unwrap();
+        let scene = Scene::lmt108();
         let entry = |surface: &str, user: &str, n: u32| {
             let pitch = 0.2 + 0.1 * surface.len() as f32;
             let value = |i: usize| (i as f32 * pitch + n as f32).sin();
             let series = Series::new(100.0, 1, (0..200).map(value).collect()).unwrap();
-            let id = SourceId::new("ir").unwrap();
-            Entry::in_memory(Trial {
-                key: TrialKey::new(surface, user, n),
-                signals: [(id, Signal::Series(series))].into(),
-            })
+            let (key, id) = (TrialKey::new(surface, user, n), SourceId::new("ir").unwrap());
+            Entry::in_memory(Trial::of_series(key, id, series))
         };
         let shared = ["anna", "ben", "cleo"].into_iter().flat_map(|user| {
             ["a", "bb"].into_iter().flat_map(move |s| (1..=4).map(move |n| (s, user, n)))

@@ -3,8 +3,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::finding::{FaultKind, Finding, Inspected, Measured};
-use super::usual::{median, usual};
+use super::finding::{FaultKind, Finding};
+use super::inspect::{Inspected, Measured, median, usual};
 use super::{Audited, Suspects};
 use crate::evaluate::outcome::Prediction;
 use crate::scene::SourceId;
@@ -135,7 +135,8 @@ mod tests {
             surface: if wrong(&key) { other(&key).into() } else { key.surface.clone() },
             margin: 1.0,
             confidence: Some(0.95),
-            ..Prediction::none(key, 0)
+            key,
+            ..Prediction::default()
         };
         keys.map(of).collect()
     }

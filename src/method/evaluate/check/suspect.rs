@@ -54,10 +54,11 @@ mod tests {
     /// Predictions of `count` trials of `surface`, each named `named` with `confidence`.
     fn answers(surface: &str, count: u32, named: &str, confidence: f64) -> Vec<Prediction> {
         let of = |n| Prediction {
+            key: TrialKey::new(surface, named, n),
             surface: named.into(),
             margin: 1.0,
             confidence: Some(confidence),
-            ..Prediction::none(TrialKey::new(surface, named, n), 0)
+            ..Prediction::default()
         };
         (1..=count).map(of).collect()
     }

@@ -91,7 +91,6 @@ pub struct StressReport {
     pub data: String,
     pub synthetic: bool,
     pub protocol: String,
-    /// Which trials are left out, and what that leaves untold.
     #[serde(default)]
     pub left_out: String,
     pub sources: Vec<String>,

@@ -341,9 +341,8 @@ mod tests {
     fn library() -> Vec<Entry> {
         let entry = |(surface, number): (&str, u32)| {
             let series = Series::new(10.0, 1, vec![1.0, 2.0, 3.0, number as f32]).unwrap();
-            let signals = BTreeMap::from([(SourceId::new("ir").unwrap(), Signal::Series(series))]);
             let key = TrialKey::new(surface, "expert", number);
-            Entry::in_memory(Trial { key, signals })
+            Entry::in_memory(Trial::of_series(key, SourceId::new("ir").unwrap(), series))
         };
         ["a", "b", "c"].into_iter().flat_map(|s| (1..=10).map(move |n| (s, n))).map(entry).collect()
     }
