@@ -283,7 +283,7 @@ const LOSSY_REMARK: &str = "lossy coding changes a sound, most of all in the ban
 /// Checks the headers of a library's series against the described channels and rates.
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
-    root: PathBuf,
+    pub root: PathBuf,
     first: BTreeMap<SourceId, (f64, PathBuf)>,
     /// For each source: the lowest rate of a file, in Hz, that is too low for the default band.
     pub lowest_hz: BTreeMap<SourceId, f64>,

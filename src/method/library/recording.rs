@@ -120,8 +120,8 @@ pub(crate) fn nothing_found(
     LibraryError::of_all(bad).unwrap_or_else(|| LibraryError::file(path, problem))
 }
 
-struct RecordingOpening<'a> {
-    root: &'a Path,
+#[derive(Default)]
+struct RecordingOpening {
     name: String,
     scene: Scene,
     declared: BTreeMap<SourceId, SourceBlock>,
@@ -136,20 +136,10 @@ struct RecordingOpening<'a> {
     bad: Vec<LibraryError>,
 }
 
-impl<'a> RecordingOpening<'a> {
-    fn new(root: &'a Path, described_in: &Path, scene: Scene) -> Result<Self, LibraryError> {
-        let mut opening = Self {
-            root,
-            name: String::new(),
-            scene,
-            declared: BTreeMap::new(),
-            unknown: BTreeSet::new(),
-            synthetic: false,
-            headers: Headers::new(root, Remarks::default()),
-            trials: BTreeMap::new(),
-            words: BTreeMap::new(),
-            bad: Vec::new(),
-        };
+impl RecordingOpening {
+    fn new(root: &Path, described_in: &Path, scene: Scene) -> Result<Self, LibraryError> {
+        let headers = Headers::new(root, Remarks::default());
+        let mut opening = Self { scene, headers, ..Self::default() };
         let described = described_in.join(DESCRIPTION);
         if let Some(text) = files::read_text_if_there(&described)? {
             let described =
@@ -167,9 +157,7 @@ impl<'a> RecordingOpening<'a> {
     }
 
     fn library(self) -> Opened {
-        let RecordingOpening {
-            root, mut name, scene, trials, words, headers, synthetic, bad, ..
-        } = self;
+        let Self { mut name, scene, trials, words, headers, synthetic, bad, .. } = self;
         let mut remarks: Vec<String> = headers.remarks.lines().collect();
         let scene = scene.changed(|spec| {
             if let Some(rate_hz) = headers.lowest_hz.get(&spec.id) {
@@ -198,7 +186,7 @@ impl<'a> RecordingOpening<'a> {
         };
         let entries = trials.into_iter().map(of).collect();
         if name.is_empty() {
-            let folder = root.canonicalize().unwrap_or_else(|_| root.to_path_buf());
+            let folder = headers.root.canonicalize().unwrap_or(headers.root);
             name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         }
         Opened { library: Library { name, scene, entries, synthetic, remarks }, bad }
@@ -337,7 +325,7 @@ impl<'a> RecordingOpening<'a> {
             let problem = format!(
                 "the same trial ({key}) as {}; distinguish them by `trial = N`, `user = \"…\"` or \
                  `session = \"…\"` in trial.toml, or remove one",
-                other.strip_prefix(self.root).unwrap_or(other).display()
+                other.strip_prefix(&self.headers.root).unwrap_or(other).display()
             );
             return Err(LibraryError::file(&folder.path, problem));
         }
