@@ -180,7 +180,7 @@ impl Trials {
 
 struct Range {
     constant: bool,
-    /// Whether the channel holds only two values.
+    /// Whether there are only two values.
     binary: bool,
     /// Share of samples at the low or at the high end of the range, whichever is larger.
     at_an_end: f64,

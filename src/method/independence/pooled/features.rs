@@ -7,7 +7,8 @@ use std::ops::Range;
 use ndarray::Array1;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::trial::Series;
+use crate::lanes::dot;
+use crate::trial::{Series, power};
 
 /// A feature is kept if at least this share of its variance is uncorrelated with earlier features.
 const LEAST_KEPT: f64 = 0.05;
@@ -68,7 +69,7 @@ impl Features {
     fn add<const N: usize>(&mut self, raw: [Vec<f32>; N]) {
         let first = self.columns.len();
         for mut column in raw {
-            let before = variance(&column);
+            let before = power(column.iter().map(|&x| f64::from(x)));
             let between = self.centre(&mut column);
             let within = dot(&column, &column) / column.len() as f64;
             // Rounding can leave a little variance in a feature that is constant.
@@ -104,16 +105,6 @@ impl Features {
             .collect();
         if means.len() < 2 { 0.0 } else { means.var(1.0) }
     }
-}
-
-fn variance(column: &[f32]) -> f64 {
-    let count = column.len() as f64;
-    let mean = column.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
-    column.iter().map(|&x| (f64::from(x) - mean).powi(2)).sum::<f64>() / count
-}
-
-fn dot(a: &[f32], b: &[f32]) -> f64 {
-    (a.chunks(4096).zip(b.chunks(4096))).map(|(a, b)| f64::from(super::products::dot(a, b))).sum()
 }
 
 /// Q trials of L frames of each channel.

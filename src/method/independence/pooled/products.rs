@@ -9,22 +9,6 @@ pub(super) const ROWS: usize = 2;
 /// Number of columns that are computed at once. More would not fit the registers of AVX2 and NEON.
 pub(super) const COLUMNS: usize = 3;
 
-/// Σ a·b, in four independent sums that overlap, since an addition takes four cycles.
-pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [[0.0f32; LANES]; 4];
-    let (a, a_rest) = a.as_chunks::<{ 4 * LANES }>();
-    let (b, b_rest) = b.as_chunks::<{ 4 * LANES }>();
-    for (a, b) in a.iter().zip(b) {
-        let (a, b) = (a.as_chunks::<LANES>().0, b.as_chunks::<LANES>().0);
-        for part in 0..4 {
-            sums[part] = plus_product(sums[part], &a[part], &b[part]);
-        }
-    }
-    let [first, second, third, fourth] = sums;
-    let rest: f32 = a_rest.iter().zip(b_rest).map(|(x, y)| x * y).sum();
-    (total(&first) + total(&second)) + (total(&third) + total(&fourth)) + rest
-}
-
 /// The number of values in a sum, at least one.
 #[derive(Clone, Copy)]
 pub(super) struct Length {

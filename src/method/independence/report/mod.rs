@@ -42,7 +42,6 @@ pub(super) fn worth(samples: usize, effective: f64) -> f64 {
 pub enum Estimator {
     /// The rule `pooled`: T* from the size of the dependence, over all pairs of samples.
     Pooled(PooledSettings),
-    /// The paper's Algorithm 1, by one of its two rules.
     Algorithm1(Algorithm1Settings),
 }
 
@@ -154,7 +153,6 @@ impl Default for Question {
 pub struct DurationReport {
     pub library: String,
     pub synthetic: bool,
-    /// n, the number of samples that a scan must yield.
     pub samples: usize,
     /// Time t₀ in a scan at which sampling starts, in seconds.
     pub start_s: Second,
@@ -168,13 +166,10 @@ pub struct DurationReport {
 
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// a trial cannot be read
     #[error(transparent)]
     Library(#[from] LibraryError),
-    /// the settings are not possible
     #[error(transparent)]
     Duration(#[from] DurationError),
-    /// the scene does not have a source
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// no such surface or source, no trial with the source, or a source that the rule cannot use
