@@ -69,14 +69,13 @@ fn attached(recording: &Path) -> Result<Vec<(String, PathBuf)>, LibraryError> {
 
 fn below(folder: &Path, root: &Path, all: &mut Vec<(String, PathBuf)>) -> Result<(), LibraryError> {
     for item in visible(folder)? {
-        let name = item.path.strip_prefix(root).unwrap_or(&item.path);
-        if item.is_dir && name.iter().count() < DEEPEST {
+        let name = files::name_within(root, &item.path);
+        if item.is_dir && name.split('/').count() < DEEPEST {
             inside(&item.path, root)?;
             below(&item.path, root, all)?;
         } else if !item.is_dir && item.unusable.is_none() {
-            let name: Vec<_> = name.iter().map(|part| part.to_string_lossy()).collect();
-            all.extend(within(&name.join("/")).map(|_| (name.join("/"), item.path.clone())));
             inside(&item.path, root)?;
+            all.extend(within(&name).map(|_| (name, item.path)));
         }
     }
     Ok(())
