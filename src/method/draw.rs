@@ -207,14 +207,10 @@ impl Labels {
     fn place(&mut self, (x, y): (i32, i32), (width, height): (i32, i32)) -> Option<(i32, i32)> {
         let (half_w, half_h) = (width / 2, height / 2);
         let places = [9, 16, 24, 34, 46, 60].into_iter().flat_map(|d| {
-            [(d, -half_h), (-half_w, -d - height), (-half_w, d), (-d - width, -half_h)]
-                .into_iter()
-                .chain([
-                    (d, -d - half_h),
-                    (d, d - half_h),
-                    (-d - width, -d - half_h),
-                    (-d - width, d - half_h),
-                ])
+            let straight =
+                [(d, -half_h), (-half_w, -d - height), (-half_w, d), (-d - width, -half_h)];
+            let askew = [d, -d - width].map(|x| [(x, -d - half_h), (x, d - half_h)]);
+            straight.into_iter().chain(askew.into_iter().flatten())
         });
         let mut places = places.map(|(dx, dy)| (x + dx, y + dy));
         let [left, top, right, bottom] = self.frame;

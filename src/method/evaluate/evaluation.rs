@@ -57,14 +57,8 @@ pub struct Evaluation<'a> {
 impl<'a> Evaluation<'a> {
     /// An evaluation on whole recordings, without cache and progress.
     pub fn new(scene: &'a Scene, entries: &'a [Entry], folds: &'a [Fold]) -> Self {
-        Self {
-            scene,
-            trials: EvaluatedTrials::Recordings(entries),
-            folds,
-            query_seconds: None,
-            cache: None,
-            progress: &|_, _, _| (),
-        }
+        let trials = EvaluatedTrials::Recordings(entries);
+        Self { scene, trials, folds, query_seconds: None, cache: None, progress: &|_, _, _| () }
     }
 
     /// Prepares the libraries of all folds; each trial is prepared only once.
@@ -79,12 +73,9 @@ impl<'a> Evaluation<'a> {
             }
             EvaluatedTrials::Features(trials) => {
                 let prepare = |trial: &FeatureVector| Prepared::Features(Arc::new(trial.clone()));
-                PreparedLibrary {
-                    shape: Arc::new(LibraryShape::default()),
-                    trials: trials.iter().map(|trial| Some(prepare(trial))).collect(),
-                    remarks: Vec::new(),
-                    from_cache: 0,
-                }
+                let trials = trials.iter().map(|trial| Some(prepare(trial))).collect();
+                let (shape, remarks) = (Arc::new(LibraryShape::default()), Vec::new());
+                PreparedLibrary { shape, trials, remarks, from_cache: 0 }
             }
         };
         Ok(Run { on: self, method, library })

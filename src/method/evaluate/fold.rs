@@ -389,10 +389,8 @@ mod tests {
             let user = user.to_string();
             sessions(&[session]).into_iter().map(move |key| TrialKey { user: user.clone(), ..key })
         };
-        let keys: Vec<TrialKey> = [("anna", "b c"), ("anna b", "c"), (EXPERT, "anna b c")]
-            .into_iter()
-            .flat_map(of)
-            .collect();
+        let all = [("anna", "b c"), ("anna b", "c"), (EXPERT, "anna b c")];
+        let keys: Vec<TrialKey> = all.into_iter().flat_map(of).collect();
         let folds = folds(Protocol::LeaveOneSessionOut, &keys).unwrap();
         let names: BTreeSet<&str> = folds.iter().map(|fold| fold.name.as_str()).collect();
         assert_eq!(names, ["anna b c", "anna b/c", "anna/b c"].into());

@@ -193,9 +193,7 @@ impl Outcome {
         let surfaces = confusion.surfaces();
         let precisions = surfaces.iter().filter_map(|one| one.precision);
         let times = || predictions.iter().map(|p| p.query_ms).collect();
-        let mut sources: Vec<_> = predictions.iter().flat_map(|p| p.sources.clone()).collect();
-        sources.sort();
-        sources.dedup();
+        let sources: BTreeSet<_> = predictions.iter().flat_map(|p| &p.sources).collect();
         let queried: BTreeSet<&str> = predictions.iter().map(|p| p.key.surface.as_str()).collect();
         let never_queried =
             confusion.labels.iter().filter(|label| !queried.contains(label.as_str()));
@@ -214,7 +212,7 @@ impl Outcome {
             query_ms_p50: percentile(times(), 0.50),
             query_ms_p99: percentile(times(), 0.99),
             method: method.into(),
-            sources,
+            sources: sources.into_iter().cloned().collect(),
             folds,
             surfaces,
             confusion,

@@ -12,6 +12,7 @@ use std::path::Path;
 
 use super::files::{self, check_length};
 use super::{LibraryError, Outline};
+use crate::trial::SignalError;
 
 /// Reads the header of a file, and checks that the file is as long as it says.
 pub(super) fn probe(path: &Path) -> Result<Outline, LibraryError> {
@@ -117,7 +118,10 @@ fn open_wav(path: &Path) -> Result<(BufReader<File>, WavData), LibraryError> {
     let data = walk_wav(&mut file, size).map_err(|error| failure(path, error))?;
     let at = file.stream_position().map_err(|error| failure(path, error))?;
     let rest = size.saturating_sub(at);
-    check(data).map_err(LibraryError::at(path))?;
+    if data.length == 0 {
+        return Err(LibraryError::file(path, SignalError::Empty));
+    }
+    check_length(data.outline()).map_err(LibraryError::at(path))?;
     if rest < data.length {
         return Err(truncated(path, &format!(" ({rest} of {} bytes of samples)", data.length)));
     }
@@ -134,14 +138,6 @@ fn failure(path: &Path, error: io::Error) -> LibraryError {
             ),
         ),
         _ => LibraryError::io(path, error),
-    }
-}
-
-/// Refuses a file with no samples, or too many for a trial.
-fn check(data: WavData) -> Result<(), String> {
-    match data.length {
-        0 => Err("it holds no samples; record again, or remove the file".to_string()),
-        _ => check_length(data.outline()),
     }
 }
 

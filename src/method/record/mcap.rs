@@ -297,14 +297,11 @@ fn attachments(bytes: &[u8]) -> Result<Vec<(PathBuf, Vec<u8>)>, String> {
     for index in &indexes {
         let name = &index.name;
         let start = index.offset;
-        let within_file = |end: &u64| *end <= bytes.len() as u64;
         if start < end {
             return Err(format!("the file {name:?} lies within another one"));
         }
-        end = start
-            .checked_add(index.length)
-            .filter(within_file)
-            .ok_or_else(|| format!("the index of {name:?} points outside the file"))?;
+        let inside = start.checked_add(index.length).filter(|end| *end <= bytes.len() as u64);
+        end = inside.ok_or_else(|| format!("the index of {name:?} points outside the file"))?;
         let file = mcap::read::attachment(bytes, index).map_err(damaged)?;
         let path = within(&file.name)
             .ok_or_else(|| format!("holds a file {:?}; expected SURFACE/TRIAL/FILE", file.name))?;

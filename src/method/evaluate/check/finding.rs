@@ -5,11 +5,12 @@ use std::path::Path;
 
 use super::Audited;
 use super::inspect::{FEWEST, Inspected, Measured, levels, usual};
+use crate::evaluate::leak::{Leaks, Shared};
 use crate::evaluate::still::Still;
-use crate::library::{LibraryError, Unreadable};
-use crate::printable::{quoted, some_of};
+use crate::library::{Entry, LibraryError, Unreadable};
+use crate::printable::{counted, quoted, some_of};
 use crate::scene::SourceId;
-use crate::trial::Doubt;
+use crate::trial::{Doubt, TrialKey};
 
 /// A trial is silent if ln of its loudness is this far below its source's median: 40 dB.
 const SILENT: f64 = 2.0 * std::f64::consts::LN_10;
@@ -18,7 +19,7 @@ const SHORT: f64 = 1.0 / 3.0;
 /// The fault of a trial that only another name or number mends, so that it should not be removed.
 const NOT_USED: &str = "is not used";
 /// Most trials that a finding names.
-pub(super) const SHOWN: usize = 3;
+const SHOWN: usize = 3;
 
 /// Kinds of faults, the worst first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
@@ -63,7 +64,7 @@ impl Finding {
 /// Findings, and advice in lines.
 type Found = (Vec<Finding>, Vec<String>);
 
-pub(super) struct Fault {
+struct Fault {
     pub kind: FaultKind,
     pub source: Option<SourceId>,
     /// The fault in words, without the source and the trial, such as `is silent`.
@@ -126,15 +127,15 @@ pub(super) fn unreadable(
     found
 }
 
-/// Findings on the signals and their `copies`, and advice on each fault that half of the trials or more
-/// have. The faults of `still` channels are findings of their own, see [`never_moving`].
+/// Findings on the signals, and advice on each fault that half of the trials or more have.
+/// The faults of `still` channels are findings of their own, see [`never_moving`].
 pub(super) fn of_signals(
     inspected: &[Inspected],
-    copies: Vec<Fault>,
+    leaks: &Leaks,
     still: &[Still],
     audited: &Audited<'_>,
 ) -> Found {
-    let mut faults = copies;
+    let mut faults = copies_of_one_label(inspected, leaks, audited);
     let usual = |id: &SourceId, of: fn(&Measured) -> f64| usual(inspected.iter(), id, None, of);
     let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
     let is_flawed =
@@ -177,24 +178,24 @@ pub(super) fn of_signals(
         }
         let is_own = |doubt: &&Doubt| doubt.source().is_none_or(|id| !is_still(id));
         for doubt in one.doubts.iter().filter(is_own) {
-            match doubt {
-                Doubt::Clipped { source, channel, share, .. } => {
-                    let detail =
-                        format!("{:.0} % of channel {channel} at its limit", 100.0 * share);
-                    add(FaultKind::Clipped, source, "is clipped", detail);
+            let Some(source) = doubt.source() else { continue };
+            let percent = |share: &f64| format!("{:.0} %", 100.0 * share);
+            let (kind, what, detail) = match doubt {
+                Doubt::Clipped { channel, share, .. } => {
+                    let detail = format!("{} of channel {channel} at its limit", percent(share));
+                    (FaultKind::Clipped, "is clipped", detail)
                 }
-                Doubt::AtZero { source, channel, share } => {
-                    let detail = format!("channel {channel} for {:.0} %", 100.0 * share);
-                    add(FaultKind::Stuck, source, "is at 0", detail);
+                Doubt::AtZero { channel, share, .. } => {
+                    let detail = format!("channel {channel} for {}", percent(share));
+                    (FaultKind::Stuck, "is at 0", detail)
                 }
-                Doubt::Stuck { source, channel, .. } => {
-                    add(FaultKind::Stuck, source, "is stuck", format!("channel {channel}"));
+                Doubt::Stuck { channel, .. } => {
+                    (FaultKind::Stuck, "is stuck", format!("channel {channel}"))
                 }
-                Doubt::OneColour { source } => {
-                    add(FaultKind::Stuck, source, "is of one colour", String::new());
-                }
-                _ => {}
-            }
+                Doubt::OneColour { .. } => (FaultKind::Stuck, "is of one colour", String::new()),
+                _ => continue,
+            };
+            add(kind, source, what, detail);
         }
     }
     grouped(faults, inspected.len(), audited)
@@ -235,7 +236,7 @@ pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> 
 }
 
 /// Text such as `a looks`, `2 trials (a, b) look` or `4 trials (a, b, c and 1 more) look`.
-pub(super) fn look(trials: &[String]) -> String {
+fn look(trials: &[String]) -> String {
     let shown = some_of(trials, SHOWN, ", ");
     match trials.len() {
         1 => format!("{shown} looks"),
@@ -263,8 +264,7 @@ fn grouped(mut faults: Vec<Fault>, all: usize, audited: &Audited<'_>) -> Found {
             detail => format!("{} ({detail})", fault.trial),
         });
         let each = some_of(&each.collect::<Vec<_>>(), SHOWN, "; ");
-        let trials = if count == 1 { "trial" } else { "trials" };
-        let text = format!("{subject} {what} in {count} {trials}: {each}");
+        let text = format!("{subject} {what} in {}: {each}", counted(count, "trial"));
         // A copy says nothing about a sensor, however many there are.
         if source.is_some() && count >= FEWEST && count.saturating_mul(2) >= all {
             advice.push(format!("{subject} {what} in {count} of {all} trials: check its sensor"));
@@ -278,13 +278,86 @@ fn grouped(mut faults: Vec<Fault>, all: usize, audited: &Audited<'_>) -> Found {
     (findings, advice)
 }
 
+/// The copies among trials of one label, or of two.
+fn copies<'l>(
+    inspected: &'l [Inspected],
+    leaks: &'l Leaks,
+    of_one: bool,
+) -> impl Iterator<Item = &'l Shared> {
+    let is_of_one =
+        |[a, b]: [usize; 2]| inspected[a].entry.key.surface == inspected[b].entry.key.surface;
+    leaks.shared.values().filter(move |one| one.is_copy && is_of_one(one.trials) == of_one)
+}
+
+/// A fault for each trial that has a series with the same samples as in an earlier trial of its surface.
+fn copies_of_one_label(
+    inspected: &[Inspected],
+    leaks: &Leaks,
+    audited: &Audited<'_>,
+) -> Vec<Fault> {
+    let name = |trial: usize| inspected[trial].entry.name_in(audited.root);
+    let copies = copies(inspected, leaks, true);
+    let fault = |shared: &Shared| Fault {
+        kind: FaultKind::Copy,
+        source: None,
+        what: "is a copy of another",
+        trial: name(shared.trials[1]),
+        detail: format!("that of {}", name(shared.trials[0])),
+    };
+    copies.map(fault).collect()
+}
+
+/// The finding that trials are copies of each other under two labels. Those of them that look mislabelled are
+/// taken out of `wrong`, and are to be removed: with its right label, such a trial would still be a copy.
+pub(super) fn copies_of_two_labels(
+    inspected: &[Inspected],
+    leaks: &Leaks,
+    wrong: &mut Vec<(String, String)>,
+    audited: &Audited<'_>,
+) -> Option<Finding> {
+    let name = |trial: usize| inspected[trial].entry.name_in(audited.root);
+    let pairs = copies(inspected, leaks, false).map(|one| one.trials.map(name));
+    let pairs: Vec<[String; 2]> = pairs.collect();
+    let trials: BTreeSet<String> = pairs.iter().flatten().cloned().collect();
+    if pairs.is_empty() {
+        return None;
+    }
+    let shown: Vec<String> = pairs.iter().map(|pair| pair.join(" and ")).collect();
+    let mislabelled = wrong.extract_if(.., |(trial, _)| trials.contains(trial));
+    let mislabelled: Vec<String> = mislabelled.map(|(trial, _)| trial).collect();
+    let which = match mislabelled.is_empty() {
+        true => "see which label is right".into(),
+        false => format!("{} mislabelled", look(&mislabelled)),
+    };
+    let text = format!("copies under two labels: {}; {which}", some_of(&shown, SHOWN, "; "));
+    let command = audited.command("remove", &mislabelled);
+    Some(Finding { command, ..Finding::new(FaultKind::Copy, trials.into_iter().collect(), text) })
+}
+
+/// The finding that trials share samples without being copies of each other.
+pub(super) fn shared(
+    leaks: &Leaks,
+    keys: &[TrialKey],
+    entries: &[Entry],
+    audited: &Audited<'_>,
+) -> Option<Finding> {
+    let parts = leaks.shared.values().filter(|shared| !shared.is_copy);
+    let trials: BTreeSet<usize> = parts.flat_map(|shared| shared.trials).collect();
+    let trials: Vec<usize> = trials.into_iter().collect();
+    let keys: Vec<TrialKey> = trials.iter().map(|&i| keys[i].clone()).collect();
+    let name = |i: usize| entries[trials[i]].name_in(audited.root);
+    let text = leaks.among(&trials).text(&keys, name)?;
+    let (names, text) =
+        ((0..trials.len()).map(name), format!("{text}; cut recordings without overlap"));
+    Some(Finding::new(FaultKind::Shared, names.collect(), text))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::library::Entry;
     use crate::recognise::{MethodName, MethodSpec};
     use crate::scene::Scene;
-    use crate::trial::{Trial, TrialKey};
+    use crate::trial::Trial;
 
     fn audited<T>(work: impl FnOnce(&Audited<'_>) -> T) -> T {
         let scene = &Scene::lmt108();
@@ -306,7 +379,8 @@ mod tests {
             }
         };
         let all: Vec<Inspected> = levels.iter().enumerate().map(one).collect();
-        let (findings, advice) = audited(|audited| of_signals(&all, vec![], &[], audited));
+        let (findings, advice) =
+            audited(|audited| of_signals(&all, &Leaks::default(), &[], audited));
         findings.into_iter().map(|finding| finding.text).chain(advice).collect()
     }
 

@@ -1,10 +1,8 @@
 //! Audits a library: tells which trials are named correctly when left out, which look mislabelled,
 //! what is damaged, and what to record next.
 
-mod copies;
 mod finding;
 mod inspect;
-mod session;
 mod suspect;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -143,19 +141,16 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let leaks = Leaks::of(&entries, progress);
     let still = still(&entries, audited.scene);
     findings.extend(finding::never_moving(&still, &inspected, audited));
-    let copies = copies::of_one_label(&inspected, &leaks, audited);
-    let (of_signals, of_sources) = finding::of_signals(&inspected, copies, &still, audited);
+    let (of_signals, of_sources) = finding::of_signals(&inspected, &leaks, &still, audited);
     findings.extend(of_signals);
-    findings.extend(copies::shared(&leaks, &keys, &entries, audited));
+    findings.extend(finding::shared(&leaks, &keys, &entries, audited));
     let mut advice = opened.library.remarks;
     advice.extend(of_sources);
     let measured = measure(&entries, &leaks, audited, progress, Some(&mut advice));
     let measured = measured.map_err(|why| advice.push(why)).ok();
     // A damaged trial in the library causes wrong names, so labels are judged without such trials.
-    let damaged: BTreeSet<String> = (findings.iter())
-        .filter(|finding| finding.kind < FaultKind::Mislabelled)
-        .flat_map(|finding| finding.trials.clone())
-        .collect();
+    let damaged = findings.iter().filter(|finding| finding.kind < FaultKind::Mislabelled);
+    let damaged: BTreeSet<String> = damaged.flat_map(|one| one.trials.clone()).collect();
     let is_sound = |&i: &usize| !damaged.contains(&entries[i].name_in(audited.root));
     let places: Vec<usize> = (0..entries.len()).filter(is_sound).collect();
     let sound: Vec<Entry> = places.iter().map(|&i| entries[i].clone()).collect();
@@ -165,14 +160,12 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let judged = of_sound.as_ref().or(measured.as_ref());
     let judged = judged.map_or(&[][..], |judged| &judged.predictions);
     let mut suspects = suspects(judged);
-    let moved = session::moved(judged, &mut suspects);
-    findings.extend(session::differing(&moved, &inspected, audited));
-    let mut wrong: Vec<(String, String)> = (sound.iter())
-        .filter_map(|entry| {
-            Some((entry.name_in(audited.root), (*suspects.get(&entry.key)?).to_string()))
-        })
-        .collect();
-    findings.extend(copies::of_two_labels(&inspected, &leaks, &mut wrong, audited));
+    let moved = suspect::moved(judged, &mut suspects);
+    findings.extend(suspect::differing(&moved, &inspected, audited));
+    let wrong = sound.iter().filter(|entry| suspects.contains_key(&entry.key));
+    let named = |entry: &Entry| (entry.name_in(audited.root), suspects[&entry.key].to_string());
+    let mut wrong: Vec<(String, String)> = wrong.map(named).collect();
+    findings.extend(finding::copies_of_two_labels(&inspected, &leaks, &mut wrong, audited));
     findings.extend(finding::mislabelled(&wrong, audited));
     findings.sort_by_key(|finding| finding.kind);
     let accuracy_mended = of_sound.as_ref().map(|measured| measured.outcome.share.value());

@@ -17,7 +17,7 @@ const MOST_PAIRED: usize = 4;
 
 /// Features of all trials. Each feature has mean 0 in every trial and variance 1 over all trials. The
 /// features of one channel are uncorrelated.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Features {
     /// Q, the number of trials.
     pub trials: usize,
@@ -37,15 +37,9 @@ pub(super) struct Features {
 /// features of its channel (a channel of two values keeps one feature). With more than four channels
 /// there are no products, since their number grows with the square.
 pub(super) fn features(samples: &Samples) -> Features {
-    let mut features = Features {
-        trials: samples.trials,
-        frames: samples.frames,
-        columns: Vec::new(),
-        channels: Vec::new(),
-        between: Vec::new(),
-    };
-    let scores: Vec<Vec<f32>> =
-        samples.channels.iter().filter_map(|values| normal_scores(values)).collect();
+    let Samples { trials, frames, ref channels } = *samples;
+    let mut features = Features { trials, frames, ..Features::default() };
+    let scores: Vec<Vec<f32>> = channels.iter().filter_map(|z| normal_scores(z)).collect();
     for z in &scores {
         let hermite = |f: fn(f32) -> f32| z.iter().map(|&z| f(z)).collect::<Vec<f32>>();
         features.add([
@@ -130,11 +124,8 @@ impl Samples {
                 .copied()
                 .collect()
         };
-        Self {
-            trials: series.len(),
-            frames: range.len().div_ceil(step),
-            channels: (0..channels).map(channel).collect(),
-        }
+        let channels = (0..channels).map(channel).collect();
+        Self { trials: series.len(), frames: range.len().div_ceil(step), channels }
     }
 }
 

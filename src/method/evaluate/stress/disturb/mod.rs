@@ -5,7 +5,7 @@
 
 mod changes;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use rand_chacha::ChaCha8Rng;
 
@@ -207,9 +207,8 @@ pub(crate) fn few(library: Vec<Entry>, most: f64, rng: &mut ChaCha8Rng) -> Vec<E
 
 /// Gives about a `share` of the trials the name of another surface.
 pub(crate) fn mislabelled(mut library: Vec<Entry>, share: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
-    let mut surfaces: Vec<String> = library.iter().map(|e| e.key.surface.clone()).collect();
-    surfaces.sort();
-    surfaces.dedup();
+    let surfaces: BTreeSet<String> = library.iter().map(|e| e.key.surface.clone()).collect();
+    let surfaces: Vec<String> = surfaces.into_iter().collect();
     for (at, entry) in library.iter_mut().enumerate() {
         if uniform(rng) < share {
             let own = surfaces.partition_point(|surface| *surface < entry.key.surface);
@@ -243,8 +242,6 @@ pub(crate) fn twins(mut library: Vec<Entry>, percent: f64, _: &mut ChaCha8Rng) -
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-
     use super::*;
     use crate::dataset::synth::{self, Parameters};
     use crate::seed;
