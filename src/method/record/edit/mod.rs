@@ -188,7 +188,7 @@ impl Editor {
         for (place, key) in chosen {
             match key {
                 Some(key) => plan.rename(&place, key, key)?,
-                None => plan.add(&place, self.root.join(trial_name(&bin, &place)), None, None),
+                None => plan.add(&place, self.root.join(trial_name(&bin, &place)), [None, None]),
             }
         }
         self.take(format!("restore {}", names.join(", ")), plan.moves)
