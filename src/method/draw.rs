@@ -265,7 +265,6 @@ pub(crate) type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<
 /// `x` and `y` are the ranges of the axes, each with a description; `name_y` names the grid lines of `y`.
 pub(crate) fn axes<'a, 'b, X: AsRangedCoord<Value = f64>>(
     area: &'a Area<'b>,
-    title: &str,
     (x, of_x): (X, &str),
     (y, of_y): (Range<f64>, &str),
     name_y: fn(&f64) -> String,
@@ -275,9 +274,6 @@ where
 {
     let mut chart = ChartBuilder::on(area);
     chart.margin(14).x_label_area_size(46).y_label_area_size(72);
-    if !title.is_empty() {
-        chart.caption(title, ("sans-serif", 20));
-    }
     let mut chart = chart.build_cartesian_2d(x, y)?;
     chart
         .configure_mesh()

@@ -5,7 +5,7 @@ use plotters::prelude::*;
 
 use super::algorithm1::CurvePoint;
 use super::pooled::PooledDependence;
-use super::report::{ByRule, PooledRow, Second, SourceDuration};
+use super::report::{ByRule, PooledRow, SourceDuration};
 use crate::draw::{
     Area, COLOURS, Drawn, FigureError, GREY, Look, axes, plain, three_digits, titled,
 };
@@ -21,8 +21,6 @@ const LINE: i32 = 18;
 const SMALL: i32 = 13;
 const FONT: &str = "sans-serif";
 
-type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
-
 /// An SVG with two panels a row. `pooled` has a panel for each source, with all surfaces; Algorithm
 /// 1 has one for each surface and source. The last panel has accuracy against scan time. `data` is
 /// their name, which is the title, and whether they are synthetic.
@@ -35,7 +33,7 @@ pub fn figure(
     data: (&str, bool),
     look: Look,
 ) -> Result<String, FigureError> {
-    let mut panels: Vec<DrawnPanel<'_>> = Vec::new();
+    let mut panels: Vec<Box<dyn Fn(&Area<'_>) -> Drawn + '_>> = Vec::new();
     for (i, row) in durations.iter().enumerate() {
         match &row.by_rule {
             ByRule::Algorithm1 { curve, .. } if curve.len() > 1 => {
@@ -71,7 +69,7 @@ pub struct AccuracyCurve {
     /// Accuracy at each scan time, in ascending order of scan time.
     pub points: Vec<AccuracyAt>,
     pub target: f64,
-    pub enough_s: Option<Second>,
+    pub enough_s: Option<f64>,
 }
 
 /// Writes lines above a panel, each in its colour, and returns the area of the panel.
@@ -96,7 +94,7 @@ fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
         None => "scans named right".into(),
     };
     let area = headed(area, &[(drag, BLACK)])?;
-    let mut chart = axes(&area, "", x, y, plain)?;
+    let mut chart = axes(&area, x, y, plain)?;
     let line =
         |f: fn(&AccuracyAt) -> f64| curve.points.iter().map(move |p| (p.scan_s, 100.0 * f(p)));
     let band = line(|p| p.accuracy_high).chain(line(|p| p.accuracy_low).rev());
@@ -129,7 +127,7 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
     let title = format!("{} · {} (Q = {}): {found}", row.surface, row.source, row.trials);
     let area = headed(area, &[(title, BLACK)])?;
     let x = (0.0..ms(end) * 1.02, "time between samples [ms]");
-    let mut chart = axes(&area, "", x, (0.0..top, "HSIC"), plain)?;
+    let mut chart = axes(&area, x, (0.0..top, "HSIC"), plain)?;
     let line = |f: fn(&CurvePoint) -> f64| inside.iter().map(move |p| (ms(p.lag), f(p)));
     let band = line(|p| p.hsic_high).chain(line(|p| p.hsic_low).rev());
     let key = |style: ShapeStyle, dash: i32| {
@@ -213,7 +211,7 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
     let area = headed(area, &lines)?;
     let x = ((first..last).log_scale(), "time between two moments [ms]");
     let y = (0.0..1.0, "dependence (as a correlation)");
-    let mut chart = axes(&area, "", x, y, plain)?;
+    let mut chart = axes(&area, x, y, plain)?;
     let line = |row: &PooledRow, f: fn(&PooledDependence) -> f64| {
         row.dependence.iter().map(|d| (ms(d.lag_s), f(d))).collect::<Vec<_>>()
     };

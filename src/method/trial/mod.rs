@@ -11,7 +11,7 @@ pub(crate) use channel_flaws::STEADY;
 pub use channel_flaws::SeriesFlaws;
 pub use doubt::Doubt;
 pub(crate) use fingerprints::{Fingerprints, WINDOW, tells};
-pub(crate) use level::power;
+pub(crate) use level::{level_of, power};
 #[doc(hidden)]
 pub use {
     channel_flaws::{flaws_of, is_plain, usual_rests},
@@ -50,7 +50,7 @@ impl Trial {
         for (id, signal) in &mut self.signals {
             if let (Signal::Series(series), true) = (signal, is_drag(id)) {
                 let frames = (seconds * series.rate_hz()).round() as usize;
-                *series = series.crop(0, frames.min(series.frames()));
+                *series = series.crop(0, frames);
             }
         }
         self

@@ -166,7 +166,7 @@ fn latency_panel(area: &Area<'_>, chart: &Chart, whole: &[&ChartPoint]) -> Drawn
     let to = whole.iter().map(|p| ms(p)).fold(0.0, f64::max) * 1.8;
     let of_x = "median latency of a query [ms]";
     let (x, y) = (((from..to).log_scale(), of_x), (axis(chart, whole), "accuracy"));
-    let mut panel = axes(area, "", x, y, percent)?;
+    let mut panel = axes(area, x, y, percent)?;
     let line = front(whole, ms).into_iter().map(|p| (ms(p), p.accuracy));
     panel.draw_series(LineSeries::new(line, BLACK.mix(0.18).stroke_width(4)))?;
     let mut labels = controls(area, &mut panel, chart, (from, to))?;
@@ -199,7 +199,7 @@ fn time_panel(area: &Area<'_>, chart: &Chart, points: &[&ChartPoint]) -> Drawn {
     let share = f64::from(names) / f64::from(area.dim_in_pixel().0 - 100);
     let to = end / (1.0 - share.min(0.5));
     let (x, y) = ((0.0..to, "scan time used [s]"), (axis(chart, points), "accuracy"));
-    let mut panel = axes(area, "", x, y, percent)?;
+    let mut panel = axes(area, x, y, percent)?;
     // Methods stand beside each other, so that their intervals can be told apart.
     let count = points.iter().map(|p| curve(chart, &p.method)).max().unwrap_or(0) as f64;
     let [left, top, right, bottom] = frame(area, &panel);

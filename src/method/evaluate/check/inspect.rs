@@ -7,10 +7,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use crate::evaluate::ProgressFn;
-use crate::evaluate::loudness::{edge_hz, level_of};
 use crate::library::{Entry, Unreadable};
 use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, is_plain, usual_rests};
+use crate::spectrum::amplitude_spectrum;
+use crate::trial::{Doubt, Series, SeriesFlaws, Signal, Trial, flaws_of, level_of, usual_rests};
 
 /// Most bytes of samples that are kept in memory, to save reading them again.
 const MOST_KEPT: usize = 1 << 30;
@@ -79,9 +79,7 @@ fn of_entry(
     let (mut doubts, mut series) = (Vec::new(), BTreeMap::new());
     for (id, signal) in &signals {
         match signal {
-            Signal::Image(image) if is_plain(image) => {
-                doubts.push(Doubt::OneColour { source: id.clone() });
-            }
+            Signal::Image(_) => doubts.extend(flaws_of(id, signal, &[])),
             Signal::Series(one) if !scene.is_switch(id) => {
                 let flaws = SeriesFlaws::of(one);
                 doubts.extend(flaws.doubts(id, &[]));
@@ -95,7 +93,7 @@ fn of_entry(
                 };
                 series.insert(id.clone(), measured);
             }
-            Signal::Image(_) | Signal::Series(_) => {}
+            Signal::Series(_) => {}
         }
     }
     let bytes: usize = signals.values().map(bytes).sum();
@@ -161,4 +159,41 @@ pub(super) fn levels(inspected: &[Inspected], id: &SourceId, surface: &str) -> O
 pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     (values.len() >= FEWEST).then(|| values[values.len() / 2])
+}
+
+/// Most frames that the edge of a band is measured on.
+const MOST_FRAMES: usize = 1 << 16;
+
+/// The frequency in Hz below which 95 % of the power of a series' first channel lies, without its mean.
+/// 0 for a constant.
+fn edge_hz(series: &Series) -> f64 {
+    let rate_hz = series.rate_hz();
+    let first: Vec<f64> = series.channel(0).take(MOST_FRAMES).collect();
+    let mean = first.iter().sum::<f64>() / first.len() as f64;
+    let power = amplitude_spectrum(first.iter().map(|x| x - mean), rate_hz, (0.0, rate_hz / 2.0));
+    let power: Vec<f64> = power.into_iter().map(|x| x * x).collect();
+    let mut left = 0.05 * power.iter().sum::<f64>();
+    let above = power.iter().rev().take_while(|&&x| {
+        left -= x;
+        left >= 0.0
+    });
+    let edge = power.len().saturating_sub(1 + above.count());
+    if left < 0.0 { edge as f64 * rate_hz / first.len().next_power_of_two() as f64 } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_edge_of_a_band_is_that_of_its_fastest_strong_tone() {
+        let series = |samples| Series::new(1024.0, 1, samples).unwrap();
+        let wave = |hz: f64, i: usize| (i as f64 * hz * std::f64::consts::TAU / 1024.0).sin();
+        let edge = |strength: f64| {
+            let sample = |i| (3.0 + wave(50.0, i) + strength * wave(300.0, i)) as f32;
+            edge_hz(&series((0..2048).map(sample).collect()))
+        };
+        assert_eq!((edge(0.5), edge(0.1)), (300.0, 50.0));
+        assert_eq!(edge_hz(&series(vec![2.0; 64])), 0.0);
+    }
 }
