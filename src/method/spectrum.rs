@@ -9,8 +9,10 @@ thread_local! {
     /// Plans of Fourier transforms, kept for each thread, since they are slow to make.
     static PLANNER: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
     /// Input, output and scratch buffers of the transform, kept for reuse: megabytes for a drag.
-    static BUFFERS: RefCell<(Vec<f64>, Vec<Complex<f64>>, Vec<Complex<f64>>)> = RefCell::default();
+    static BUFFERS: RefCell<Buffers> = RefCell::default();
 }
+
+type Buffers = (Vec<f64>, Vec<Complex<f64>>, Vec<Complex<f64>>);
 
 /// Range of the spectral bins within a band (ends included), for `frames` samples at `rate_hz`.
 ///

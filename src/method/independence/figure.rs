@@ -21,6 +21,8 @@ const LINE: i32 = 18;
 const SMALL: i32 = 13;
 const FONT: &str = "sans-serif";
 
+type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
+
 /// An SVG with two panels a row. `pooled` has a panel for each source, with all surfaces; Algorithm
 /// 1 has one for each surface and source. The last panel has accuracy against scan time. `data` is
 /// their name, which is the title, and whether they are synthetic.
@@ -33,7 +35,7 @@ pub fn figure(
     data: (&str, bool),
     look: Look,
 ) -> Result<String, FigureError> {
-    let mut panels: Vec<Box<dyn Fn(&Area<'_>) -> Drawn + '_>> = Vec::new();
+    let mut panels: Vec<DrawnPanel<'_>> = Vec::new();
     for (i, row) in durations.iter().enumerate() {
         match &row.by_rule {
             ByRule::Algorithm1 { curve, .. } if curve.len() > 1 => {
