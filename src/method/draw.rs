@@ -57,7 +57,7 @@ impl Look {
     }
 
     /// The lines above a figure, each at most `pixels` wide. Synthetic data are always marked.
-    pub(crate) fn head(self, title: &str, synthetic: bool, pixels: u32) -> Vec<String> {
+    fn head(self, title: &str, synthetic: bool, pixels: u32) -> Vec<String> {
         let text = match (self.no_title, synthetic) {
             (true, false) => return Vec::new(),
             (true, true) => "SYNTHETIC data".into(),
@@ -85,15 +85,21 @@ const LETTER: f64 = 0.54;
 /// Distance of the head from the left edge.
 const MARGIN: i32 = 12;
 
-/// Height of a head in pixels.
-pub(crate) fn head_height(lines: &[String]) -> u32 {
-    (lines.len() as i32 * (HEAD_FONT + 5) + if lines.is_empty() { 0 } else { 8 }) as u32
-}
-
-/// Draws the lines of a [`Look::head`] at the top.
-pub(crate) fn draw_head(root: &Area<'_>, lines: &[String]) -> Drawn {
-    (0..).zip(lines).try_for_each(|(row, line)| {
-        put(root, line.as_str(), (MARGIN, 8 + row * (HEAD_FONT + 5)), HEAD_FONT)
+/// Like [`svg`], with the lines of a [`Look::head`] above a figure of this size.
+pub(crate) fn titled(
+    (title, synthetic): (&str, bool),
+    (width, height): (u32, u32),
+    look: Look,
+    draw: impl FnOnce(&Area<'_>) -> Drawn,
+) -> Result<String, FigureError> {
+    let lines = look.head(title, synthetic, width);
+    let gap = if lines.is_empty() { 0 } else { 8 };
+    let head = (lines.len() as i32 * (HEAD_FONT + 5) + gap) as u32;
+    svg((width, head + height), look, |root| {
+        for (row, line) in (0..).zip(lines) {
+            put(root, line, (MARGIN, 8 + row * (HEAD_FONT + 5)), HEAD_FONT)?;
+        }
+        draw(&root.split_vertically(head).1)
     })
 }
 
@@ -201,14 +207,10 @@ impl Labels {
     fn place(&mut self, (x, y): (i32, i32), (width, height): (i32, i32)) -> Option<(i32, i32)> {
         let (half_w, half_h) = (width / 2, height / 2);
         let places = [9, 16, 24, 34, 46, 60].into_iter().flat_map(|d| {
-            [(d, -half_h), (-half_w, -d - height), (-half_w, d), (-d - width, -half_h)]
-                .into_iter()
-                .chain([
-                    (d, -d - half_h),
-                    (d, d - half_h),
-                    (-d - width, -d - half_h),
-                    (-d - width, d - half_h),
-                ])
+            let straight =
+                [(d, -half_h), (-half_w, -d - height), (-half_w, d), (-d - width, -half_h)];
+            let askew = [d, -d - width].map(|x| [(x, -d - half_h), (x, d - half_h)]);
+            straight.into_iter().chain(askew.into_iter().flatten())
         });
         let mut places = places.map(|(dx, dy)| (x + dx, y + dy));
         let [left, top, right, bottom] = self.frame;
@@ -263,7 +265,6 @@ pub(crate) type Panel<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<
 /// `x` and `y` are the ranges of the axes, each with a description; `name_y` names the grid lines of `y`.
 pub(crate) fn axes<'a, 'b, X: AsRangedCoord<Value = f64>>(
     area: &'a Area<'b>,
-    title: &str,
     (x, of_x): (X, &str),
     (y, of_y): (Range<f64>, &str),
     name_y: fn(&f64) -> String,
@@ -273,9 +274,6 @@ where
 {
     let mut chart = ChartBuilder::on(area);
     chart.margin(14).x_label_area_size(46).y_label_area_size(72);
-    if !title.is_empty() {
-        chart.caption(title, ("sans-serif", 20));
-    }
     let mut chart = chart.build_cartesian_2d(x, y)?;
     chart
         .configure_mesh()

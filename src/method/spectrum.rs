@@ -52,10 +52,8 @@ pub fn amplitude_spectrum(
         scratch.resize(plan.get_scratch_len().max(scratch.len()), Complex::default());
         // This cannot fail: all buffers have the lengths that the plan demands.
         plan.process_with_scratch(input, output, scratch).expect("buffers of the plan's lengths");
-        output[bins.start.min(output.len())..bins.end.min(output.len())]
-            .iter()
-            .map(|x| scale * x.norm_sqr().sqrt())
-            .collect()
+        let band = &output[bins.start.min(output.len())..bins.end.min(output.len())];
+        band.iter().map(|x| scale * x.norm_sqr().sqrt()).collect()
     })
 }
 

@@ -12,10 +12,8 @@ use crate::trial::TrialKey;
 /// Moves the first `count` trials of each surface and user from the queries of each fold to its
 /// library. Drops folds that then have no queries. Each fold should leave out one user.
 pub fn enrol(folds: &[Fold], keys: &[TrialKey], count: usize) -> Result<Vec<Fold>, EvaluateError> {
-    let folds: Vec<Fold> = (folds.iter())
-        .map(|fold| enrol_in(fold, keys, count))
-        .filter(|fold| !fold.queries.is_empty())
-        .collect();
+    let enrolled = folds.iter().map(|fold| enrol_in(fold, keys, count));
+    let folds: Vec<Fold> = enrolled.filter(|fold| !fold.queries.is_empty()).collect();
     if folds.is_empty() {
         return Err(EvaluateError::Trials(format!(
             "no user has more than {count} trial(s) of a surface, so none is left to name"
@@ -76,12 +74,8 @@ impl EnrolmentOutcome {
         };
         let folds: Vec<Fold> = run.on.folds.iter().filter_map(without).collect();
         let without = run.measure_by(&folds, &[run.on.query_seconds])?.swap_remove(0).outcome;
-        Ok(Self {
-            trials: count,
-            accuracy: with.outcome.share.value(),
-            without: without.share,
-            gain: with.outcome.share.value() - without.share.value(),
-        })
+        let (accuracy, without) = (with.outcome.share.value(), without.share);
+        Ok(Self { trials: count, accuracy, without, gain: accuracy - without.value() })
     }
 }
 

@@ -57,14 +57,8 @@ pub struct Evaluation<'a> {
 impl<'a> Evaluation<'a> {
     /// An evaluation on whole recordings, without cache and progress.
     pub fn new(scene: &'a Scene, entries: &'a [Entry], folds: &'a [Fold]) -> Self {
-        Self {
-            scene,
-            trials: EvaluatedTrials::Recordings(entries),
-            folds,
-            query_seconds: None,
-            cache: None,
-            progress: &|_, _, _| (),
-        }
+        let trials = EvaluatedTrials::Recordings(entries);
+        Self { scene, trials, folds, query_seconds: None, cache: None, progress: &|_, _, _| () }
     }
 
     /// Prepares the libraries of all folds; each trial is prepared only once.
@@ -79,12 +73,9 @@ impl<'a> Evaluation<'a> {
             }
             EvaluatedTrials::Features(trials) => {
                 let prepare = |trial: &FeatureVector| Prepared::Features(Arc::new(trial.clone()));
-                PreparedLibrary {
-                    shape: Arc::new(LibraryShape::default()),
-                    trials: trials.iter().map(|trial| Some(prepare(trial))).collect(),
-                    remarks: Vec::new(),
-                    from_cache: 0,
-                }
+                let trials = trials.iter().map(|trial| Some(prepare(trial))).collect();
+                let (shape, remarks) = (Arc::new(LibraryShape::default()), Vec::new());
+                PreparedLibrary { shape, trials, remarks, from_cache: 0 }
             }
         };
         Ok(Run { on: self, method, library })
@@ -153,7 +144,8 @@ impl Run<'_, '_> {
     ) -> Result<Query, RecogniseError> {
         match self.on.trials {
             EvaluatedTrials::Recordings(entries) => {
-                self.query_of(model, cut(entries[index].load()?, self.on.scene, seconds))
+                let entry = first_seconds(&entries[index], self.on.scene, seconds);
+                self.query_of(model, entry.load()?)
             }
             EvaluatedTrials::Features(trials) => Ok(Query {
                 prepared: Prepared::Features(Arc::new(trials[index].clone())),
@@ -238,7 +230,7 @@ impl Run<'_, '_> {
         remarks.extend(ranking.is_none().then_some(Doubt::TooLittle));
         let query_ms = query.started.elapsed().as_secs_f64() * 1e3;
         let key = self.on.trials.key(index).clone();
-        let nameless = Prediction { query_ms, ..Prediction::none(key, fold) };
+        let nameless = Prediction { key, fold, query_ms, ..Prediction::default() };
         let Some(ranking) = ranking else { return Ok((nameless, remarks)) };
         let surface = ranking.surface().to_string();
         let stated = ranking.probabilities();
@@ -258,17 +250,13 @@ impl Run<'_, '_> {
     /// The outcome of some folds and the predictions for their queries, which are some.
     pub(crate) fn sum_up(&self, folds: &[Fold], predictions: &[Prediction]) -> Outcome {
         let names: Vec<String> = folds.iter().map(|fold| fold.name.clone()).collect();
-        let labels: BTreeSet<&String> =
-            in_libraries(folds).into_iter().map(|i| &self.on.trials.key(i).surface).collect();
+        let surface = |&i: &usize| &self.on.trials.key(i).surface;
+        let surfaces = |fold: &Fold| fold.library.iter().map(surface).collect::<BTreeSet<_>>();
+        let labels: BTreeSet<&String> = folds.iter().flat_map(surfaces).collect();
         let labels = labels.into_iter().cloned().collect();
         let largest = folds.iter().map(|fold| fold.library.len()).max().unwrap_or(0);
-        let surfaces = |fold: &Fold| {
-            let of = |&i: &usize| &self.on.trials.key(i).surface;
-            fold.library.iter().map(of).collect::<BTreeSet<_>>().len()
-        };
-        let counts: Vec<usize> = folds.iter().map(surfaces).collect();
-        let candidates =
-            [counts.iter().min(), counts.iter().max()].map(|n| n.copied().unwrap_or(0));
+        let counts = || folds.iter().map(|fold| surfaces(fold).len());
+        let candidates = [counts().min(), counts().max()].map(|count| count.unwrap_or(0));
         let outcome = Outcome::new(predictions, &names, labels, largest, self.method.name())
             // Every fold has queries, so there is a prediction.
             .expect("every fold has queries");
@@ -278,19 +266,13 @@ impl Run<'_, '_> {
 
 /// The entry, with its drag cut to the first `seconds` if they are given.
 pub fn first_seconds(entry: &Entry, scene: &Scene, seconds: Option<f64>) -> Entry {
-    let (entry, scene) = (entry.clone(), scene.clone());
-    if seconds.is_none() { entry } else { entry.changed(move |trial| cut(trial, &scene, seconds)) }
+    let Some(seconds) = seconds else { return entry.clone() };
+    let scene = scene.clone();
+    entry.clone().changed(move |trial| trial.first_seconds(seconds, |id| scene.is_dragged(id)))
 }
 
 /// The entries that have sources of the scene, limited to these sources.
 pub fn within(entries: &[Entry], scene: &Scene) -> Vec<Entry> {
     let within = entries.iter().map(|entry| entry.clone().within(scene));
     within.filter(|entry| !entry.sources.is_empty()).collect()
-}
-
-fn cut(trial: Trial, scene: &Scene, seconds: Option<f64>) -> Trial {
-    match seconds {
-        Some(seconds) => trial.first_seconds(seconds, |id| scene.is_dragged(id)),
-        None => trial,
-    }
 }

@@ -69,13 +69,10 @@ impl Protocol {
     fn split(self, keys: &[TrialKey]) -> Vec<Fold> {
         let groups = match self {
             Self::ExpertVsUsers => {
-                let by_expert = |&i: &usize| keys[i].user == EXPERT;
-                let limited = |fold: Fold| Fold {
-                    library: fold.library.into_iter().filter(by_expert).collect(),
-                    ..fold
-                };
-                let others = by_user(keys).into_iter().filter(|fold| fold.name != EXPERT);
-                others.map(limited).collect()
+                let mut others = by_user(keys);
+                others.retain(|fold| fold.name != EXPERT);
+                others.iter_mut().for_each(|fold| fold.library.retain(|&i| keys[i].user == EXPERT));
+                others
             }
             Self::AllVsOneUser => by_user(keys),
             Self::LeaveOneSessionOut if !sessions_count(keys.iter()) => Vec::new(),
@@ -107,14 +104,12 @@ impl Protocol {
 pub struct Split {
     /// The protocol, `split` for folds of a file, or `group-by KEY`.
     pub name: String,
-    /// Which trials are left out, and what that leaves untold.
     pub left_out: String,
     pub over: Over,
     pub folds: Vec<Fold>,
 }
 
 impl Split {
-    /// Folds by a protocol; see [`folds`].
     pub fn by_protocol(protocol: Protocol, keys: &[TrialKey]) -> Result<Self, EvaluateError> {
         let (name, left_out) = (protocol.name().into(), protocol.left_out().into());
         Ok(Self { name, left_out, over: protocol.over(), folds: folds(protocol, keys)? })
@@ -246,8 +241,7 @@ fn session_name((user, session): (&str, Option<&str>)) -> String {
     format!("{user}{}", session.unwrap_or("without session"))
 }
 
-/// One fold for each person.
-pub(super) fn by_user(keys: &[TrialKey]) -> Vec<Fold> {
+fn by_user(keys: &[TrialKey]) -> Vec<Fold> {
     by_group(keys, |key| key.user.as_str(), str::to_string)
 }
 
@@ -395,10 +389,8 @@ mod tests {
             let user = user.to_string();
             sessions(&[session]).into_iter().map(move |key| TrialKey { user: user.clone(), ..key })
         };
-        let keys: Vec<TrialKey> = [("anna", "b c"), ("anna b", "c"), (EXPERT, "anna b c")]
-            .into_iter()
-            .flat_map(of)
-            .collect();
+        let all = [("anna", "b c"), ("anna b", "c"), (EXPERT, "anna b c")];
+        let keys: Vec<TrialKey> = all.into_iter().flat_map(of).collect();
         let folds = folds(Protocol::LeaveOneSessionOut, &keys).unwrap();
         let names: BTreeSet<&str> = folds.iter().map(|fold| fold.name.as_str()).collect();
         assert_eq!(names, ["anna b c", "anna b/c", "anna/b c"].into());

@@ -260,9 +260,13 @@ mod tests {
     }
 
     fn entry(surface: &str, number: usize, samples: &[f32]) -> Entry {
-        let series = Series::new(RATE_HZ, 1, samples.to_vec()).unwrap();
-        let signals = [(SourceId::new("mi2").unwrap(), Signal::Series(series))].into();
-        Entry::in_memory(Trial { key: TrialKey::new(surface, EXPERT, number as u32), signals })
+        entry_of(surface, number, samples, 1)
+    }
+
+    fn entry_of(surface: &str, number: usize, samples: &[f32], channels: usize) -> Entry {
+        let series = Series::new(RATE_HZ, channels, samples.to_vec()).unwrap();
+        let key = TrialKey::new(surface, EXPERT, number as u32);
+        Entry::in_memory(Trial::of_series(key, SourceId::new("mi2").unwrap(), series))
     }
 
     /// Twelve trials of 0.2 s of each of three recordings, each beginning `hop` frames after the last.
@@ -343,9 +347,7 @@ mod tests {
         for (frames, channels) in [(12, 20), (20, 20), (26, 6), (20, 1)] {
             let of = |name: &str, number| {
                 let samples = noise(&format!("{name} {frames}"), frames * channels);
-                let series = Series::new(RATE_HZ, channels, samples).unwrap();
-                let signals = [(SourceId::new("mi2").unwrap(), Signal::Series(series))].into();
-                Entry::in_memory(Trial { key: TrialKey::new("a", EXPERT, number), signals })
+                entry_of("a", number, &samples, channels)
             };
             let leaks = leaks(&[of("x", 1), of("x", 2), of("y", 3)]);
             assert_eq!(leaks.partners, [(0, [1].into()), (1, [0].into())].into());

@@ -15,7 +15,6 @@ mod enrolled;
 mod evaluation;
 mod fold;
 mod leak;
-mod loudness;
 mod outcome;
 mod paired;
 #[doc(hidden)]

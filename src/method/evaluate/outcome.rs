@@ -70,7 +70,8 @@ impl Serialize for Share {
     }
 }
 
-#[derive(Clone, Debug, PartialEq)]
+/// The answer to a query; by default, none was given.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Prediction {
     /// The query; its surface is the truth.
     pub key: TrialKey,
@@ -91,21 +92,6 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    /// The prediction for a query that could not be named.
-    pub(crate) fn none(key: TrialKey, fold: usize) -> Self {
-        Self {
-            key,
-            fold,
-            surface: String::new(),
-            margin: 0.0,
-            query_ms: 0.0,
-            sources: Vec::new(),
-            confidence: None,
-            p_value: None,
-            probabilities: Vec::new(),
-        }
-    }
-
     pub fn is_correct(&self) -> bool {
         self.surface == self.key.surface
     }
@@ -207,9 +193,7 @@ impl Outcome {
         let surfaces = confusion.surfaces();
         let precisions = surfaces.iter().filter_map(|one| one.precision);
         let times = || predictions.iter().map(|p| p.query_ms).collect();
-        let mut sources: Vec<_> = predictions.iter().flat_map(|p| p.sources.clone()).collect();
-        sources.sort();
-        sources.dedup();
+        let sources: BTreeSet<_> = predictions.iter().flat_map(|p| &p.sources).collect();
         let queried: BTreeSet<&str> = predictions.iter().map(|p| p.key.surface.as_str()).collect();
         let never_queried =
             confusion.labels.iter().filter(|label| !queried.contains(label.as_str()));
@@ -228,7 +212,7 @@ impl Outcome {
             query_ms_p50: percentile(times(), 0.50),
             query_ms_p99: percentile(times(), 0.99),
             method: method.into(),
-            sources,
+            sources: sources.into_iter().cloned().collect(),
             folds,
             surfaces,
             confusion,
@@ -384,7 +368,7 @@ mod tests {
 
     fn prediction(truth: &str, answer: &str, fold: usize) -> Prediction {
         let key = TrialKey::new(truth, "user1", 1);
-        Prediction { surface: answer.into(), ..Prediction::none(key, fold) }
+        Prediction { key, fold, surface: answer.into(), ..Prediction::default() }
     }
 
     fn outcome(predictions: &[Prediction]) -> Outcome {

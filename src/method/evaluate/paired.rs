@@ -117,8 +117,8 @@ mod tests {
     use super::*;
     use crate::evaluate::{Protocol, folds};
     use crate::library::Entry;
-    use crate::scene::Scene;
-    use crate::trial::{Series, Signal, Trial, TrialKey};
+    use crate::scene::{Scene, SourceId};
+    use crate::trial::{Series, Trial, TrialKey};
 
     #[test]
     fn the_p_value_is_that_of_fair_coins() {
@@ -159,16 +159,12 @@ mod tests {
 
     #[test]
     fn a_better_plain_comparison_is_named_and_an_equal_one_is_not() {
-        let scene = "format = 1\n[sources.ir]\ndomain = \"time\"\nrate_hz = 100\n";
-        let scene = Scene::from_toml(scene).unwrap();
-        let id = || scene.sources().next().unwrap().id.clone();
+        let scene = Scene::lmt108();
         let entry = |surface: usize, number: u32| {
             let value = |i: usize| ((i * (surface + 2) + number as usize) as f32 * 0.37).sin();
             let series = Series::new(100.0, 1, (0..300).map(value).collect()).unwrap();
-            Entry::in_memory(Trial {
-                key: TrialKey::new(format!("s{surface}"), "expert", number),
-                signals: [(id(), Signal::Series(series))].into(),
-            })
+            let key = TrialKey::new(format!("s{surface}"), "expert", number);
+            Entry::in_memory(Trial::of_series(key, SourceId::new("ir").unwrap(), series))
         };
         let entries: Vec<Entry> =
             (0..3).flat_map(|surface| (1..=5).map(move |n| entry(surface, n))).collect();

@@ -229,20 +229,14 @@ impl<'a> Search<'a> {
             true => self.upwards(rule, 1, self.largest_lag),
             false => self.coarse(rule),
         };
-        let outcome = match first {
-            None => SearchOutcome::NotInRange { largest_lag: self.largest_lag },
-            Some(lag) if self.settings.look_beyond => match self.dependent_beyond(lag) {
-                Some(again_at) => SearchOutcome::Returns { first: lag, again_at },
-                None => SearchOutcome::Found { lag },
-            },
-            Some(lag) => SearchOutcome::Found { lag },
+        let beyond = first.filter(|_| self.settings.look_beyond);
+        let outcome = match (first, beyond.and_then(|lag| self.dependent_beyond(lag))) {
+            (None, _) => SearchOutcome::NotInRange { largest_lag: self.largest_lag },
+            (Some(first), Some(again_at)) => SearchOutcome::Returns { first, again_at },
+            (Some(lag), None) => SearchOutcome::Found { lag },
         };
-        Estimate {
-            outcome,
-            latest_start: self.starts,
-            rate_hz: self.trials.rate_hz(),
-            curve: self.curve.values().copied().collect(),
-        }
+        let (latest_start, rate_hz) = (self.starts, self.trials.rate_hz());
+        Estimate { outcome, latest_start, rate_hz, curve: self.curve.values().copied().collect() }
     }
 
     fn upwards(&mut self, rule: Rule, from: usize, to: usize) -> Option<usize> {

@@ -5,10 +5,9 @@ use plotters::prelude::*;
 
 use super::algorithm1::CurvePoint;
 use super::pooled::PooledDependence;
-use super::report::{ByRule, PooledRow, Second, SourceDuration};
+use super::report::{ByRule, PooledRow, SourceDuration};
 use crate::draw::{
-    Area, COLOURS, Drawn, FigureError, GREY, Look, axes, draw_head, head_height, plain, svg,
-    three_digits,
+    Area, COLOURS, Drawn, FigureError, GREY, Look, axes, plain, three_digits, titled,
 };
 use crate::recognise::AccuracyAt;
 use crate::scene::SourceId;
@@ -25,15 +24,15 @@ const FONT: &str = "sans-serif";
 type DrawnPanel<'a> = Box<dyn Fn(&Area<'_>) -> Drawn + 'a>;
 
 /// An SVG with two panels a row. `pooled` has a panel for each source, with all surfaces; Algorithm
-/// 1 has one for each surface and source. The last panel has accuracy against scan time. The title is
-/// the name of the data.
+/// 1 has one for each surface and source. The last panel has accuracy against scan time. `data` is
+/// their name, which is the title, and whether they are synthetic.
 ///
 /// # Errors
 /// If no surface and source has a curve.
 pub fn figure(
     durations: &[SourceDuration],
     accuracy: Option<&AccuracyCurve>,
-    (data, synthetic): (&str, bool),
+    data: (&str, bool),
     look: Look,
 ) -> Result<String, FigureError> {
     let mut panels: Vec<DrawnPanel<'_>> = Vec::new();
@@ -61,12 +60,8 @@ pub fn figure(
     let width = look.pixels(if panels.len() > 1 { WIDTH } else { WIDTH / 2 });
     let columns = panels.len().min((width / LEAST) as usize).clamp(1, 2);
     let rows = panels.len().div_ceil(columns);
-    let lines = look.head(data, synthetic, width);
-    let head = head_height(&lines);
-    svg((width, head + PANEL * rows as u32), look, |root| {
-        draw_head(root, &lines)?;
-        let (_, rest) = root.split_vertically(head);
-        let areas = rest.split_evenly((rows, columns));
+    titled(data, (width, PANEL * rows as u32), look, |area| {
+        let areas = area.split_evenly((rows, columns));
         areas.iter().zip(&panels).try_for_each(|(area, panel)| panel(area))
     })
 }
@@ -76,7 +71,7 @@ pub struct AccuracyCurve {
     /// Accuracy at each scan time, in ascending order of scan time.
     pub points: Vec<AccuracyAt>,
     pub target: f64,
-    pub enough_s: Option<Second>,
+    pub enough_s: Option<f64>,
 }
 
 /// Writes lines above a panel, each in its colour, and returns the area of the panel.
@@ -101,7 +96,7 @@ fn accuracy_panel(area: &Area<'_>, curve: &AccuracyCurve) -> Drawn {
         None => "scans named right".into(),
     };
     let area = headed(area, &[(drag, BLACK)])?;
-    let mut chart = axes(&area, "", x, y, plain)?;
+    let mut chart = axes(&area, x, y, plain)?;
     let line =
         |f: fn(&AccuracyAt) -> f64| curve.points.iter().map(move |p| (p.scan_s, 100.0 * f(p)));
     let band = line(|p| p.accuracy_high).chain(line(|p| p.accuracy_low).rev());
@@ -134,7 +129,7 @@ fn algorithm1_panel(area: &Area<'_>, row: &SourceDuration, curve: &[CurvePoint])
     let title = format!("{} · {} (Q = {}): {found}", row.surface, row.source, row.trials);
     let area = headed(area, &[(title, BLACK)])?;
     let x = (0.0..ms(end) * 1.02, "time between samples [ms]");
-    let mut chart = axes(&area, "", x, (0.0..top, "HSIC"), plain)?;
+    let mut chart = axes(&area, x, (0.0..top, "HSIC"), plain)?;
     let line = |f: fn(&CurvePoint) -> f64| inside.iter().map(move |p| (ms(p.lag), f(p)));
     let band = line(|p| p.hsic_high).chain(line(|p| p.hsic_low).rev());
     let key = |style: ShapeStyle, dash: i32| {
@@ -218,7 +213,7 @@ fn dependence_panel(area: &Area<'_>, rows: &[(&SourceDuration, &PooledRow)]) -> 
     let area = headed(area, &lines)?;
     let x = ((first..last).log_scale(), "time between two moments [ms]");
     let y = (0.0..1.0, "dependence (as a correlation)");
-    let mut chart = axes(&area, "", x, y, plain)?;
+    let mut chart = axes(&area, x, y, plain)?;
     let line = |row: &PooledRow, f: fn(&PooledDependence) -> f64| {
         row.dependence.iter().map(|d| (ms(d.lag_s), f(d))).collect::<Vec<_>>()
     };

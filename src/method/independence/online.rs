@@ -99,10 +99,8 @@ mod tests {
     fn t_star_grows_with_the_correlation_time_of_the_stream() {
         let mut rng = crate::seed::rng(6, &[b"online"]);
         for tau in [10.0, 50.0, 200.0] {
-            let mut found: Vec<f64> = (0..21)
-                .filter_map(|_| t_star(simulate::ar1(100_000, tau, &mut rng)))
-                .map(|lag| lag as f64 / tau)
-                .collect();
+            let lags = (0..21).filter_map(|_| t_star(simulate::ar1(100_000, tau, &mut rng)));
+            let mut found: Vec<f64> = lags.map(|lag| lag as f64 / tau).collect();
             assert!(found.len() >= 12, "τ = {tau}: {}", found.len());
             found.sort_unstable_by(f64::total_cmp);
             let median = found[found.len() / 2];

@@ -26,6 +26,15 @@ impl LibraryError {
         move |problem| Self::file(path, problem)
     }
 
+    /// The error for a file that cannot be decoded as a `kind`.
+    pub(super) fn damaged(path: &Path, kind: &str, why: &str) -> Self {
+        let problem = format!(
+            "not a {kind} that can be read ({why}); copy it again from where it came, record again, or \
+             remove it"
+        );
+        Self::file(path, problem)
+    }
+
     /// Describes an error of the file system, with advice for the common causes.
     pub(crate) fn io(path: &Path, error: io::Error) -> Self {
         match error.kind() {

@@ -84,13 +84,9 @@ pub(crate) struct FileTrial {
 
 impl LoadTrial for FileTrial {
     fn load(&self, wanted: &[SourceId]) -> Result<Trial, LibraryError> {
-        let signals = self
-            .sources
-            .iter()
-            .filter(|(id, _)| wanted.contains(id))
-            .map(|(id, files)| Ok((id.clone(), files.read()?)))
-            .collect::<Result<_, LibraryError>>()?;
-        Ok(Trial { key: self.key.clone(), signals })
+        let known = self.sources.iter().filter(|(id, _)| wanted.contains(id));
+        let signals = known.map(|(id, files)| Ok((id.clone(), files.read()?)));
+        Ok(Trial { key: self.key.clone(), signals: signals.collect::<Result<_, LibraryError>>()? })
     }
 
     fn outlines(&self, wanted: &[SourceId]) -> Result<Outlines, LibraryError> {
@@ -105,8 +101,8 @@ impl LoadTrial for FileTrial {
         if let Some(folder) = &self.folder {
             return vec![folder];
         }
-        let mut files: Vec<&Path> =
-            self.sources.values().flat_map(SourceFiles::paths).map(PathBuf::as_path).collect();
+        let files = self.sources.values().flat_map(SourceFiles::paths);
+        let mut files: Vec<&Path> = files.map(PathBuf::as_path).collect();
         files.sort();
         files
     }
@@ -283,7 +279,7 @@ const LOSSY_REMARK: &str = "lossy coding changes a sound, most of all in the ban
 /// Checks the headers of a library's series against the described channels and rates.
 #[derive(Debug, Default)]
 pub(crate) struct Headers {
-    root: PathBuf,
+    pub root: PathBuf,
     first: BTreeMap<SourceId, (f64, PathBuf)>,
     /// For each source: the lowest rate of a file, in Hz, that is too low for the default band.
     pub lowest_hz: BTreeMap<SourceId, f64>,

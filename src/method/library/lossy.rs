@@ -29,7 +29,6 @@ use symphonia_format_isomp4::IsoMp4Reader;
 use symphonia_format_ogg::OggReader;
 
 use super::files::{self, check_length};
-use super::series_file::damaged;
 use super::{LibraryError, Outline};
 use crate::trial::Series;
 
@@ -55,7 +54,7 @@ enum Why {
 impl Why {
     fn at(self, path: &Path) -> LibraryError {
         match self {
-            Self::Damaged(why) => damaged(path, "sound", &why),
+            Self::Damaged(why) => LibraryError::damaged(path, "sound", &why),
             Self::Unknown(name) => {
                 LibraryError::file(path, format!("{name} is not read; convert it to WAV or FLAC"))
             }

@@ -14,7 +14,7 @@ pub(crate) mod wav;
 
 pub use about::{ABOUT_FILE, About};
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -295,10 +295,8 @@ impl Library {
     }
 
     pub fn surfaces(&self) -> Vec<&str> {
-        let mut surfaces: Vec<_> = self.entries.iter().map(|e| e.key.surface.as_str()).collect();
-        surfaces.sort_unstable();
-        surfaces.dedup();
-        surfaces
+        let surfaces = self.entries.iter().map(|e| e.key.surface.as_str());
+        surfaces.collect::<BTreeSet<_>>().into_iter().collect()
     }
 
     /// A hash of all labels and samples, in hexadecimal digits. It is the same on all machines and in any

@@ -120,8 +120,8 @@ pub(crate) fn nothing_found(
     LibraryError::of_all(bad).unwrap_or_else(|| LibraryError::file(path, problem))
 }
 
-struct RecordingOpening<'a> {
-    root: &'a Path,
+#[derive(Default)]
+struct RecordingOpening {
     name: String,
     scene: Scene,
     declared: BTreeMap<SourceId, SourceBlock>,
@@ -136,20 +136,10 @@ struct RecordingOpening<'a> {
     bad: Vec<LibraryError>,
 }
 
-impl<'a> RecordingOpening<'a> {
-    fn new(root: &'a Path, described_in: &Path, scene: Scene) -> Result<Self, LibraryError> {
-        let mut opening = Self {
-            root,
-            name: String::new(),
-            scene,
-            declared: BTreeMap::new(),
-            unknown: BTreeSet::new(),
-            synthetic: false,
-            headers: Headers::new(root, Remarks::default()),
-            trials: BTreeMap::new(),
-            words: BTreeMap::new(),
-            bad: Vec::new(),
-        };
+impl RecordingOpening {
+    fn new(root: &Path, described_in: &Path, scene: Scene) -> Result<Self, LibraryError> {
+        let headers = Headers::new(root, Remarks::default());
+        let mut opening = Self { scene, headers, ..Self::default() };
         let described = described_in.join(DESCRIPTION);
         if let Some(text) = files::read_text_if_there(&described)? {
             let described =
@@ -167,9 +157,7 @@ impl<'a> RecordingOpening<'a> {
     }
 
     fn library(self) -> Opened {
-        let RecordingOpening {
-            root, mut name, scene, trials, words, headers, synthetic, bad, ..
-        } = self;
+        let Self { mut name, scene, trials, words, headers, synthetic, bad, .. } = self;
         let mut remarks: Vec<String> = headers.remarks.lines().collect();
         let scene = scene.changed(|spec| {
             if let Some(rate_hz) = headers.lowest_hz.get(&spec.id) {
@@ -198,7 +186,7 @@ impl<'a> RecordingOpening<'a> {
         };
         let entries = trials.into_iter().map(of).collect();
         if name.is_empty() {
-            let folder = root.canonicalize().unwrap_or_else(|_| root.to_path_buf());
+            let folder = headers.root.canonicalize().unwrap_or(headers.root);
             name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         }
         Opened { library: Library { name, scene, entries, synthetic, remarks }, bad }
@@ -211,43 +199,39 @@ impl<'a> RecordingOpening<'a> {
         };
         let mut loose = Vec::new();
         for item in &items {
-            match item.stem_and_extension().1.as_str() {
-                _ if item.is_dir && item.name.ends_with(UNFINISHED) => self
-                    .headers
-                    .note(&item.path, "not used, it was never finished; remove the folder"),
-                _ if item.is_hidden() => {}
-                _ if item.unusable.is_some() => {
-                    item.unusable.iter().for_each(|why| self.headers.note(&item.path, *why));
-                }
-                _ if item.is_dir => self.trial(&surface.name, item),
-                _ if item.is_series() && self.scene.get(item.stem_and_extension().0).is_none() => {
-                    loose.push(item);
-                }
-                extension if item.has_series_name() || PICTURES.contains(&extension) => {
-                    self.headers.note(
-                        &item.path,
-                        "not used, it lies in no TRIAL folder; expected SURFACE/TRIAL/<source>.wav",
-                    )
-                }
-                _ => {
-                    item.unreadable().into_iter().for_each(|why| self.headers.note(&item.path, why))
-                }
-            }
+            let (stem, extension) = item.stem_and_extension();
+            let why = if item.is_dir && item.name.ends_with(UNFINISHED) {
+                Some("not used, it was never finished; remove the folder".to_string())
+            } else if item.is_hidden() {
+                None
+            } else if let Some(why) = item.unusable {
+                Some(why.into())
+            } else if item.is_dir {
+                self.trial(&surface.name, item);
+                None
+            } else if item.is_series() && self.scene.get(stem).is_none() {
+                loose.push(item);
+                None
+            } else if item.has_series_name() || PICTURES.contains(&&*extension) {
+                let expected = "expected SURFACE/TRIAL/<source>.wav";
+                Some(format!("not used, it lies in no TRIAL folder; {expected}"))
+            } else {
+                item.unreadable()
+            };
+            why.into_iter().for_each(|why| self.headers.note(&item.path, why));
         }
         self.loose(&normal(&surface.name), &loose);
     }
 
     fn loose(&mut self, surface: &str, files: &[&Listed]) {
-        let taken: Vec<u32> = (self.trials.keys())
-            .filter(|key| key.surface == surface && key.user == EXPERT)
-            .map(|key| key.number)
-            .collect();
+        let others = self.trials.keys().filter(|key| key.surface == surface && key.user == EXPERT);
+        let taken: Vec<u32> = others.map(|key| key.number).collect();
         let only = self.declared.keys().next().filter(|_| self.declared.len() == 1);
         let usual = only.or_else(|| self.scene.get(USUAL).map(|spec| &spec.id)).cloned();
         let is_told = |name: &str| usual.is_some() || source_of(name, &self.scene).is_some();
-        let (files, others): (Vec<&Listed>, Vec<&Listed>) =
+        let (files, untold): (Vec<&Listed>, Vec<&Listed>) =
             files.iter().copied().partition(|item| is_told(item.stem_and_extension().0));
-        for item in others {
+        for item in untold {
             let why = "not used, its name begins with no source; begin it with one, such as \
                        SOURCE_1.wav";
             self.headers.note(&item.path, why);
@@ -337,7 +321,7 @@ impl<'a> RecordingOpening<'a> {
             let problem = format!(
                 "the same trial ({key}) as {}; distinguish them by `trial = N`, `user = \"…\"` or \
                  `session = \"…\"` in trial.toml, or remove one",
-                other.strip_prefix(self.root).unwrap_or(other).display()
+                other.strip_prefix(&self.headers.root).unwrap_or(other).display()
             );
             return Err(LibraryError::file(&folder.path, problem));
         }

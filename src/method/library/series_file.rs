@@ -17,14 +17,14 @@ use super::lossy;
 use super::{LibraryError, Outline, wav};
 use crate::trial::Series;
 
+const FLAC: &str = "FLAC file";
+
 /// Reads the header of a file. For WAV, also checks that the file is as long as its header says.
 pub(crate) fn probe(path: &Path) -> Result<Outline, LibraryError> {
     match &*files::extension(path) {
-        "flac" => {
-            guarded(|| open_flac(path).map(|(_, _, header)| header), |why| damaged(path, FLAC, why))
-        }
+        "flac" => decoded(path, FLAC, || open_flac(path).map(|(_, _, header)| header)),
         #[cfg(feature = "lossy")]
-        _ if is_lossy(path) => guarded(|| lossy::probe(path), |why| damaged(path, "sound", why)),
+        _ if is_lossy(path) => decoded(path, "sound", || lossy::probe(path)),
         _ => wav::probe(path),
     }
 }
@@ -32,9 +32,9 @@ pub(crate) fn probe(path: &Path) -> Result<Outline, LibraryError> {
 /// Reads a whole file. Divides integer samples by 2^(bits − 1), so that they lie within ±1.
 pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
     let (header, samples) = match &*files::extension(path) {
-        "flac" => guarded(|| decode_flac(path), |why| damaged(path, FLAC, why))?,
+        "flac" => decoded(path, FLAC, || decode_flac(path))?,
         #[cfg(feature = "lossy")]
-        _ if is_lossy(path) => guarded(|| lossy::read(path), |why| damaged(path, "sound", why))?,
+        _ if is_lossy(path) => decoded(path, "sound", || lossy::read(path))?,
         _ => wav::read(path)?,
     };
     Series::new(header.rate_hz, header.channels, samples).map_err(LibraryError::at(path))
@@ -43,6 +43,15 @@ pub(crate) fn read(path: &Path) -> Result<Series, LibraryError> {
 /// Whether a file's coding leaves out what people do not hear.
 pub(super) fn is_lossy(path: &Path) -> bool {
     files::LOSSY.contains(&&*files::extension(path))
+}
+
+/// Runs the decoder of a `kind` of file.
+fn decoded<T>(
+    path: &Path,
+    kind: &str,
+    work: impl FnOnce() -> Result<T, LibraryError>,
+) -> Result<T, LibraryError> {
+    guarded(work, |why| LibraryError::damaged(path, kind, why))
 }
 
 /// Runs a decoder. If it panics, as decoders may on damaged files, returns the error `failed`.
@@ -57,24 +66,22 @@ pub(crate) fn guarded<T, E>(
 fn open_flac(
     path: &Path,
 ) -> Result<(FlacReader<'static>, AudioCodecParameters, Outline), LibraryError> {
+    let no = |why: &str| LibraryError::damaged(path, FLAC, why);
     let (file, _) = files::open_filled(path)?;
     let stream = MediaSourceStream::new(Box::new(file), Default::default());
     let reader = FlacReader::try_new(stream, FormatOptions::default())
-        .map_err(|error| damaged(path, FLAC, &error.to_string()))?;
+        .map_err(|error| no(&error.to_string()))?;
     let track = reader.tracks().first();
     let Some(CodecParameters::Audio(codec)) = track.and_then(|track| track.codec_params.as_ref())
     else {
-        return Err(damaged(path, FLAC, "it holds no sound"));
+        return Err(no("it holds no sound"));
     };
     let (codec, frames) = (codec.clone(), track.and_then(|track| track.num_frames).unwrap_or(0));
     let (Some(rate_hz), Some(channels)) = (codec.sample_rate, codec.channels.as_ref()) else {
-        return Err(damaged(path, FLAC, "its header says neither rate nor channels"));
+        return Err(no("its header says neither rate nor channels"));
     };
-    let header = Outline {
-        rate_hz: f64::from(rate_hz),
-        channels: channels.count(),
-        frames: frames as usize,
-    };
+    let (rate_hz, channels) = (f64::from(rate_hz), channels.count());
+    let header = Outline { rate_hz, channels, frames: frames as usize };
     if frames == 0 {
         return Err(LibraryError::file(
             path,
@@ -88,7 +95,8 @@ fn open_flac(
 
 fn decode_flac(path: &Path) -> Result<(Outline, Vec<f32>), LibraryError> {
     let (mut reader, codec, header) = open_flac(path)?;
-    let failed = |error: Error| damaged(path, FLAC, &error.to_string());
+    let no = |why: &str| LibraryError::damaged(path, FLAC, why);
+    let failed = |error: Error| no(&error.to_string());
     let verifying = AudioDecoderOptions::default().verify(true);
     let mut decoder = FlacDecoder::try_new(&codec, &verifying).map_err(failed)?;
     let promised = header.frames * header.channels;
@@ -99,25 +107,14 @@ fn decode_flac(path: &Path) -> Result<(Outline, Vec<f32>), LibraryError> {
         // The decoder moves samples of any bit depth to the upper bits of 32 bits.
         samples.extend(block.iter().map(|&value| (f64::from(value) / 2f64.powi(31)) as f32));
         if samples.len() > promised {
-            return Err(damaged(path, FLAC, "it is longer than its header says"));
+            return Err(no("it is longer than its header says"));
         }
     }
     if samples.len() < promised {
-        return Err(damaged(path, FLAC, "truncated: it ends before what its header promises"));
+        return Err(no("truncated: it ends before what its header promises"));
     }
     match decoder.finalize().verify_ok {
-        Some(false) => Err(damaged(path, FLAC, "its checksum is not that of its samples")),
+        Some(false) => Err(no("its checksum is not that of its samples")),
         _ => Ok((header, samples)),
     }
-}
-
-const FLAC: &str = "FLAC file";
-
-/// The error for a file that cannot be decoded as a `kind`.
-pub(super) fn damaged(path: &Path, kind: &str, why: &str) -> LibraryError {
-    let problem = format!(
-        "not a {kind} that can be read ({why}); copy it again from where it came, record again, or \
-         remove it"
-    );
-    LibraryError::file(path, problem)
 }

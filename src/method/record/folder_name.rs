@@ -15,6 +15,11 @@ pub fn is_plain(name: &str) -> bool {
     !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\0'])
 }
 
+/// Whether a name is that of a trial in a library, `SURFACE/TRIAL`.
+pub(super) fn is_trial(name: &str) -> bool {
+    name.split_once('/').is_some_and(|(surface, trial)| is_plain(surface) && is_plain(trial))
+}
+
 /// The folder name of a label. ASCII letters, digits, `_`, `-`, and inner dots and spaces stay.
 /// Every other byte becomes `%XX`, and so does the first letter of a reserved name. So no label
 /// leads out of its folder, and different labels get different names.

@@ -69,14 +69,13 @@ fn attached(recording: &Path) -> Result<Vec<(String, PathBuf)>, LibraryError> {
 
 fn below(folder: &Path, root: &Path, all: &mut Vec<(String, PathBuf)>) -> Result<(), LibraryError> {
     for item in visible(folder)? {
-        let name = item.path.strip_prefix(root).unwrap_or(&item.path);
-        if item.is_dir && name.iter().count() < DEEPEST {
+        let name = files::name_within(root, &item.path);
+        if item.is_dir && name.split('/').count() < DEEPEST {
             inside(&item.path, root)?;
             below(&item.path, root, all)?;
         } else if !item.is_dir && item.unusable.is_none() {
-            let name: Vec<_> = name.iter().map(|part| part.to_string_lossy()).collect();
-            all.extend(within(&name.join("/")).map(|_| (name.join("/"), item.path.clone())));
             inside(&item.path, root)?;
+            all.extend(within(&name).map(|_| (name, item.path)));
         }
     }
     Ok(())
@@ -298,14 +297,11 @@ fn attachments(bytes: &[u8]) -> Result<Vec<(PathBuf, Vec<u8>)>, String> {
     for index in &indexes {
         let name = &index.name;
         let start = index.offset;
-        let within_file = |end: &u64| *end <= bytes.len() as u64;
         if start < end {
             return Err(format!("the file {name:?} lies within another one"));
         }
-        end = start
-            .checked_add(index.length)
-            .filter(within_file)
-            .ok_or_else(|| format!("the index of {name:?} points outside the file"))?;
+        let inside = start.checked_add(index.length).filter(|end| *end <= bytes.len() as u64);
+        end = inside.ok_or_else(|| format!("the index of {name:?} points outside the file"))?;
         let file = mcap::read::attachment(bytes, index).map_err(damaged)?;
         let path = within(&file.name)
             .ok_or_else(|| format!("holds a file {:?}; expected SURFACE/TRIAL/FILE", file.name))?;

@@ -24,16 +24,16 @@ use crate::trial::normal;
 /// If `library.toml` cannot be read, or is wrong.
 pub fn references(library: &Path) -> Result<BTreeMap<String, u64>, LibraryError> {
     let unix_ms = |since: Timestamp| u64::try_from(since.as_millisecond()).unwrap_or(0);
-    let described = described(library)?.map(|(_, described)| described.reference);
-    let all = described.unwrap_or_default().into_iter();
+    let all = described(library)?.1.reference.into_iter();
     Ok(all.map(|(surface, since)| (normal(&surface), unix_ms(since))).collect())
 }
 
-fn described(library: &Path) -> Result<Option<(String, LibraryToml)>, LibraryError> {
+/// The text of `library.toml`, and what it says; the shortest such text if there is no file.
+fn described(library: &Path) -> Result<(String, LibraryToml), LibraryError> {
     let path = library.join(DESCRIPTION);
-    let Some(text) = files::read_text_if_there(&path)? else { return Ok(None) };
+    let text = files::read_text_if_there(&path)?.unwrap_or_else(|| "format = 1\n".into());
     let described = LibraryToml::parse(&text, &Scene::lmt108()).map_err(LibraryError::at(&path))?;
-    Ok(Some((text, described)))
+    Ok((text, described))
 }
 
 /// Makes a surface a reference whose scans count from now on or, with `None`, no reference. The rest of
@@ -48,16 +48,7 @@ pub fn set_reference(
 ) -> Result<(), LibraryError> {
     let _lock = LibraryLock::for_editing(library)?;
     let path = library.join(DESCRIPTION);
-    let fail = |problem: &str| LibraryError::file(&path, problem);
-    let found = described(library)?;
-    let (text, LibraryToml { mut reference, places: (format, value), .. }) = match found {
-        Some(found) => found,
-        None => {
-            let text = "format = 1\n";
-            let described = LibraryToml::parse(text, &Scene::default());
-            (text.into(), described.map_err(|error| fail(&error.to_string()))?)
-        }
-    };
+    let (text, LibraryToml { mut reference, places: (format, value), .. }) = described(library)?;
     reference.retain(|other, _| normal(other) != normal(surface));
     if let Some(since) = since {
         let whole = since.round(Unit::Second).unwrap_or(since);
@@ -77,10 +68,11 @@ pub fn set_reference(
                 && !text[value.clone()].contains('\n');
             if !is_one_line {
                 let line = "reference = { \"oak\" = 2026-01-31T12:00:00Z }";
-                return Err(fail(&format!(
+                let problem = format!(
                     "`reference` is not written as one line, so it is left as it is; write it as \
                      {line}, or edit it by hand"
-                )));
+                );
+                return Err(LibraryError::file(&path, problem));
             }
             (begin, end_of_line(value.end))
         }

@@ -232,8 +232,8 @@ impl PaperReport {
 fn outcome(row: &RowPart, keys: &[TrialKey]) -> Option<Outcome> {
     let predictions: Vec<Prediction> = (row.answers.iter())
         .filter_map(|&(fold, query, answer)| {
-            let surface = keys.get(answer)?.surface.clone();
-            Some(Prediction { surface, ..Prediction::none(keys.get(query)?.clone(), fold) })
+            let (key, surface) = (keys.get(query)?.clone(), keys.get(answer)?.surface.clone());
+            Some(Prediction { key, fold, surface, ..Prediction::default() })
         })
         .collect();
     Outcome::new(&predictions, &row.folds, row.labels.clone(), row.library_trials, "reference")
@@ -342,15 +342,6 @@ mod tests {
         let trials = vec![("a".into(), "expert".into(), 1), ("a".into(), "user1".into(), 1)];
         let shard = Shard { number, of: 2 };
         PaperPart { shard, trials, rows: vec![row], ..PaperPart::default() }
-    }
-
-    #[test]
-    fn shards_join_in_any_order() {
-        let (one, two) = (part(1, vec![(0, 1, 0)]), part(2, vec![(0, 0, 1)]));
-        let whole = merge(vec![two.clone(), one.clone()]).unwrap();
-        assert_eq!(whole, merge(vec![one, two]).unwrap());
-        assert_eq!(whole.rows[0].answers, [(0, 0, 1), (0, 1, 0)]);
-        assert_eq!(whole.shard, Shard::WHOLE);
     }
 
     #[test]

@@ -105,7 +105,6 @@ impl Doubt {
         }
     }
 
-    /// Whether it is a fault of a sensor.
     pub fn is_sensor_fault(&self) -> bool {
         use Doubt::*;
         matches!(self, Stuck { .. } | AtZero { .. } | Clipped { .. } | OneColour { .. })

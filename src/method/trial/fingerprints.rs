@@ -42,12 +42,9 @@ impl Fingerprints {
     pub(crate) fn of(signal: &Signal, most: usize) -> Self {
         match signal {
             Signal::Image(image) => {
-                let word = |bytes: &[u8]| {
-                    let mut word = [0; 8];
-                    word[..bytes.len()].copy_from_slice(bytes);
-                    u64::from_le_bytes(word)
-                };
-                let whole = || of_all(&image.rgb().chunks(8).map(word).collect::<Vec<_>>());
+                // A picture is a whole number of words.
+                let words = image.rgb().as_chunks().0.iter().map(|word| u64::from_le_bytes(*word));
+                let whole = || of_all(&words.collect::<Vec<_>>());
                 Self { whole: (!is_plain(image)).then(whole), windows: Vec::new() }
             }
             Signal::Series(series) => Self::of_series(series, most),

@@ -11,6 +11,7 @@ pub(crate) use channel_flaws::STEADY;
 pub use channel_flaws::SeriesFlaws;
 pub use doubt::Doubt;
 pub(crate) use fingerprints::{Fingerprints, WINDOW, tells};
+pub(crate) use level::{level_of, power};
 #[doc(hidden)]
 pub use {
     channel_flaws::{flaws_of, is_plain, usual_rests},
@@ -49,7 +50,7 @@ impl Trial {
         for (id, signal) in &mut self.signals {
             if let (Signal::Series(series), true) = (signal, is_drag(id)) {
                 let frames = (seconds * series.rate_hz()).round() as usize;
-                *series = series.crop(0, frames.min(series.frames()));
+                *series = series.crop(0, frames);
             }
         }
         self
@@ -72,7 +73,7 @@ pub const EXPERT: &str = "expert";
 pub const UNLABELLED: &str = "unlabelled";
 
 /// Names one trial. Keys are ordered, and ties of rankings broken, by surface, user, number and session.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct TrialKey {
     pub surface: String,
     /// The person who moved the stylus; [`EXPERT`] unless the recording says otherwise.
@@ -248,7 +249,7 @@ impl Series {
     }
 
     /// One channel, in f64.
-    pub fn channel(&self, channel: usize) -> impl ExactSizeIterator<Item = f64> + '_ {
+    pub fn channel(&self, channel: usize) -> impl ExactSizeIterator<Item = f64> + Clone + '_ {
         self.samples[channel..].iter().step_by(self.channels).map(|&x| f64::from(x))
     }
 

@@ -8,8 +8,8 @@ use plotters::coord::ranged1d::Ranged;
 use plotters::prelude::*;
 
 use crate::draw::{
-    Area, Drawn, FigureError, GREY, Labels, Look, Panel, PixelBox, apart, axes, colour, draw_head,
-    head_height, line, marker, put, svg, text_width,
+    Area, Drawn, FigureError, GREY, Labels, Look, Panel, PixelBox, apart, axes, colour, line,
+    marker, put, text_width, titled,
 };
 use crate::evaluate::{FoldAccuracy, Interval, Over};
 
@@ -62,7 +62,6 @@ pub struct Chart {
     pub data: String,
     pub synthetic: bool,
     pub protocol: String,
-    /// Which trials are left out, and what that leaves untold.
     pub left_out: String,
     /// All sources; a point may have used fewer.
     pub sources: Vec<String>,
@@ -120,13 +119,9 @@ pub fn figure(chart: &Chart, look: Look) -> Result<String, FigureError> {
     let width = look.pixels(WIDTH);
     let columns = if is_timed && width >= SIDE_BY_SIDE { 2 } else { 1 };
     let rows = if is_timed { 3 - columns } else { 1 };
-    let lines = look.head(&title(chart), chart.synthetic, width);
-    let head = head_height(&lines);
     let panel = (width / columns * 3 / 4).clamp(300, 520);
-    svg((width, head + panel * rows), look, |root| {
-        draw_head(root, &lines)?;
-        let (_, rest) = root.split_vertically(head);
-        let areas = rest.split_evenly((rows as usize, columns as usize));
+    titled((&title(chart), chart.synthetic), (width, panel * rows), look, |area| {
+        let areas = area.split_evenly((rows as usize, columns as usize));
         latency_panel(&areas[0], chart, &whole)?;
         areas.get(1).map_or(Ok(()), |area| time_panel(area, chart, &all))
     })
@@ -171,7 +166,7 @@ fn latency_panel(area: &Area<'_>, chart: &Chart, whole: &[&ChartPoint]) -> Drawn
     let to = whole.iter().map(|p| ms(p)).fold(0.0, f64::max) * 1.8;
     let of_x = "median latency of a query [ms]";
     let (x, y) = (((from..to).log_scale(), of_x), (axis(chart, whole), "accuracy"));
-    let mut panel = axes(area, "", x, y, percent)?;
+    let mut panel = axes(area, x, y, percent)?;
     let line = front(whole, ms).into_iter().map(|p| (ms(p), p.accuracy));
     panel.draw_series(LineSeries::new(line, BLACK.mix(0.18).stroke_width(4)))?;
     let mut labels = controls(area, &mut panel, chart, (from, to))?;
@@ -204,7 +199,7 @@ fn time_panel(area: &Area<'_>, chart: &Chart, points: &[&ChartPoint]) -> Drawn {
     let share = f64::from(names) / f64::from(area.dim_in_pixel().0 - 100);
     let to = end / (1.0 - share.min(0.5));
     let (x, y) = ((0.0..to, "scan time used [s]"), (axis(chart, points), "accuracy"));
-    let mut panel = axes(area, "", x, y, percent)?;
+    let mut panel = axes(area, x, y, percent)?;
     // Methods stand beside each other, so that their intervals can be told apart.
     let count = points.iter().map(|p| curve(chart, &p.method)).max().unwrap_or(0) as f64;
     let [left, top, right, bottom] = frame(area, &panel);

@@ -12,7 +12,6 @@ pub use figure::{Chart, figure};
 
 use rayon::prelude::*;
 
-use crate::evaluate::loudness::level_of;
 use crate::evaluate::{
     EvaluateError, EvaluatedTrials, Evaluation, Interval, LeftOutSources, Measured, Over, Split,
 };
@@ -20,7 +19,7 @@ use crate::features::{FeatureVector, SourceFeatures};
 use crate::library::Entry;
 use crate::recognise::{MethodName, MethodSpec, RecogniseError, ReferenceOptions, STAGES};
 use crate::scene::{Domain, Scene, SourceId, SourceSpec};
-use crate::trial::Signal;
+use crate::trial::{Signal, level_of};
 
 /// The scan times, in seconds, that are measured besides whole drags.
 const SECONDS: [f64; 3] = [0.5, 1.0, 2.0];

@@ -1,23 +1,16 @@
-//! Reads every recording of a library once, and finds the library's faults: one finding for each source
-//! and kind of fault, with the command that fixes it.
+//! The faults of a library: one finding for each source and kind of fault, with the command that fixes it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
-use rayon::prelude::*;
-
-use super::usual::{FEWEST, levels, usual};
-use super::{Audited, copies};
-use crate::evaluate::ProgressFn;
-use crate::evaluate::leak::Leaks;
-use crate::evaluate::loudness::{edge_hz, level_of};
+use super::Audited;
+use super::inspect::{FEWEST, Inspected, Measured, levels, usual};
+use crate::evaluate::leak::{Leaks, Shared};
 use crate::evaluate::still::Still;
 use crate::library::{Entry, LibraryError, Unreadable};
-use crate::printable::{quoted, some_of};
-use crate::scene::{Scene, SourceId};
-use crate::trial::{Doubt, SeriesFlaws, Signal, Trial, is_plain, usual_rests};
+use crate::printable::{counted, quoted, some_of};
+use crate::scene::SourceId;
+use crate::trial::{Doubt, TrialKey};
 
 /// A trial is silent if ln of its loudness is this far below its source's median: 40 dB.
 const SILENT: f64 = 2.0 * std::f64::consts::LN_10;
@@ -26,10 +19,7 @@ const SHORT: f64 = 1.0 / 3.0;
 /// The fault of a trial that only another name or number mends, so that it should not be removed.
 const NOT_USED: &str = "is not used";
 /// Most trials that a finding names.
-pub(super) const SHOWN: usize = 3;
-
-/// Most bytes of samples that are kept in memory, to save reading them again.
-const MOST_KEPT: usize = 1 << 30;
+const SHOWN: usize = 3;
 
 /// Kinds of faults, the worst first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
@@ -74,7 +64,7 @@ impl Finding {
 /// Findings, and advice in lines.
 type Found = (Vec<Finding>, Vec<String>);
 
-pub(super) struct Fault {
+struct Fault {
     pub kind: FaultKind,
     pub source: Option<SourceId>,
     /// The fault in words, without the source and the trial, such as `is silent`.
@@ -107,98 +97,6 @@ impl Audited<'_> {
         let why = said.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&said);
         let file = parts.get(2).map(|file| format!("{file}: ")).unwrap_or_default();
         (trial, format!("{file}{why}"))
-    }
-}
-
-/// One trial with its readable sources, and what was found in them.
-pub(super) struct Inspected {
-    /// The trial; its signals are kept in memory if there is room.
-    pub entry: Entry,
-    /// The faults of its sensors, judged by how long each channel rests in the whole library.
-    pub doubts: Vec<Doubt>,
-    /// The measurements of each series, except of switches such as the metal detector.
-    pub series: BTreeMap<SourceId, Measured>,
-}
-
-pub(super) struct Measured {
-    pub seconds: f64,
-    /// ln of the root mean square, after the mean of each channel was subtracted.
-    pub level: f64,
-    pub rate_hz: f64,
-    /// The frequency below which 95 % of the power lies.
-    pub edge_hz: f64,
-    pub is_constant: bool,
-    /// For each channel, the largest share of the samples that rests at one value.
-    rests: Vec<f32>,
-}
-
-/// Reads all trials. Returns the trials with a readable source, and the sources that cannot be read.
-pub(super) fn inspect(
-    entries: Vec<Entry>,
-    scene: &Scene,
-    progress: ProgressFn<'_>,
-) -> (Vec<Inspected>, Vec<Unreadable>) {
-    let (kept, done, all) = (AtomicUsize::new(0), AtomicUsize::new(0), entries.len());
-    let one = |(at, entry): (usize, Entry)| {
-        let inspected = of_entry(at, entry, scene, &kept);
-        progress("reading all recordings", done.fetch_add(1, Ordering::Relaxed) + 1, all);
-        inspected
-    };
-    let read: Vec<_> = entries.into_par_iter().enumerate().map(one).collect();
-    let (mut inspected, unreadable): (Vec<_>, Vec<_>) = read.into_iter().unzip();
-    inspected.retain(|trial: &Inspected| !trial.entry.sources.is_empty());
-    forget_usual(&mut inspected);
-    (inspected, unreadable.into_iter().flatten().collect())
-}
-
-fn of_entry(
-    at: usize,
-    mut entry: Entry,
-    scene: &Scene,
-    kept: &AtomicUsize,
-) -> (Inspected, Vec<Unreadable>) {
-    let (mut signals, mut unreadable) = (BTreeMap::new(), Vec::new());
-    for source in &entry.sources {
-        match entry.with_only(source).load() {
-            Ok(trial) => signals.extend(trial.signals),
-            Err(error) => unreadable.push(Unreadable { entry: at, source: source.clone(), error }),
-        }
-    }
-    entry.sources.retain(|source| signals.contains_key(source));
-    let (mut doubts, mut series) = (Vec::new(), BTreeMap::new());
-    for (id, signal) in &signals {
-        match signal {
-            Signal::Image(image) if is_plain(image) => {
-                doubts.push(Doubt::OneColour { source: id.clone() });
-            }
-            Signal::Series(one) if !scene.is_switch(id) => {
-                let flaws = SeriesFlaws::of(one);
-                doubts.extend(flaws.doubts(id, &[]));
-                let measured = Measured {
-                    seconds: one.duration_s(),
-                    level: level_of(one),
-                    rate_hz: one.rate_hz(),
-                    edge_hz: edge_hz(one),
-                    is_constant: one.is_constant(),
-                    rests: flaws.rests(),
-                };
-                series.insert(id.clone(), measured);
-            }
-            Signal::Image(_) | Signal::Series(_) => {}
-        }
-    }
-    let bytes: usize = signals.values().map(bytes).sum();
-    if kept.fetch_add(bytes, Ordering::Relaxed) + bytes <= MOST_KEPT {
-        let key = entry.key.clone();
-        entry = entry.held(Arc::new(Trial { key, signals }));
-    }
-    (Inspected { entry, doubts, series }, unreadable)
-}
-
-fn bytes(signal: &Signal) -> usize {
-    match signal {
-        Signal::Series(series) => size_of_val(series.samples()),
-        Signal::Image(image) => image.rgb().len(),
     }
 }
 
@@ -237,7 +135,7 @@ pub(super) fn of_signals(
     still: &[Still],
     audited: &Audited<'_>,
 ) -> Found {
-    let mut faults = copies::of_one_label(inspected, leaks, audited);
+    let mut faults = copies_of_one_label(inspected, leaks, audited);
     let usual = |id: &SourceId, of: fn(&Measured) -> f64| usual(inspected.iter(), id, None, of);
     let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
     let is_flawed =
@@ -280,24 +178,24 @@ pub(super) fn of_signals(
         }
         let is_own = |doubt: &&Doubt| doubt.source().is_none_or(|id| !is_still(id));
         for doubt in one.doubts.iter().filter(is_own) {
-            match doubt {
-                Doubt::Clipped { source, channel, share, .. } => {
-                    let detail =
-                        format!("{:.0} % of channel {channel} at its limit", 100.0 * share);
-                    add(FaultKind::Clipped, source, "is clipped", detail);
+            let Some(source) = doubt.source() else { continue };
+            let percent = |share: &f64| format!("{:.0} %", 100.0 * share);
+            let (kind, what, detail) = match doubt {
+                Doubt::Clipped { channel, share, .. } => {
+                    let detail = format!("{} of channel {channel} at its limit", percent(share));
+                    (FaultKind::Clipped, "is clipped", detail)
                 }
-                Doubt::AtZero { source, channel, share } => {
-                    let detail = format!("channel {channel} for {:.0} %", 100.0 * share);
-                    add(FaultKind::Stuck, source, "is at 0", detail);
+                Doubt::AtZero { channel, share, .. } => {
+                    let detail = format!("channel {channel} for {}", percent(share));
+                    (FaultKind::Stuck, "is at 0", detail)
                 }
-                Doubt::Stuck { source, channel, .. } => {
-                    add(FaultKind::Stuck, source, "is stuck", format!("channel {channel}"));
+                Doubt::Stuck { channel, .. } => {
+                    (FaultKind::Stuck, "is stuck", format!("channel {channel}"))
                 }
-                Doubt::OneColour { source } => {
-                    add(FaultKind::Stuck, source, "is of one colour", String::new());
-                }
-                _ => {}
-            }
+                Doubt::OneColour { .. } => (FaultKind::Stuck, "is of one colour", String::new()),
+                _ => continue,
+            };
+            add(kind, source, what, detail);
         }
     }
     grouped(faults, inspected.len(), audited)
@@ -338,7 +236,7 @@ pub(super) fn mislabelled(found: &[(String, String)], audited: &Audited<'_>) -> 
 }
 
 /// Text such as `a looks`, `2 trials (a, b) look` or `4 trials (a, b, c and 1 more) look`.
-pub(super) fn look(trials: &[String]) -> String {
+fn look(trials: &[String]) -> String {
     let shown = some_of(trials, SHOWN, ", ");
     match trials.len() {
         1 => format!("{shown} looks"),
@@ -366,8 +264,7 @@ fn grouped(mut faults: Vec<Fault>, all: usize, audited: &Audited<'_>) -> Found {
             detail => format!("{} ({detail})", fault.trial),
         });
         let each = some_of(&each.collect::<Vec<_>>(), SHOWN, "; ");
-        let trials = if count == 1 { "trial" } else { "trials" };
-        let text = format!("{subject} {what} in {count} {trials}: {each}");
+        let text = format!("{subject} {what} in {}: {each}", counted(count, "trial"));
         // A copy says nothing about a sensor, however many there are.
         if source.is_some() && count >= FEWEST && count.saturating_mul(2) >= all {
             advice.push(format!("{subject} {what} in {count} of {all} trials: check its sensor"));
@@ -381,46 +278,100 @@ fn grouped(mut faults: Vec<Fault>, all: usize, audited: &Audited<'_>) -> Found {
     (findings, advice)
 }
 
-/// Forgets doubts about channels that rest no longer than they usually do in the library.
-fn forget_usual(inspected: &mut [Inspected]) {
-    let mut of_trials: BTreeMap<&SourceId, Vec<&[f32]>> = BTreeMap::new();
-    for (id, of) in inspected.iter().flat_map(|one| &one.series) {
-        of_trials.entry(id).or_default().push(&of.rests);
+/// The copies among trials of one label, or of two.
+fn copies<'l>(
+    inspected: &'l [Inspected],
+    leaks: &'l Leaks,
+    of_one: bool,
+) -> impl Iterator<Item = &'l Shared> {
+    let is_of_one =
+        |[a, b]: [usize; 2]| inspected[a].entry.key.surface == inspected[b].entry.key.surface;
+    leaks.shared.values().filter(move |one| one.is_copy && is_of_one(one.trials) == of_one)
+}
+
+/// A fault for each trial that has a series with the same samples as in an earlier trial of its surface.
+fn copies_of_one_label(
+    inspected: &[Inspected],
+    leaks: &Leaks,
+    audited: &Audited<'_>,
+) -> Vec<Fault> {
+    let name = |trial: usize| inspected[trial].entry.name_in(audited.root);
+    let copies = copies(inspected, leaks, true);
+    let fault = |shared: &Shared| Fault {
+        kind: FaultKind::Copy,
+        source: None,
+        what: "is a copy of another",
+        trial: name(shared.trials[1]),
+        detail: format!("that of {}", name(shared.trials[0])),
+    };
+    copies.map(fault).collect()
+}
+
+/// The finding that trials are copies of each other under two labels. Those of them that look mislabelled are
+/// taken out of `wrong`, and are to be removed: with its right label, such a trial would still be a copy.
+pub(super) fn copies_of_two_labels(
+    inspected: &[Inspected],
+    leaks: &Leaks,
+    wrong: &mut Vec<(String, String)>,
+    audited: &Audited<'_>,
+) -> Option<Finding> {
+    let name = |trial: usize| inspected[trial].entry.name_in(audited.root);
+    let pairs = copies(inspected, leaks, false).map(|one| one.trials.map(name));
+    let pairs: Vec<[String; 2]> = pairs.collect();
+    let trials: BTreeSet<String> = pairs.iter().flatten().cloned().collect();
+    if pairs.is_empty() {
+        return None;
     }
-    let usual = |(id, rests): (&SourceId, Vec<&[f32]>)| (id.clone(), usual_rests(&rests));
-    let usual: BTreeMap<SourceId, Vec<f32>> = of_trials.into_iter().map(usual).collect();
-    for one in inspected {
-        one.doubts.retain(|doubt| {
-            let rests = doubt.source().and_then(|id| usual.get(id));
-            !doubt.is_usual(rests.map_or(&[], Vec::as_slice))
-        });
-    }
+    let shown: Vec<String> = pairs.iter().map(|pair| pair.join(" and ")).collect();
+    let mislabelled = wrong.extract_if(.., |(trial, _)| trials.contains(trial));
+    let mislabelled: Vec<String> = mislabelled.map(|(trial, _)| trial).collect();
+    let which = match mislabelled.is_empty() {
+        true => "see which label is right".into(),
+        false => format!("{} mislabelled", look(&mislabelled)),
+    };
+    let text = format!("copies under two labels: {}; {which}", some_of(&shown, SHOWN, "; "));
+    let command = audited.command("remove", &mislabelled);
+    Some(Finding { command, ..Finding::new(FaultKind::Copy, trials.into_iter().collect(), text) })
+}
+
+/// The finding that trials share samples without being copies of each other.
+pub(super) fn shared(
+    leaks: &Leaks,
+    keys: &[TrialKey],
+    entries: &[Entry],
+    audited: &Audited<'_>,
+) -> Option<Finding> {
+    let parts = leaks.shared.values().filter(|shared| !shared.is_copy);
+    let trials: BTreeSet<usize> = parts.flat_map(|shared| shared.trials).collect();
+    let trials: Vec<usize> = trials.into_iter().collect();
+    let keys: Vec<TrialKey> = trials.iter().map(|&i| keys[i].clone()).collect();
+    let name = |i: usize| entries[trials[i]].name_in(audited.root);
+    let text = leaks.among(&trials).text(&keys, name)?;
+    let (names, text) =
+        ((0..trials.len()).map(name), format!("{text}; cut recordings without overlap"));
+    Some(Finding::new(FaultKind::Shared, names.collect(), text))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::recognise::{MethodName, MethodSpec};
-    use crate::trial::TrialKey;
+    use crate::scene::Scene;
+    use crate::trial::Trial;
+
+    fn audited<T>(work: impl FnOnce(&Audited<'_>) -> T) -> T {
+        let scene = &Scene::lmt108();
+        let method = &*MethodSpec::from(MethodName::Knn).build(scene);
+        work(&Audited { root: Path::new("lib"), editable: true, scene, method, cache: None })
+    }
 
     /// What is said of the levels of trials `a/1`, `a/2` and so on.
     fn said(levels: &[f64], is_constant: impl Fn(usize) -> bool) -> Vec<String> {
-        let scene = Scene::lmt108();
-        let method = &*MethodSpec::from(MethodName::Knn).build(&scene);
-        let root = std::path::Path::new("lib");
-        let audited = Audited { root, editable: true, scene: &scene, method, cache: None };
         let one = |(at, &level): (usize, &f64)| {
             let key = TrialKey::new("a", "anna", at as u32 + 1);
             let signals = BTreeMap::new();
             let is_constant = is_constant(at);
-            let measured = Measured {
-                seconds: 1.0,
-                level,
-                rate_hz: 1e3,
-                edge_hz: 9.0,
-                is_constant,
-                rests: vec![],
-            };
+            let measured = Measured { seconds: 1.0, level, is_constant, ..Measured::default() };
             Inspected {
                 entry: Entry::in_memory(Trial { key, signals }),
                 doubts: Vec::new(),
@@ -428,7 +379,8 @@ mod tests {
             }
         };
         let all: Vec<Inspected> = levels.iter().enumerate().map(one).collect();
-        let (findings, advice) = of_signals(&all, &Leaks::default(), &[], &audited);
+        let (findings, advice) =
+            audited(|audited| of_signals(&all, &Leaks::default(), &[], audited));
         findings.into_iter().map(|finding| finding.text).chain(advice).collect()
     }
 
@@ -444,10 +396,6 @@ mod tests {
 
     #[test]
     fn half_of_the_trials_blame_a_sensor_but_copies_are_to_be_removed_however_many() {
-        let scene = Scene::lmt108();
-        let method = &*MethodSpec::from(MethodName::Knn).build(&scene);
-        let root = std::path::Path::new("lib");
-        let audited = Audited { root, editable: true, scene: &scene, method, cache: None };
         let three = |kind, source: Option<SourceId>, what| {
             let fault = |n| Fault {
                 kind,
@@ -456,7 +404,7 @@ mod tests {
                 trial: format!("a/{n}"),
                 detail: String::new(),
             };
-            grouped((1..=3).map(fault).collect(), 6, &audited)
+            audited(|audited| grouped((1..=3).map(fault).collect(), 6, audited))
         };
         let (findings, advice) = three(FaultKind::Stuck, SourceId::new("ir").ok(), "is stuck");
         assert!(findings.is_empty() && advice[0].contains("3 of 6 trials: check its sensor"));

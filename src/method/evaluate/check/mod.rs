@@ -1,19 +1,18 @@
 //! Audits a library: tells which trials are named correctly when left out, which look mislabelled,
 //! what is damaged, and what to record next.
 
-mod copies;
 mod finding;
-mod session;
+mod inspect;
 mod suspect;
-mod usual;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde::ser::{SerializeMap, Serializer};
 
+use self::finding::FaultKind;
 pub use self::finding::Finding;
-use self::finding::{FaultKind, Inspected, inspect};
+use self::inspect::{Inspected, inspect};
 use self::suspect::{Suspects, suspects};
 use super::evaluation::{Evaluation, Measured, ProgressFn};
 use super::fold::{Fold, Protocol, folds};
@@ -40,7 +39,6 @@ pub struct CheckReport {
     /// be left out.
     #[serde(flatten, serialize_with = "left_out_share")]
     pub share: Option<(Share, Interval)>,
-    /// Which trials are left out, and what that leaves untold.
     pub left_out: String,
     /// How many trials of each surface the accuracy does not count, since no library without them has their
     /// surface.
@@ -145,16 +143,14 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     findings.extend(finding::never_moving(&still, &inspected, audited));
     let (of_signals, of_sources) = finding::of_signals(&inspected, &leaks, &still, audited);
     findings.extend(of_signals);
-    findings.extend(copies::shared(&leaks, &keys, &entries, audited));
+    findings.extend(finding::shared(&leaks, &keys, &entries, audited));
     let mut advice = opened.library.remarks;
     advice.extend(of_sources);
     let measured = measure(&entries, &leaks, audited, progress, Some(&mut advice));
     let measured = measured.map_err(|why| advice.push(why)).ok();
     // A damaged trial in the library causes wrong names, so labels are judged without such trials.
-    let damaged: BTreeSet<String> = (findings.iter())
-        .filter(|finding| finding.kind < FaultKind::Mislabelled)
-        .flat_map(|finding| finding.trials.clone())
-        .collect();
+    let damaged = findings.iter().filter(|finding| finding.kind < FaultKind::Mislabelled);
+    let damaged: BTreeSet<String> = damaged.flat_map(|one| one.trials.clone()).collect();
     let is_sound = |&i: &usize| !damaged.contains(&entries[i].name_in(audited.root));
     let places: Vec<usize> = (0..entries.len()).filter(is_sound).collect();
     let sound: Vec<Entry> = places.iter().map(|&i| entries[i].clone()).collect();
@@ -164,14 +160,12 @@ pub fn check(opened: Opened, audited: &Audited<'_>, progress: ProgressFn<'_>) ->
     let judged = of_sound.as_ref().or(measured.as_ref());
     let judged = judged.map_or(&[][..], |judged| &judged.predictions);
     let mut suspects = suspects(judged);
-    let moved = session::moved(judged, &mut suspects);
-    findings.extend(session::differing(&moved, &inspected, audited));
-    let mut wrong: Vec<(String, String)> = (sound.iter())
-        .filter_map(|entry| {
-            Some((entry.name_in(audited.root), (*suspects.get(&entry.key)?).to_string()))
-        })
-        .collect();
-    findings.extend(copies::of_two_labels(&inspected, &leaks, &mut wrong, audited));
+    let moved = suspect::moved(judged, &mut suspects);
+    findings.extend(suspect::differing(&moved, &inspected, audited));
+    let wrong = sound.iter().filter(|entry| suspects.contains_key(&entry.key));
+    let named = |entry: &Entry| (entry.name_in(audited.root), suspects[&entry.key].to_string());
+    let mut wrong: Vec<(String, String)> = wrong.map(named).collect();
+    findings.extend(finding::copies_of_two_labels(&inspected, &leaks, &mut wrong, audited));
     findings.extend(finding::mislabelled(&wrong, audited));
     findings.sort_by_key(|finding| finding.kind);
     let accuracy_mended = of_sound.as_ref().map(|measured| measured.outcome.share.value());
@@ -404,7 +398,7 @@ fn next(surfaces: &[SurfaceCheck], keys: &[TrialKey]) -> Vec<String> {
 mod tests {
     use super::*;
     use crate::recognise::MethodSpec;
-    use crate::trial::{Series, Signal, Trial};
+    use crate::trial::{Series, Trial};
 
     fn left(folds: &[Fold]) -> Vec<usize> {
         let mut left: Vec<usize> = folds.iter().flat_map(|fold| fold.queries.clone()).collect();
@@ -444,17 +438,13 @@ mod tests {
     /// Eight trials of each of two surfaces by each of three people, and of a third by one of them alone.
     #[test]
     fn an_accuracy_for_other_people_counts_no_trial_that_is_named_by_the_same_person_s() {
-        let scene = "format = 1\n[sources.ir]\ndomain = \"time\"\nrate_hz = 100\n";
-        let scene = Scene::from_toml(scene).unwrap();
+        let scene = Scene::lmt108();
         let entry = |surface: &str, user: &str, n: u32| {
             let pitch = 0.2 + 0.1 * surface.len() as f32;
             let value = |i: usize| (i as f32 * pitch + n as f32).sin();
             let series = Series::new(100.0, 1, (0..200).map(value).collect()).unwrap();
-            let id = SourceId::new("ir").unwrap();
-            Entry::in_memory(Trial {
-                key: TrialKey::new(surface, user, n),
-                signals: [(id, Signal::Series(series))].into(),
-            })
+            let (key, id) = (TrialKey::new(surface, user, n), SourceId::new("ir").unwrap());
+            Entry::in_memory(Trial::of_series(key, id, series))
         };
         let shared = ["anna", "ben", "cleo"].into_iter().flat_map(|user| {
             ["a", "bb"].into_iter().flat_map(move |s| (1..=4).map(move |n| (s, user, n)))

@@ -130,14 +130,9 @@ pub fn search(
         latency_ms: outcome.query_ms_p50,
         scan_s: scan_s.unwrap_or_else(|| search.scan_s(&choice.sources)),
     };
-    let plan = Plan {
-        library: library.name.clone(),
-        synthetic: library.synthetic,
-        sources,
-        method: MethodName::Embedding.into(),
-        scan_s,
-        expected,
-    };
+    let (method, synthetic) = (MethodName::Embedding.into(), library.synthetic);
+    let library = library.name.clone();
+    let plan = Plan { library, synthetic, sources, method, scan_s, expected };
     Ok(Planned { plan, sources: search.sources, steps: search.steps })
 }
 
@@ -380,14 +375,9 @@ fn studied(scene: &Scene, entries: &[Entry]) -> Result<Vec<SourceCost>, Recognis
             Some(Signal::Image(_)) => (0.0, Image::ROWS * Image::COLS * 3),
             None => continue,
         };
-        sources.push(SourceCost {
-            source: id.clone(),
-            latency_ms: 0.0,
-            scan_s,
-            values: values as f64,
-            accuracy: 0.0,
-            phase: spec.phase,
-        });
+        let (source, values, phase) = (id.clone(), values as f64, spec.phase);
+        let (latency_ms, accuracy) = (0.0, 0.0);
+        sources.push(SourceCost { source, latency_ms, scan_s, values, accuracy, phase });
     }
     Ok(sources)
 }

@@ -3,16 +3,13 @@
 use plotters::prelude::*;
 
 use super::report::{MethodReport, StressCell, StressReport};
-use crate::draw::{
-    Area, Drawn, FigureError, Look, colour, draw_head, head_height, line, marker, put, svg,
-};
+use crate::draw::{Area, Drawn, FigureError, Look, colour, line, marker, put, titled};
 
 /// Width of the figure on a screen.
 const WIDTH: u32 = 1200;
 /// Least width of a panel, and its height.
 const PANEL: (u32, u32) = (210, 230);
-/// Most columns.
-const COLUMNS: u32 = 4;
+const MOST_COLUMNS: u32 = 4;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measure {
@@ -60,7 +57,7 @@ pub fn figure(report: &StressReport, measure: Measure, look: Look) -> Result<Str
     }
     let width = look.pixels(WIDTH);
     // One more panel holds the names of the methods.
-    let columns = (width / PANEL.0).clamp(1, COLUMNS).min(panels as u32 + 1) as usize;
+    let columns = (width / PANEL.0).clamp(1, MOST_COLUMNS).min(panels as u32 + 1) as usize;
     let rows = (panels + 1).div_ceil(columns);
     let bars = match measure {
         Measure::CalibrationError => "",
@@ -73,12 +70,8 @@ pub fn figure(report: &StressReport, measure: Measure, look: Look) -> Result<Str
         measure.queries(report),
         measure.title()
     );
-    let lines = look.head(&title, report.synthetic, width);
-    let head = head_height(&lines);
-    svg((width, PANEL.1 * rows as u32 + head), look, |root| {
-        draw_head(root, &lines)?;
-        let (_, rest) = root.split_vertically(head);
-        let areas = rest.split_evenly((rows, columns));
+    titled((&title, report.synthetic), (width, PANEL.1 * rows as u32), look, |area| {
+        let areas = area.split_evenly((rows, columns));
         for (at, area) in areas.iter().enumerate().take(panels) {
             panel(area, &shown, at, measure)?;
         }

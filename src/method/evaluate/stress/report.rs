@@ -91,7 +91,6 @@ pub struct StressReport {
     pub data: String,
     pub synthetic: bool,
     pub protocol: String,
-    /// Which trials are left out, and what that leaves untold.
     #[serde(default)]
     pub left_out: String,
     pub sources: Vec<String>,
@@ -113,22 +112,17 @@ impl StressReport {
             // Writing to a String cannot fail.
             let _ = writeln!(text, "| {} |", cells.join(" | "));
         };
-        let of_methods = |cell: &dyn Fn(&MethodReport) -> String| {
-            self.methods.iter().map(cell).collect::<Vec<_>>()
-        };
         let row = |head: &str, cell: &dyn Fn(&MethodReport) -> String| {
-            [vec![head.to_string()], of_methods(cell)].concat()
+            [vec![head.to_string()], self.methods.iter().map(cell).collect()].concat()
         };
         line(row("loses 5 points at", &|m| format!("`{}`", m.method)));
         line(vec!["---".into(); self.methods.len() + 1]);
         let undisturbed =
             format!("undisturbed, %, of n = {} queries (95 % interval)", self.queries);
         line(row(&undisturbed, &|m| {
-            let interval = m
-                .clean
-                .accuracy_interval
-                .map(|(low, high)| format!(" ({:.0} to {:.0})", 100.0 * low, 100.0 * high));
-            format!("{:.1}{}", 100.0 * m.clean.accuracy, interval.unwrap_or_default())
+            let shown = |(low, high)| format!(" ({:.0} to {:.0})", 100.0 * low, 100.0 * high);
+            let interval = m.clean.accuracy_interval.map(shown).unwrap_or_default();
+            format!("{:.1}{interval}", 100.0 * m.clean.accuracy)
         }));
         let first = self.methods.first().map_or(&[][..], |m| &m.disturbances);
         for (at, series) in first.iter().enumerate() {

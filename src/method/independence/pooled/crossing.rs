@@ -164,27 +164,19 @@ mod tests {
     /// The same fit by a formula: minimum over earlier starts of the largest mean to a later end.
     fn by_minimax(values: &[f64]) -> Vec<f64> {
         let mean = |a: usize, b: usize| values[a..=b].iter().sum::<f64>() / (b - a + 1) as f64;
-        (0..values.len())
-            .map(|i| {
-                (0..=i)
-                    .map(|a| {
-                        (i..values.len()).map(|b| mean(a, b)).fold(f64::NEG_INFINITY, f64::max)
-                    })
-                    .fold(f64::INFINITY, f64::min)
-            })
-            .collect()
+        let largest = |a: usize, i: usize| {
+            (i..values.len()).map(|b| mean(a, b)).fold(f64::NEG_INFINITY, f64::max)
+        };
+        let least = |i: usize| (0..=i).map(|a| largest(a, i)).fold(f64::INFINITY, f64::min);
+        (0..values.len()).map(least).collect()
     }
 
     #[test]
     fn pooling_gives_the_minimax_fit() {
-        let mut x = 12_345u64;
+        let mut rng = crate::seed::rng(1, &[b"antitonic"]);
         for length in [0, 1, 2, 7, 30] {
-            let values: Vec<f64> = (0..length)
-                .map(|i| {
-                    x = x.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-                    (x >> 40) as f64 / 1e7 - f64::from(i) * 0.03
-                })
-                .collect();
+            let value = |i| crate::seed::uniform(&mut rng) - f64::from(i) * 0.03;
+            let values: Vec<f64> = (0..length).map(value).collect();
             let got = antitonic(&values);
             for (g, w) in got.iter().zip(by_minimax(&values)) {
                 assert!((g - w).abs() < 1e-12);

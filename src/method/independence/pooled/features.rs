@@ -7,7 +7,8 @@ use std::ops::Range;
 use ndarray::Array1;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::trial::Series;
+use crate::lanes::dot;
+use crate::trial::{Series, power};
 
 /// A feature is kept if at least this share of its variance is uncorrelated with earlier features.
 const LEAST_KEPT: f64 = 0.05;
@@ -16,7 +17,7 @@ const MOST_PAIRED: usize = 4;
 
 /// Features of all trials. Each feature has mean 0 in every trial and variance 1 over all trials. The
 /// features of one channel are uncorrelated.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Features {
     /// Q, the number of trials.
     pub trials: usize,
@@ -36,15 +37,9 @@ pub(super) struct Features {
 /// features of its channel (a channel of two values keeps one feature). With more than four channels
 /// there are no products, since their number grows with the square.
 pub(super) fn features(samples: &Samples) -> Features {
-    let mut features = Features {
-        trials: samples.trials,
-        frames: samples.frames,
-        columns: Vec::new(),
-        channels: Vec::new(),
-        between: Vec::new(),
-    };
-    let scores: Vec<Vec<f32>> =
-        samples.channels.iter().filter_map(|values| normal_scores(values)).collect();
+    let Samples { trials, frames, ref channels } = *samples;
+    let mut features = Features { trials, frames, ..Features::default() };
+    let scores: Vec<Vec<f32>> = channels.iter().filter_map(|z| normal_scores(z)).collect();
     for z in &scores {
         let hermite = |f: fn(f32) -> f32| z.iter().map(|&z| f(z)).collect::<Vec<f32>>();
         features.add([
@@ -68,7 +63,7 @@ impl Features {
     fn add<const N: usize>(&mut self, raw: [Vec<f32>; N]) {
         let first = self.columns.len();
         for mut column in raw {
-            let before = variance(&column);
+            let before = power(column.iter().map(|&x| f64::from(x)));
             let between = self.centre(&mut column);
             let within = dot(&column, &column) / column.len() as f64;
             // Rounding can leave a little variance in a feature that is constant.
@@ -106,16 +101,6 @@ impl Features {
     }
 }
 
-fn variance(column: &[f32]) -> f64 {
-    let count = column.len() as f64;
-    let mean = column.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
-    column.iter().map(|&x| (f64::from(x) - mean).powi(2)).sum::<f64>() / count
-}
-
-fn dot(a: &[f32], b: &[f32]) -> f64 {
-    (a.chunks(4096).zip(b.chunks(4096))).map(|(a, b)| f64::from(super::products::dot(a, b))).sum()
-}
-
 /// Q trials of L frames of each channel.
 #[derive(Clone, Debug)]
 pub(super) struct Samples {
@@ -139,11 +124,8 @@ impl Samples {
                 .copied()
                 .collect()
         };
-        Self {
-            trials: series.len(),
-            frames: range.len().div_ceil(step),
-            channels: (0..channels).map(channel).collect(),
-        }
+        let channels = (0..channels).map(channel).collect();
+        Self { trials: series.len(), frames: range.len().div_ceil(step), channels }
     }
 }
 

@@ -16,7 +16,6 @@ mod crossing;
 mod echo;
 mod features;
 mod lags;
-mod products;
 mod size;
 
 use covariance::{Covariances, covariances};
@@ -175,14 +174,9 @@ fn pooled(
         let of = |c| scale * size::inflation(c, &features, &lags.all, found.reach(longest));
         inflation = corrected.as_ref().map(of);
     }
-    Some(PooledEstimate {
-        answer,
-        step,
-        range: scale * range,
-        inflation,
-        lasting_share: lasting(&features, &variance),
-        curve: found.points(threshold, scale, rate_hz),
-    })
+    let (range, lasting_share) = (scale * range, lasting(&features, &variance));
+    let curve = found.points(threshold, scale, rate_hz);
+    Some(PooledEstimate { answer, step, range, inflation, lasting_share, curve })
 }
 
 /// Curves of dependence for all ordered pairs of channels, with the longest T* and its upper bound.

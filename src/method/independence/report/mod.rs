@@ -14,16 +14,14 @@ use crate::printable::counted;
 use crate::scene::{Domain, Phase, SceneError, SourceId, SourceSpec};
 use crate::trial::{Series, Signal};
 
-pub(super) type Second = f64;
-
 /// Number of samples that the kernel two-sample test compares (the paper's n).
 pub const SAMPLES: usize = 400;
 
 /// Latest start of the sampling in a scan of 4.8 s, in seconds: 1.15 % of the scan.
-pub(super) const START_S: Second = 0.0115 * 4.8;
+pub(super) const START_S: f64 = 0.0115 * 4.8;
 
 /// How long a scan must last to hold n = `samples` samples T* apart: `START_S` + (n − 1)·T*.
-pub fn scan_s(t_star_s: Second, samples: usize) -> Second {
+pub fn scan_s(t_star_s: f64, samples: usize) -> f64 {
     START_S + samples.saturating_sub(1) as f64 * t_star_s
 }
 
@@ -42,7 +40,6 @@ pub(super) fn worth(samples: usize, effective: f64) -> f64 {
 pub enum Estimator {
     /// The rule `pooled`: T* from the size of the dependence, over all pairs of samples.
     Pooled(PooledSettings),
-    /// The paper's Algorithm 1, by one of its two rules.
     Algorithm1(Algorithm1Settings),
 }
 
@@ -61,9 +58,9 @@ pub struct SourceDuration {
     pub trials: usize,
     /// T* in samples; if `None`, `reason` says why.
     pub t_star_samples: Option<usize>,
-    pub t_star_s: Option<Second>,
+    pub t_star_s: Option<f64>,
     /// Length of a scan that holds n samples T* (or its upper bound, where there is one) apart, in seconds.
-    pub scan_s: Option<Second>,
+    pub scan_s: Option<f64>,
     pub reason: Option<String>,
     pub remarks: Vec<String>,
     pub rate_hz: Option<f64>,
@@ -91,9 +88,9 @@ pub enum ByRule {
 pub struct PooledRow {
     /// Upper bound of T* in samples; use it as the distance between samples.
     pub t_star_upper_samples: Option<usize>,
-    pub t_star_upper_s: Option<Second>,
+    pub t_star_upper_s: Option<f64>,
     /// Length of the shortest trial, in seconds.
-    pub trial_s: Option<Second>,
+    pub trial_s: Option<f64>,
     /// Effective number of independent samples in the shortest trial.
     pub effective_samples: Option<f64>,
     /// Effective number of independent samples among n samples spread over the shortest trial.
@@ -112,9 +109,9 @@ pub struct PooledRow {
 pub struct SceneDuration {
     pub source: SourceId,
     /// The longest scan that any surface needs, in seconds; `None` if no surface has a T*.
-    pub scan_s: Option<Second>,
+    pub scan_s: Option<f64>,
     /// T* of the surface that needs the longest scan.
-    pub t_star_s: Option<Second>,
+    pub t_star_s: Option<f64>,
     pub surface: Option<String>,
     /// Surfaces without a T*, so that their scan duration is unknown.
     pub without: Vec<String>,
@@ -154,27 +151,23 @@ impl Default for Question {
 pub struct DurationReport {
     pub library: String,
     pub synthetic: bool,
-    /// n, the number of samples that a scan must yield.
     pub samples: usize,
     /// Time t₀ in a scan at which sampling starts, in seconds.
-    pub start_s: Second,
+    pub start_s: f64,
     pub settings: Estimator,
     pub durations: Vec<SourceDuration>,
     /// For each source, the longest scan duration over the surfaces.
     pub scene: Vec<SceneDuration>,
     /// The longest scan duration over all sources; `None` if no source has a T*.
-    pub scan_s: Option<Second>,
+    pub scan_s: Option<f64>,
 }
 
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// a trial cannot be read
     #[error(transparent)]
     Library(#[from] LibraryError),
-    /// the settings are not possible
     #[error(transparent)]
     Duration(#[from] DurationError),
-    /// the scene does not have a source
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// no such surface or source, no trial with the source, or a source that the rule cannot use
@@ -393,7 +386,7 @@ fn longest(source: &SourceId, durations: &[SourceDuration]) -> Option<SceneDurat
 
 impl SourceDuration {
     /// Time between samples for planning scans: the upper bound of T*; for Algorithm 1, T* itself.
-    pub(crate) fn spacing_s(&self) -> Option<Second> {
+    pub(crate) fn spacing_s(&self) -> Option<f64> {
         match &self.by_rule {
             ByRule::Pooled(row) => row.t_star_upper_s,
             ByRule::Algorithm1 { .. } => self.t_star_s,

@@ -3,8 +3,7 @@
 use std::fmt::Write;
 
 use super::{
-    ByRule, CORRELATION, DurationReport, Estimator, PooledRow, PooledSettings, Second,
-    SourceDuration,
+    ByRule, CORRELATION, DurationReport, Estimator, PooledRow, PooledSettings, SourceDuration,
 };
 use crate::independence::algorithm1::Algorithm1Settings;
 use crate::printable::{some_of, table};
@@ -38,7 +37,7 @@ impl DurationReport {
 
     /// The result of `pooled` in words, one line for each source: the distance of nearly independent
     /// samples, how sure means over a scan of `scan_s` seconds and a trial are, and where there is no T*. Empty for Algorithm 1.
-    pub fn in_words(&self, scan_s: Option<Second>) -> String {
+    pub fn in_words(&self, scan_s: Option<f64>) -> String {
         let mut out = String::new();
         if matches!(self.settings, Estimator::Pooled(_)) {
             for scene in &self.scene {
@@ -49,12 +48,12 @@ impl DurationReport {
         out
     }
 
-    fn source_in_words(&self, source: &SourceId, scan_s: Option<Second>) -> String {
+    fn source_in_words(&self, source: &SourceId, scan_s: Option<f64>) -> String {
         let rows = || {
             let of_source = self.durations.iter().filter(|d| d.source == *source);
             of_source.filter_map(|d| Some((d, pooled(d)?)))
         };
-        let mut spacings: Vec<Second> = rows().filter_map(|(d, _)| d.spacing_s()).collect();
+        let mut spacings: Vec<f64> = rows().filter_map(|(d, _)| d.spacing_s()).collect();
         spacings.sort_unstable_by(f64::total_cmp);
         let dependence = match self.settings {
             Estimator::Pooled(PooledSettings { dependence }) => dependence,
@@ -156,7 +155,7 @@ fn pooled(d: &SourceDuration) -> Option<&PooledRow> {
 }
 
 /// Formats seconds as milliseconds, rounded for reading.
-fn ms(seconds: Second) -> String {
+fn ms(seconds: f64) -> String {
     let ms = 1e3 * seconds;
     match ms {
         ..1.0 => format!("{ms:.2}"),
@@ -167,7 +166,7 @@ fn ms(seconds: Second) -> String {
 
 fn named<'a>(
     mut rows: impl Iterator<Item = (&'a SourceDuration, &'a PooledRow)>,
-    spacing_s: Second,
+    spacing_s: f64,
 ) -> &'a str {
     rows.find(|(d, _)| d.spacing_s() == Some(spacing_s)).map_or("", |(d, _)| &d.surface)
 }

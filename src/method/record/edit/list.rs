@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::REMOVED;
 use crate::library::files::{self, Listed};
 use crate::library::{About, Entry, LibraryError, recording};
-use crate::record::folder_name::is_plain;
+use crate::record::folder_name::{is_plain, is_trial};
 use crate::scene::{Scene, SourceId};
 use crate::trial::{EXPERT, TrialKey, normal};
 
@@ -125,11 +125,7 @@ pub fn numbers_after(
 
 /// The name `SURFACE/TRIAL` of the trial whose `trial.toml` has these notes. Tries `likely` first.
 pub fn trial_of_note(library: &Path, notes: &str, likely: Option<&str>) -> Option<String> {
-    let is = |name: &&str| {
-        let place =
-            name.split_once('/').filter(|(surface, trial)| is_plain(surface) && is_plain(trial));
-        place.is_some() && notes_of(library, name).is_some_and(|found| found == notes)
-    };
+    let is = |name: &&str| is_trial(name) && notes_of(library, name).as_deref() == Some(notes);
     let likely = likely.filter(is).map(String::from);
     likely.or_else(|| trials_by_note(library).remove(notes))
 }

@@ -166,7 +166,6 @@ impl Editor {
         self.take(format!("set the session of {} to {to}", names.join(", ")), plan.moves)
     }
 
-    /// Removes trials.
     pub fn remove(&mut self, names: &[String]) -> Result<Step, LibraryError> {
         let entries = trials(&self.root, &self.scene)?;
         let mut plan = Plan::new(&self.root, &[], &HashSet::new());
@@ -177,7 +176,6 @@ impl Editor {
         self.take(format!("remove {}", names.join(", ")), plan.moves)
     }
 
-    /// Restores removed trials.
     pub fn restore(&mut self, names: &[String]) -> Result<Step, LibraryError> {
         let bin = self.root.join(REMOVED);
         let all = self.entries()?;
@@ -190,7 +188,7 @@ impl Editor {
         for (place, key) in chosen {
             match key {
                 Some(key) => plan.rename(&place, key, key)?,
-                None => plan.add(&place, self.root.join(trial_name(&bin, &place)), None, None),
+                None => plan.add(&place, self.root.join(trial_name(&bin, &place)), [None, None]),
             }
         }
         self.take(format!("restore {}", names.join(", ")), plan.moves)
@@ -234,17 +232,9 @@ impl Editor {
         let mut plan = Plan::new(&self.root, &all, &leaving);
         there.iter().for_each(|one| plan.reverse(one));
         step.gone = Some(missing.iter().map(|one| one.to.clone()).collect());
-        let moves = plan.moves;
-        let checked = moves.iter().try_for_each(|one| check(&self.root, one));
-        if let Err(error) =
-            checked.and_then(|()| self.steps.add([StepLine::Undoing(moves.clone())]))
-        {
-            tidy(&self.root, &moves);
-            return Err(error);
-        }
-        let taken_back = self.settle(&moves, true)?;
-        step.moves = moves;
-        taken_back.map_or(Ok(step), Err)
+        step.moves = plan.moves;
+        self.begin(StepLine::Undoing(step.moves.clone()), &step.moves)?;
+        Ok(step)
     }
 
     /// The present trials that can be read, and the removed ones.
@@ -326,18 +316,24 @@ impl Editor {
         LibraryError::file(&self.root, problem)
     }
 
-    /// Adds an edit to the list of steps, and carries it out. An edit that fails is undone.
+    /// Adds an edit, if it moves anything, to the list of steps, and carries it out.
     fn take(&mut self, what: String, moves: Vec<Move>) -> Result<Step, LibraryError> {
         let step = Step::now(what, moves);
-        if step.moves.is_empty() {
-            return Ok(step);
+        if !step.moves.is_empty() {
+            self.begin(StepLine::Began(step.clone()), &step.moves)?;
         }
-        let checked = step.moves.iter().try_for_each(|one| check(&self.root, one));
-        if let Err(error) = checked.and_then(|()| self.steps.add([StepLine::Began(step.clone())])) {
-            tidy(&self.root, &step.moves);
+        Ok(step)
+    }
+
+    /// Adds the line with which `moves` begin, and carries them out. If one fails, all are taken back.
+    fn begin(&mut self, line: StepLine, moves: &[Move]) -> Result<(), LibraryError> {
+        let undoing = matches!(line, StepLine::Undoing(_));
+        let checked = moves.iter().try_for_each(|one| check(&self.root, one));
+        if let Err(error) = checked.and_then(|()| self.steps.add([line])) {
+            tidy(&self.root, moves);
             return Err(error);
         }
-        self.settle(&step.moves, false)?.map_or(Ok(step), Err)
+        self.settle(moves, undoing)?.map_or(Ok(()), Err)
     }
 
     /// Carries out `moves`: those of the last step or, with `undoing`, those that undo the step. If

@@ -43,12 +43,12 @@ impl<'a> Plan<'a> {
         if from.is_file() {
             let folder = self.folder_of_label(from, &wanted.surface)?;
             let to = folder.join(from.file_name().unwrap_or_default());
-            self.add(from, to, Some(was.clone()), Some(wanted.clone()));
+            self.add(from, to, [Some(was.clone()), Some(wanted.clone())]);
             return Ok(());
         }
         let is = self.free_key(wanted);
         let to = trial_folder(self.root, &is);
-        self.add(from, to, Some(was.clone()), Some(is));
+        self.add(from, to, [Some(was.clone()), Some(is)]);
         Ok(())
     }
 
@@ -65,7 +65,7 @@ impl<'a> Plan<'a> {
             return Err(LibraryError::file(folder, problem));
         }
         let is = self.free_key(wanted);
-        self.add(folder, folder.to_path_buf(), Some(was.clone()), Some(is));
+        self.add(folder, folder.to_path_buf(), [Some(was.clone()), Some(is)]);
         Ok(())
     }
 
@@ -90,7 +90,7 @@ impl<'a> Plan<'a> {
     pub(super) fn remove(&mut self, from: &Path, key: Option<&TrialKey>) {
         if !self.folders.contains(from) {
             let to = self.root.join(REMOVED).join(trial_name(self.root, from));
-            self.add(from, to, key.cloned(), key.cloned());
+            self.add(from, to, [key.cloned(), key.cloned()]);
         }
     }
 
@@ -103,7 +103,7 @@ impl<'a> Plan<'a> {
         if let Some(key) = was.as_ref().filter(|key| moves && Some(*key) != one.was.as_ref()) {
             to = trial_folder(self.root, key);
         }
-        self.add(&from, to, one.is.clone(), was);
+        self.add(&from, to, [one.is.clone(), was]);
     }
 
     fn free_key(&mut self, wanted: &TrialKey) -> TrialKey {
@@ -118,13 +118,7 @@ impl<'a> Plan<'a> {
     }
 
     /// Adds a move to a path or, if it is taken, beside it, as `NAME-2`; a trial may stay where it is.
-    pub(super) fn add(
-        &mut self,
-        from: &Path,
-        to: PathBuf,
-        was: Option<TrialKey>,
-        is: Option<TrialKey>,
-    ) {
+    pub(super) fn add(&mut self, from: &Path, to: PathBuf, [was, is]: [Option<TrialKey>; 2]) {
         let name = to.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let dot = name.rfind('.').filter(|_| from.is_file());
         let (stem, end) = name.split_at(dot.unwrap_or(name.len()));

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use super::{REMOVED, disk};
 use crate::library::{LibraryError, files};
 use crate::printable::json_text;
-use crate::record::folder_name::is_plain;
+use crate::record::folder_name::is_trial;
 use crate::record::{failed, replace_file};
 use crate::system::{self, Locked};
 use crate::trial::{TrialKey, utc};
@@ -54,11 +54,9 @@ impl Step {
 pub struct Move {
     /// The trial's folder or file before the move, within the library, such as `SURFACE/TRIAL`.
     pub from: String,
-    /// The trial's folder or file after the move.
     pub to: String,
     /// The trial's label, user and number before the move; `None` if the trial cannot be read.
     pub was: Option<TrialKey>,
-    /// The trial's label, user and number after the move.
     pub is: Option<TrialKey>,
     /// The trial's inode (file number), which tells it from another trial at the same path.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -163,10 +161,7 @@ fn undone(steps: &mut Vec<KnownStep>) {
 
 /// Whether all moves stay within a library: on paths `SURFACE/TRIAL`, present or removed.
 fn is_within(moves: &[Move]) -> bool {
-    let trial = |name: &str| {
-        let name = name.strip_prefix(".removed/").unwrap_or(name);
-        name.split_once('/').is_some_and(|(surface, trial)| is_plain(surface) && is_plain(trial))
-    };
+    let trial = |name: &str| is_trial(name.strip_prefix(".removed/").unwrap_or(name));
     moves.iter().all(|one| trial(&one.from) && trial(&one.to))
 }
 

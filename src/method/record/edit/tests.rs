@@ -177,42 +177,35 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-type Edit = fn(&mut Editor) -> Result<(), LibraryError>;
+type Edit = fn(&mut Editor) -> Result<Step, LibraryError>;
 
-/// The test cases: name, preparation of the library, and the edit that is cut short.
-const EDITS: [(&str, Edit, Edit); 11] = [
-    ("rename", |_| Ok(()), |e| e.rename("oak", "ash").map(drop)),
-    ("move", |_| Ok(()), |e| e.move_to(&["oak/anna-02".into(), "ash".into()], "elm").map(drop)),
-    ("move all", |_| Ok(()), |e| e.move_to(&["oak".into(), "ash".into()], "elm").map(drop)),
-    (
-        "undo a move",
-        |e| e.move_to(&["oak".into(), "ash".into()], "elm").map(drop),
-        |e| e.undo().map(drop),
-    ),
-    ("session", |_| Ok(()), |e| e.set_session(&["oak".into()], Some("monday")).map(drop)),
+/// The test cases: name, edits that prepare the library, and the edit that is cut short.
+const EDITS: [(&str, &[Edit], Edit); 11] = [
+    ("rename", &[], |e| e.rename("oak", "ash")),
+    ("move", &[], |e| e.move_to(&["oak/anna-02".into(), "ash".into()], "elm")),
+    ("move all", &[], |e| e.move_to(&["oak".into(), "ash".into()], "elm")),
+    ("undo a move", &[|e| e.move_to(&["oak".into(), "ash".into()], "elm")], Editor::undo),
+    ("session", &[], |e| e.set_session(&one("oak"), Some("monday"))),
     (
         "undo a session",
-        |e| {
-            e.set_session(&["oak".into()], Some("monday"))?;
-            e.set_session(&["oak/anna-02".into()], None).map(drop)
-        },
-        |e| e.undo().map(drop),
+        &[
+            |e| e.set_session(&one("oak"), Some("monday")),
+            |e| e.set_session(&one("oak/anna-02"), None),
+        ],
+        Editor::undo,
     ),
-    ("remove", |_| Ok(()), |e| e.remove(&["oak".into()]).map(drop)),
-    ("restore", |e| e.remove(&["oak".into()]).map(drop), |e| e.restore(&["oak".into()]).map(drop)),
-    ("undo a rename", |e| e.rename("oak", "ash").map(drop), |e| e.undo().map(drop)),
-    ("undo a removal", |e| e.remove(&["oak".into()]).map(drop), |e| e.undo().map(drop)),
+    ("remove", &[], |e| e.remove(&one("oak"))),
+    ("restore", &[|e| e.remove(&one("oak"))], |e| e.restore(&one("oak"))),
+    ("undo a rename", &[|e| e.rename("oak", "ash")], Editor::undo),
+    ("undo a removal", &[|e| e.remove(&one("oak"))], Editor::undo),
     (
         "undo a restoring",
-        |e| {
-            e.remove(&["oak".into()])?;
-            e.restore(&["oak/anna-01".into()]).map(drop)
-        },
-        |e| e.undo().map(drop),
+        &[|e| e.remove(&one("oak")), |e| e.restore(&one("oak/anna-01"))],
+        Editor::undo,
     ),
 ];
 
-/// A library after the edit that prepares a test case, and its number of steps.
+/// A library after the edits that prepare a test case, and its number of steps.
 struct Before {
     dir: tempfile::TempDir,
     scene: Scene,
@@ -220,9 +213,11 @@ struct Before {
 }
 
 impl Before {
-    fn new(prepare: Edit) -> Self {
+    fn new(prepare: &[Edit]) -> Self {
         let (dir, scene) = library();
-        prepare(&mut Editor::open(dir.path(), &scene).unwrap()).unwrap();
+        let mut editor = Editor::open(dir.path(), &scene).unwrap();
+        prepare.iter().for_each(|edit| drop(edit(&mut editor).unwrap()));
+        drop(editor);
         let steps = steps::read(dir.path()).unwrap().0.len();
         Self { dir, scene, steps }
     }

@@ -280,20 +280,13 @@ pub(super) fn shift(rgb: &[u8], pixels: f64) -> Vec<u8> {
 /// Blurs pictures. A pixel becomes the mean over a square that extends `radius` pixels to each side.
 pub(super) fn blur(rgb: &[u8], radius: f64) -> Vec<u8> {
     let radius = radius as usize;
-    let across = blur_lines(rgb, Image::ROWS, Image::COLS, Image::COLS * 3, 3, radius);
-    blur_lines(&across, Image::COLS, Image::ROWS, 3, Image::COLS * 3, radius)
+    let (rows, columns) = ([Image::ROWS, Image::COLS * 3], [Image::COLS, 3]);
+    blur_lines(&blur_lines(rgb, rows, columns, radius), columns, rows, radius)
 }
 
-/// Takes running means along `lines` lines, which begin `line_step` bytes apart. Each has `len` pixels,
-/// `step` bytes apart.
-fn blur_lines(
-    rgb: &[u8],
-    lines: usize,
-    len: usize,
-    line_step: usize,
-    step: usize,
-    radius: usize,
-) -> Vec<u8> {
+/// Takes running means along lines of pixels; both are given as their number and their distance in bytes.
+fn blur_lines(rgb: &[u8], lines: [usize; 2], pixels: [usize; 2], radius: usize) -> Vec<u8> {
+    let ([lines, line_step], [len, step]) = (lines, pixels);
     let mut out = vec![0; rgb.len()];
     let mut sums = vec![0u32; len + 1];
     for line in 0..lines {

@@ -5,7 +5,7 @@
 
 mod changes;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use rand_chacha::ChaCha8Rng;
 
@@ -207,9 +207,8 @@ pub(crate) fn few(library: Vec<Entry>, most: f64, rng: &mut ChaCha8Rng) -> Vec<E
 
 /// Gives about a `share` of the trials the name of another surface.
 pub(crate) fn mislabelled(mut library: Vec<Entry>, share: f64, rng: &mut ChaCha8Rng) -> Vec<Entry> {
-    let mut surfaces: Vec<String> = library.iter().map(|e| e.key.surface.clone()).collect();
-    surfaces.sort();
-    surfaces.dedup();
+    let surfaces: BTreeSet<String> = library.iter().map(|e| e.key.surface.clone()).collect();
+    let surfaces: Vec<String> = surfaces.into_iter().collect();
     for (at, entry) in library.iter_mut().enumerate() {
         if uniform(rng) < share {
             let own = surfaces.partition_point(|surface| *surface < entry.key.surface);
@@ -243,8 +242,6 @@ pub(crate) fn twins(mut library: Vec<Entry>, percent: f64, _: &mut ChaCha8Rng) -
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-
     use super::*;
     use crate::dataset::synth::{self, Parameters};
     use crate::seed;
@@ -341,9 +338,8 @@ mod tests {
     fn library() -> Vec<Entry> {
         let entry = |(surface, number): (&str, u32)| {
             let series = Series::new(10.0, 1, vec![1.0, 2.0, 3.0, number as f32]).unwrap();
-            let signals = BTreeMap::from([(SourceId::new("ir").unwrap(), Signal::Series(series))]);
             let key = TrialKey::new(surface, "expert", number);
-            Entry::in_memory(Trial { key, signals })
+            Entry::in_memory(Trial::of_series(key, SourceId::new("ir").unwrap(), series))
         };
         ["a", "b", "c"].into_iter().flat_map(|s| (1..=10).map(move |n| (s, n))).map(entry).collect()
     }
