@@ -144,7 +144,11 @@ fn part(headers: &HeaderMap, mut bytes: Vec<u8>) -> Response {
     let asked = range.and_then(|range| match range.split_once('-')? {
         ("", last) => Some((length.saturating_sub(last.parse().ok()?), length)),
         (first, "") => Some((first.parse().ok()?, length)),
-        (first, last) => Some((first.parse().ok()?, last.parse::<usize>().ok()?.checked_add(1)?)),
+        (first, last) => {
+            let (first, end) = (first.parse().ok()?, last.parse::<usize>().ok()?.checked_add(1)?);
+            // One that ends before it begins is not valid.
+            (first < end).then_some((first, end))
+        }
     });
     let Some((first, end)) = asked else {
         return ([(ACCEPT_RANGES, "bytes")], bytes).into_response();

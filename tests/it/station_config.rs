@@ -187,7 +187,7 @@ fn addresses_are_taken_apart_and_others_refused() {
         (safe.to_string().as_str(), safe.tls),
         ("mqtts://broker:8883/surfaced", Some(TlsFiles::default()))
     );
-    for text in ["", "wss://x/", "http:///x", "broker/x", "ftp://x"] {
+    for text in ["", "http://anna:x@bell/a", "wss://x/", "http:///x", "broker/x", "ftp://x"] {
         assert!(text.parse::<HttpAddress>().is_err(), "{text}");
     }
     for text in

@@ -117,31 +117,36 @@ fn sensors_of_several_rates_in_one_table_keep_their_rows() {
             format!("{:.3},{}", i as f64 / 100.0, cells(i, xs))
         })
     };
-    // The force in every fourth row, or in rows of its own.
+    // The force in every fourth row, or in rows of its own, which may come in batches.
     let joined =
         form(|i, [x, y, z]| format!("{x},{y},{}", if i % 4 == 1 { z } else { String::new() }));
     let apart = form(|i, [x, y, z]| match i % 4 {
         1 => format!("{x},{y},\n{:.3},,,{z}", i as f64 / 100.0 + 0.004),
         _ => format!("{x},{y},"),
     });
+    let mut late: Vec<&str> = apart.lines().collect();
+    late[1..].chunks_mut(10).for_each(|batch| batch.sort_by_key(|line| !line.contains(",,,")));
+    let late = late.join("\n");
     let by_rate = joined.replace("time,", "place,");
     let given = ["--rate", "100", "--source", "a=ax,ay", "--source", "force=force"];
-    for (text, args, first) in [
-        (&joined, &[][..], Some(1)),
-        (&by_rate, &given, Some(1)),
-        (&apart, &[], Some(2)),
-        (&apart, &["--source", "force=force"], None),
+    for (text, args, is_alone) in [
+        (&joined, &[][..], false),
+        (&by_rate, &given, false),
+        (&apart, &[], false),
+        (&late, &[], false),
+        (&apart, &["--source", "force=force"], true),
     ] {
         let imported = import("oak/1.csv", text.as_bytes(), args);
         let force = imported.series("force");
         let right: Vec<f32> = (0..75).map(|i| value(4 * i + 1, 2) as f32).collect();
         assert_eq!((force.rate_hz(), force.samples()), (25.0, &right[..]), "{}", imported.said());
-        if let Some(first) = first {
-            // From the first row of the force to its last.
+        if !is_alone {
             let series = imported.series("a");
-            let values = [value(first, 0) as f32, value(first, 1) as f32];
-            assert_eq!((series.rate_hz(), series.frames()), (100.0, 298 - first));
-            assert_eq!(series.samples()[..2], values);
+            let right = (0..ROWS).flat_map(|i| [value(i, 0) as f32, value(i, 1) as f32]);
+            assert_eq!(
+                (series.rate_hz(), series.samples()),
+                (100.0, &right.collect::<Vec<_>>()[..])
+            );
             says(&imported.said(), &["rows of their own"]);
         }
     }
@@ -153,7 +158,7 @@ fn rows_that_come_late_are_sorted_and_infinities_are_missing_values() {
     let text = table("time,ax\n", |i, [x, ..]| {
         // Two rows in twenty come after the next one.
         let place = [i + 1, i.saturating_sub(1)];
-        let at = if i % 20 < 4 && i > 3 { place[i % 2] } else { i };
+        let at = if i % 20 < 4 { place[i % 2] } else { i };
         let x = if at == i { x } else { format!("{:.3}", value(at, 0)) };
         let x = if infinite.contains(&at) { "-inf".into() } else { x };
         format!("{:.2},{x}", at as f64 / 100.0)
@@ -167,7 +172,7 @@ fn rows_that_come_late_are_sorted_and_infinities_are_missing_values() {
     }
     says(
         &imported.said(),
-        &["after rows of later times: 28 rows", "filled in by straight lines: 2 values"],
+        &["after rows of later times: 30 rows", "filled in by straight lines: 2 values"],
     );
 }
 

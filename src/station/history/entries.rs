@@ -214,16 +214,15 @@ impl HistoryState {
         };
         let firsts: Vec<bool> = self.entries.iter().take(old).map(&mut is_first).collect();
         let Some(disk) = &mut self.disk else { return Ok(()) };
-        let gone: Vec<HistoryEntry> = self.entries.drain(..old).collect();
-        let mut stay = Vec::new();
-        for (mut entry, is_first) in gone.into_iter().zip(firsts) {
-            if let Some(bytes) = entry.signals.take() {
+        for entry in self.entries.iter_mut().take(old) {
+            if let Some(bytes) = entry.signals {
                 disk.remove_signals(&entry.head.id)?;
                 self.signals -= bytes;
+                entry.signals = None;
             }
-            stay.extend(is_first.then_some(entry));
         }
-        stay.into_iter().rev().for_each(|entry| self.entries.push_front(entry));
+        let mut firsts = firsts.into_iter();
+        self.entries.retain(|_| firsts.next().unwrap_or(true));
         let (mut fresh, mut texts) = (disk.log.begin_anew()?, Vec::new());
         for entry in &self.entries {
             let (text, written) = fresh.append_answer(entry.text.read(Some(&disk.log))?);

@@ -197,11 +197,15 @@ impl Work {
     /// Writes why a scan got its name, and small views of the scan and of the nearest trial.
     fn note(&self, answered: &AnsweredScan, folder: &Path) -> Result<(), HistoryError> {
         let AnsweredScan { scan, by, .. } = answered;
-        // A method that panics on one scan must not end the thread, so the panic is caught.
-        let explain = std::panic::AssertUnwindSafe(|| by.as_ref()?.explain(scan).ok());
-        let why = std::panic::catch_unwind(explain).ok().flatten();
-        let nearest =
-            why.as_ref().and_then(|why| by.as_ref()?.trials.get(&why.nearest)?.load().ok());
+        // A method or a decoder that panics must not end the thread, so the panic is caught.
+        let explain = std::panic::AssertUnwindSafe(|| {
+            let by = by.as_ref()?;
+            let why = by.explain(scan).ok()?;
+            let nearest = by.trials.get(&why.nearest).and_then(|trial| trial.load().ok());
+            Some((why, nearest))
+        });
+        let (why, nearest) = std::panic::catch_unwind(explain).ok().flatten().unzip();
+        let nearest = nearest.flatten();
         if let Some(nearest) = &nearest {
             write_pictures(nearest, folder)?;
         }

@@ -25,8 +25,8 @@ pub(crate) struct Group {
     pub trial: Option<String>,
     /// Number of rows, on disk and in memory.
     pub rows: usize,
-    /// The first and the latest time.
-    pub times: Option<(i64, i64)>,
+    /// The first and the latest time, and that of the last row.
+    pub times: Option<[i64; 3]>,
     /// How much to add to a time, since the clock began anew.
     pub offset: i64,
     held: Rows,

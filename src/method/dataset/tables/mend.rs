@@ -151,8 +151,10 @@ fn overlaps(parts: &[Vec<Piece>], others: &[Vec<Piece>]) -> Vec<Vec<Piece>> {
     for part in parts {
         for other in others {
             let both = || part.iter().chain(other);
-            let from = both().map(|piece| piece.start).max().unwrap_or(0);
-            let to = both().map(Piece::end).min().unwrap_or(0);
+            // A slow source has its first frame up to a step late.
+            let step = |piece: &Piece| (S / piece.rate_hz) as i64;
+            let from = both().map(|piece| piece.start - step(piece)).max().unwrap_or(0);
+            let to = both().map(|piece| piece.end() + step(piece)).min().unwrap_or(0);
             all.extend(both().map(|piece| piece.within(from, to)).collect::<Option<Vec<_>>>());
         }
     }

@@ -27,8 +27,9 @@ pub(super) struct Table<'a> {
 /// Rows after which an empty line or a comment may divide trials. Some programs write one after each few rows.
 const FEWEST_DIVIDED: usize = 16;
 
-/// A row may come after so many rows of later times, as by a network or from several threads.
+/// A row may come after so many rows of later times, as by a network or in batches of several threads.
 const MOST_OVERTAKEN: f64 = 100.0;
+const FEWEST_OF_TRIAL: usize = 8;
 
 impl<'a> Table<'a> {
     pub(super) fn new(head: &'a Head, form: &Form) -> Result<Self, String> {
@@ -317,14 +318,13 @@ fn time(stamps: &Stamps, cell: &[u8], group: &mut Group) -> Result<i64, String> 
     };
     let beyond = || "the time is beyond all ranges".to_string();
     let mut time = read.checked_add(group.offset).ok_or_else(beyond)?;
-    if let Some((first, last)) = group.times
-        && time < last
-    {
-        let before = last - group.offset;
-        let steps = (last - time) as f64 / (last - first) as f64 * group.rows as f64;
+    let [first, latest, last] = group.times.unwrap_or([time; 3]);
+    if time < last {
+        let before = latest - group.offset;
+        let most = (latest - first) as f64 * (MOST_OVERTAKEN / group.rows as f64).min(0.5);
         match lasts {
-            // A clock that begins anew goes back further.
-            _ if steps < (group.rows as f64 / 2.0).min(MOST_OVERTAKEN) => return Ok(time),
+            // A clock that begins anew goes back further, and not before a trial has some rows.
+            _ if group.rows <= FEWEST_OF_TRIAL || ((latest - time) as f64) < most => {}
             Some(lasts) if before as f64 > 0.9 * lasts && (read as f64) < 0.1 * lasts => {
                 group.offset = group.offset.checked_add(lasts as i64).ok_or_else(beyond)?;
                 time = read.checked_add(group.offset).ok_or_else(beyond)?;
@@ -338,6 +338,6 @@ fn time(stamps: &Stamps, cell: &[u8], group: &mut Group) -> Result<i64, String> 
             }
         }
     }
-    group.times = Some((group.times.map_or(time, |(first, _)| first), time));
+    group.times = Some([first, latest.max(time), time]);
     Ok(time)
 }

@@ -30,7 +30,7 @@ pub(super) fn digits_of(number: &[u8]) -> u8 {
     match unsigned.contains(&b'.') {
         true if is_grouped(unsigned, b'.', b',') => GROUPED,
         true => FRACTION,
-        false if unsigned.len() == 3 => WHOLE,
+        false if unsigned.len() == 3 && unsigned.iter().all(u8::is_ascii_digit) => WHOLE,
         false => 0,
     }
 }

@@ -216,6 +216,9 @@ impl FromStr for HttpAddress {
         let (uri, host) = parts(text, &[("http", 80), ("https", 443)])
             .ok_or("expected an address such as \"https://127.0.0.1:9000/answers\"")?;
         let path = uri.path_and_query().map_or("/", |path| path.as_str()).to_string();
+        if uri.authority().is_some_and(|authority| authority.as_str().contains('@')) {
+            return Err(SECRETS.into());
+        }
         let tls = (uri.scheme_str() == Some("https")).then(TlsFiles::default);
         Ok(Self { host, path, tls, header_file: None })
     }
@@ -245,6 +248,9 @@ impl FromStr for MqttAddress {
         Ok(Self { host, prefix, credentials, tls })
     }
 }
+
+const SECRETS: &str = "a user and a password in this address are not sent; write them as a header, \
+                       `Authorization: Basic …`, into a file, and name it by `header_file`";
 
 /// The mistake where a user or a password holds characters that an address cannot have.
 const ESCAPE: &str = "user and password: write % and two hexadecimal digits for a character that has \
