@@ -15,8 +15,7 @@ use super::Fleet;
 use super::cache::Texts;
 use crate::history::{STATION_COLUMNS, write_csv};
 use crate::serve::api::{FILES, file, guarded};
-use crate::serve::request::{Asked, CSV, JSON_LINES, Problem, Reply, aside, exported};
-use crate::serve::scans::{MOST, USUAL};
+use crate::serve::request::{Asked, CSV, JSON_LINES, MOST, Problem, Reply, USUAL, aside, exported};
 use crate::serve::{Settings, unix_ms};
 
 /// The files that only this page has; the other files are shared with a station's page.

@@ -14,9 +14,10 @@ use serde_json::{Value, json};
 
 use super::guard::{Guard, Traffic, guard};
 use super::hub::{Hub, Shared};
-use super::request::{Asked, JSON_LINES, Problem, Reply, Said, aside, body, exported, label};
+use super::request::{
+    Asked, JSON_LINES, MOST, Problem, Reply, Said, USUAL, aside, body, exported, label,
+};
 use super::roles::By;
-use super::scans::{MOST, USUAL};
 use super::settings::{LARGEST_BODY, Settings};
 use super::subscribers::EventFilter;
 use super::{library, metrics, review, roles, scans};

@@ -14,7 +14,6 @@ use serde_json::json;
 use tokio::sync::{mpsc, watch};
 
 use super::guard::Traffic;
-use super::metrics::{Histogram, LATENCY_BOUNDS_S, SCAN_BOUNDS_S};
 use super::request::{Problem, Reply};
 use super::settings::Settings;
 use super::state::{State, unix_ms};
@@ -36,6 +35,30 @@ const SPECTRA_EVERY: Duration = Duration::from_millis(200);
 /// Interval at which an empty comment is sent on every connection. It is the heartbeat of subscribers that
 /// do not get `streams`, so it reveals a dead connection within seconds.
 const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(1);
+
+const SCAN_BOUNDS_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
+const LATENCY_BOUNDS_S: [f64; 11] =
+    [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
+
+#[derive(Debug, Default)]
+pub(super) struct Histogram {
+    pub bounds: &'static [f64],
+    /// Number of values in each interval between bounds. The last number counts values above all bounds.
+    pub counts: Vec<u64>,
+    pub sum: f64,
+}
+
+impl Histogram {
+    fn new(bounds: &'static [f64]) -> Self {
+        Self { bounds, counts: vec![0; bounds.len() + 1], sum: 0.0 }
+    }
+
+    pub(super) fn observe(&mut self, value: f64) {
+        let at = self.bounds.iter().position(|&bound| value <= bound);
+        self.counts[at.unwrap_or(self.bounds.len())] += 1;
+        self.sum += value;
+    }
+}
 
 /// The hub, as axum passes it to the handlers of requests.
 pub(super) type Shared = axum::extract::State<Arc<Hub>>;

@@ -11,11 +11,11 @@ use serde_json::{Value, json};
 
 use super::hub::{CheckView, Hub, Shared};
 use super::request::{Problem, Reply, Said, aside, body, few, label};
-use super::review::NOTE;
+use super::review::{NOTE, moved};
 use super::roles::By;
 use super::state::unix_ms;
 use super::subscribers::EventKind;
-use crate::history::{Actor, AuditRecord};
+use crate::history::Actor;
 use crate::library::LibraryError;
 use crate::record::edit::{self, Editor, Move, Step};
 use crate::station::Command;
@@ -119,13 +119,6 @@ async fn edited(
     // If the station is too busy to take this command, the operator can reload later.
     let _ = hub.order(Command::Reload);
     Ok(Json(step))
-}
-
-/// The record of a trial that went from one place in the library to another, or to the removed trials
-/// or back.
-pub(super) fn moved(by: &Actor, action: &'static str, places: [Option<&str>; 2]) -> AuditRecord {
-    let [from, to] = places.map(|place| place.filter(|place| !place.starts_with('.')));
-    AuditRecord::now(by, action, from.or(to), (from, to))
 }
 
 async fn check(State(hub): Shared) -> Json<CheckView> {

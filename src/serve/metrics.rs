@@ -7,7 +7,7 @@ use std::fmt::{Display, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::guard::Traffic;
-use super::hub::HubState;
+use super::hub::{Histogram, HubState};
 use crate::device::DeviceState;
 use crate::history::{Drift, Precision, Quantity};
 use crate::outputs::OutputView;
@@ -15,30 +15,6 @@ use crate::printable::Printable;
 use crate::ring::Counts;
 
 pub(super) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
-
-pub(super) const SCAN_BOUNDS_S: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 60.0];
-pub(super) const LATENCY_BOUNDS_S: [f64; 11] =
-    [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5];
-
-#[derive(Debug, Default)]
-pub(super) struct Histogram {
-    bounds: &'static [f64],
-    /// Number of values in each interval between bounds. The last number counts values above all bounds.
-    counts: Vec<u64>,
-    sum: f64,
-}
-
-impl Histogram {
-    pub(super) fn new(bounds: &'static [f64]) -> Self {
-        Self { bounds, counts: vec![0; bounds.len() + 1], sum: 0.0 }
-    }
-
-    pub(super) fn observe(&mut self, value: f64) {
-        let at = self.bounds.iter().position(|&bound| value <= bound);
-        self.counts[at.unwrap_or(self.bounds.len())] += 1;
-        self.sum += value;
-    }
-}
 
 impl HubState {
     /// The metrics as text; `missed` counts the notices that the server missed.

@@ -11,12 +11,15 @@ use axum::response::{IntoResponse, Json, Response};
 use serde_json::json;
 use tokio::sync::mpsc::{Sender, channel};
 
-use super::scans::MOST;
 use super::settings::LARGEST_BODY;
 use super::subscribers::EventStream;
 use crate::history::HistoryError;
 use crate::library::LibraryError;
 use crate::trial::checked_label;
+
+/// How many scans one answer holds by default (`USUAL`) and at most (`MOST`).
+pub(crate) const USUAL: usize = 100;
+pub(crate) const MOST: usize = 1000;
 
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Problem {

@@ -12,7 +12,6 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::hub::{Hub, Shared};
-use super::library::moved;
 use super::request::{Problem, Reply, Said, aside, body, few, label};
 use super::roles::By;
 use super::scans::ScanPath;
@@ -178,6 +177,13 @@ fn find(history: &History, id: &str) -> Corrected {
         HistoryError::NoScan(_) => Problem::Gone(error.to_string()),
         error => error.into(),
     })
+}
+
+/// The record of a trial that went from one place in the library to another, or to the removed trials
+/// or back.
+pub(super) fn moved(by: &Actor, action: &'static str, places: [Option<&str>; 2]) -> AuditRecord {
+    let [from, to] = places.map(|place| place.filter(|place| !place.starts_with('.')));
+    AuditRecord::now(by, action, from.or(to), (from, to))
 }
 
 /// Begins the note in the `trial.toml` of a trial that was made of a scan; the scan's id follows.

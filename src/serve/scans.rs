@@ -14,16 +14,12 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::hub::{Hub, Shared};
-use super::request::{Asked, CSV, JSON_LINES, Problem, Reply, aside, exported};
+use super::request::{Asked, CSV, JSON_LINES, MOST, Problem, Reply, USUAL, aside, exported};
 use crate::history::{COLUMNS, Drift, HistoryRow, NOTES, Wanted, nearest_picture, write_csv};
 use crate::jpeg;
 use crate::printable::json_text;
 use crate::scene::SourceId;
 use crate::station::AnswerState;
-
-/// How many scans one answer holds by default (`USUAL`) and at most (`MOST`).
-pub(crate) const USUAL: usize = 100;
-pub(crate) const MOST: usize = 1000;
 
 pub(crate) fn router() -> Router<Arc<Hub>> {
     Router::new()

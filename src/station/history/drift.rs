@@ -7,7 +7,7 @@ use std::mem::{Discriminant, discriminant};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::entries::{HistoryEntry, HistoryRow};
+use super::log::{HistoryEntry, HistoryRow};
 use super::{AnswerState, Correction};
 use crate::evaluate::control_chart::{BASELINE, Chart, SOON, WITHIN, Worse};
 use crate::scene::SourceId;

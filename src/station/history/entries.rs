@@ -3,52 +3,12 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
-use serde_json::{Map, Value};
-
+use super::HistoryError;
 use super::drift::{Drift, Reading, surface_of};
 use super::folder::Disk;
-use super::log::{Head, Log, LogLine, Span, Text};
-use super::{Correction, HistoryError};
+use super::log::{HistoryEntry, HistoryRow, Log, LogLine, Span, Text};
 use crate::printable::json_text;
 use crate::record::folder_name::is_plain;
-
-/// An answer, its correction, and what became of its scan. Only the fields that the program reads have
-/// types; `others` holds the rest as it was written.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct HistoryRow {
-    #[serde(flatten)]
-    pub head: Head,
-    pub scan_s: f64,
-    pub reasons: Vec<String>,
-    pub spoiled: Vec<String>,
-    #[serde(flatten)]
-    pub others: Map<String, Value>,
-    pub correction: Option<Correction>,
-    /// The trial of the library that the scan became, as `SURFACE/TRIAL`.
-    pub became: Option<String>,
-    /// Who made that trial, or moved or removed it last; `None` if nobody gave a name.
-    pub became_by: Option<String>,
-    pub kept: bool,
-}
-
-#[derive(Debug)]
-pub(super) struct HistoryEntry {
-    pub head: Head,
-    pub text: Text,
-    pub correction: Option<Correction>,
-    pub became: Option<String>,
-    pub became_by: Option<String>,
-    /// Bytes of the scan's signals on disk; `None` if they are not kept.
-    pub signals: Option<u64>,
-}
-
-impl HistoryEntry {
-    pub(super) fn new(head: Head, text: Text) -> Self {
-        Self { head, text, correction: None, became: None, became_by: None, signals: None }
-    }
-}
 
 #[derive(Debug, Default)]
 pub(super) struct HistoryState {

@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
 use super::{AnswerState, Correction, HistoryError};
 use crate::library::files;
@@ -42,6 +43,43 @@ impl Head {
     pub(crate) fn of(answer: &Answer) -> Self {
         let Answer { id, scan, unix_ms, surface, state, user, .. } = answer.clone();
         Self { id, scan, unix_ms, surface, state, user }
+    }
+}
+
+/// An answer, its correction, and what became of its scan. Only the fields that the program reads have
+/// types; `others` holds the rest as it was written.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct HistoryRow {
+    #[serde(flatten)]
+    pub head: Head,
+    pub scan_s: f64,
+    pub reasons: Vec<String>,
+    pub spoiled: Vec<String>,
+    #[serde(flatten)]
+    pub others: Map<String, Value>,
+    pub correction: Option<Correction>,
+    /// The trial of the library that the scan became, as `SURFACE/TRIAL`.
+    pub became: Option<String>,
+    /// Who made that trial, or moved or removed it last; `None` if nobody gave a name.
+    pub became_by: Option<String>,
+    pub kept: bool,
+}
+
+#[derive(Debug)]
+pub(super) struct HistoryEntry {
+    pub head: Head,
+    pub text: Text,
+    pub correction: Option<Correction>,
+    pub became: Option<String>,
+    pub became_by: Option<String>,
+    /// Bytes of the scan's signals on disk; `None` if they are not kept.
+    pub signals: Option<u64>,
+}
+
+impl HistoryEntry {
+    pub(super) fn new(head: Head, text: Text) -> Self {
+        Self { head, text, correction: None, became: None, became_by: None, signals: None }
     }
 }
 

@@ -29,7 +29,7 @@ pub use self::{
     audit::{Actor, AuditRecord, Role},
     csv::{COLUMNS, STATION_COLUMNS, write_csv},
     drift::{ChartView, Drift, Quantity, ReferenceView, news},
-    entries::HistoryRow,
+    log::HistoryRow,
     view::{Bands, WINDOW, bands, four_digits},
 };
 pub use keeper::Keeper;
@@ -42,9 +42,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use self::audit::AuditLog;
-use self::entries::{HistoryEntry, HistoryState};
+use self::entries::HistoryState;
 use self::folder::{Disk, SCANS};
-use self::log::{Head, LogLine, Text};
+use self::log::{Head, HistoryEntry, LogLine, Text};
 use crate::printable::json_text;
 use crate::recognise::wilson_interval;
 use crate::record::edit::Move;

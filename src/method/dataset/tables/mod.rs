@@ -21,6 +21,7 @@ mod names;
 mod npy;
 #[cfg(feature = "parquet")]
 mod parquet;
+mod rates;
 mod stamp;
 mod table;
 mod text;
@@ -32,9 +33,10 @@ use gather::Rows;
 use layout::{Layout, Line};
 #[doc(hidden)]
 pub use mend::Gaps;
-use mend::{Piece, mend};
+use mend::Piece;
 pub use names::{NamePattern, named};
 use names::{Parts, name_of};
+use rates::{in_order, mend_sources};
 use stamp::Stamps;
 use table::Table;
 use text::Lines;
@@ -217,16 +219,17 @@ pub fn read(
 fn give(
     path: &Path,
     key: TrialKey,
-    rows: Rows,
+    mut rows: Rows,
     form: &Form,
     stamps: Option<&Stamps>,
     said: &mut Said,
     on: OnRead<'_>,
 ) -> Result<(), LibraryError> {
+    said.overtaken += in_order(&mut rows);
     let widest = form.widest();
     let samples = rows.values.len() / form.columns().len().max(1);
     let mended = match widest > MOST_TURNED && samples < widest {
-        false => mend(rows, &form.sources, form.rate_hz(), form.gaps),
+        false => mend_sources(rows, &form.sources, form.rate_hz(), form.gaps),
         true => Err(format!(
             "has {samples} rows of {widest} channels; expected a row for each sample: if each row is a \
              channel or a trial, turn the table, or save it as .npy"
@@ -240,7 +243,6 @@ fn give(
         }
     };
     said.resampled_hz = said.resampled_hz.or(mended.resampled_hz);
-    said.overtaken += mended.overtaken;
     said.repeated += mended.repeated;
     said.cut += usize::from(mended.parts.len() + mended.too_short > 1);
     said.too_short += mended.too_short;

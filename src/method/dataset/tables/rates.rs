@@ -1,0 +1,131 @@
+//! Rows of a table in which sensors of several rates were merged: a source gets the rate of the rows in which
+//! it has values. Rows that came late are sorted first.
+
+use std::ops::Range;
+
+use super::gather::Rows;
+use super::mend::{Gaps, MOST_FILLED, Mended, Piece, S, SHARE_FILLED, mend};
+use crate::scene::SourceId;
+
+/// Sorts rows by their times. Returns how many came after a row of a later time.
+pub(super) fn in_order(rows: &mut Rows) -> usize {
+    let mut latest = i64::MIN;
+    let overtaken = rows.times.iter().filter(|time| {
+        latest = latest.max(**time);
+        **time < latest
+    });
+    let overtaken = overtaken.count();
+    if overtaken > 0 {
+        let width = rows.values.len() / rows.times.len();
+        let mut order: Vec<usize> = (0..rows.times.len()).collect();
+        order.sort_by_key(|row| rows.times[*row]);
+        let values = order.iter().flat_map(|row| &rows.values[row * width..][..width]);
+        rows.values = values.copied().collect();
+        rows.times.sort_unstable();
+    }
+    overtaken
+}
+
+/// Makes the parts of one trial, of sources with these columns. The error continues a sentence that begins
+/// with the trial.
+pub(super) fn mend_sources(
+    rows: Rows,
+    sources: &[(SourceId, Vec<String>)],
+    rate_hz: Option<f64>,
+    gaps: Gaps,
+) -> Result<Mended, String> {
+    let names: Vec<String> = sources.iter().flat_map(|(_, columns)| columns.clone()).collect();
+    let count = rows.values.len() / names.len().max(1);
+    let time = |row: usize| match rate_hz {
+        None => rows.times[row],
+        Some(rate_hz) => (row as f64 * S / rate_hz).round() as i64,
+    };
+    let mut from = 0;
+    let ranges = sources.iter().map(|(_, columns)| {
+        from += columns.len();
+        from - columns.len()..from
+    });
+    let ranges: Vec<_> = ranges.collect();
+    let values = |row: usize, of: &Range<usize>| &rows.values[row * names.len()..][of.clone()];
+    // The rows in which a source has a value.
+    let own = |of: &Range<usize>| {
+        let of = of.clone();
+        (0..count).filter(move |row| values(*row, &of).iter().any(|value| !value.is_nan()))
+    };
+    let is_apart = |of: &Range<usize>| {
+        let are_few = (own(of).count() as f64) < (1.0 - SHARE_FILLED) * count as f64;
+        are_few && are_regular(&own(of).map(time).collect::<Vec<_>>())
+    };
+    if !ranges.iter().any(is_apart) {
+        return mend(rows, &names, rate_hz, gaps);
+    }
+    let mut all = Mended::default();
+    for (of, (source, columns)) in ranges.iter().zip(sources) {
+        let own_values = own(of).flat_map(|row| values(row, of)).copied();
+        let own = Rows { times: own(of).map(time).collect(), values: own_values.collect() };
+        let mended = mend(own, columns, None, gaps);
+        let mended = mended.map_err(|problem| format!("{problem} (source `{source}`)"))?;
+        let is_first = source == &sources[0].0;
+        all.parts = if is_first { mended.parts } else { overlaps(&all.parts, &mended.parts) };
+        all.repeated += mended.repeated;
+        all.too_short += mended.too_short;
+        all.resampled_hz = all.resampled_hz.or(mended.resampled_hz);
+    }
+    match all.parts.is_empty() {
+        true => Err("has no time at which all sources have rows".into()),
+        false => Ok(all),
+    }
+}
+
+/// Whether times come in steps of one length, so that few are lost; gaps that are cut do not count.
+fn are_regular(times: &[i64]) -> bool {
+    let steps = times.windows(2).map(|two| two[1].saturating_sub(two[0]) as f64);
+    let mut steps: Vec<f64> = steps.collect();
+    steps.sort_by(f64::total_cmp);
+    let Some(usual) = steps.get(steps.len() / 2) else { return false };
+    let lost = (1.5 * usual)..((MOST_FILLED as f64 + 1.5) * usual);
+    let lost = steps.iter().filter(|step| lost.contains(*step)).count();
+    lost as f64 <= SHARE_FILLED * steps.len() as f64
+}
+
+/// The parts of a trial in which both these sources, and another one, have frames.
+fn overlaps(parts: &[Vec<Piece>], others: &[Vec<Piece>]) -> Vec<Vec<Piece>> {
+    let mut all = Vec::new();
+    for part in parts {
+        for other in others {
+            let both = || part.iter().chain(other);
+            // A slow source has its first frame up to a step late.
+            let step = |piece: &Piece| (S / piece.rate_hz) as i64;
+            let from = both().map(|piece| piece.start - step(piece)).max().unwrap_or(0);
+            let to = both().map(|piece| piece.end() + step(piece)).min().unwrap_or(0);
+            all.extend(both().map(|piece| piece.within(from, to)).collect::<Option<Vec<_>>>());
+        }
+    }
+    all
+}
+
+impl Piece {
+    fn frames(&self) -> usize {
+        self.values.len() / self.width
+    }
+
+    /// Time of the last frame in ns.
+    fn end(&self) -> i64 {
+        self.start + ((self.frames() - 1) as f64 * S / self.rate_hz) as i64
+    }
+
+    /// The frames in a range of times; `None` if there are fewer than two.
+    fn within(&self, from: i64, to: i64) -> Option<Self> {
+        let place = |time: i64| (time - self.start) as f64 * self.rate_hz / S;
+        // Times are rounded to nanoseconds.
+        let first = (place(from) - 1e-3).ceil().max(0.0) as usize;
+        let end = ((place(to) + 1e-3).floor() + 1.0).clamp(0.0, self.frames() as f64) as usize;
+        let values = first * self.width..end * self.width;
+        (first + 2 <= end).then(|| Self {
+            start: self.start + (first as f64 * S / self.rate_hz) as i64,
+            values: self.values[values.clone()].to_vec(),
+            filled: self.filled.get(values).unwrap_or_default().to_vec(),
+            ..*self
+        })
+    }
+}
