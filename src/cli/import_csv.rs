@@ -10,7 +10,7 @@ use summary::Summary;
 use super::show::{self, counted, quoted};
 use super::{Done, Failure, Named, bad_files, one_of, parsed};
 use crate::dataset::tables::{
-    self, Clock, Form, Gaps, Head, NamePattern, Read, SessionOf, array, columns,
+    self, Clock, Form, Gaps, Head, NamePattern, Read, SessionOf, array_file, columns,
 };
 use crate::library::{LibraryError, files};
 use crate::record::importing::Importing;
@@ -252,7 +252,7 @@ fn find(path: &Path, tables: &mut Vec<PathBuf>, bad: &mut Vec<LibraryError>) -> 
 /// Determines the meaning of the columns from the arguments and the first table that can be read.
 fn understood(args: &CsvArgs, tables: &[PathBuf], bad: &mut Vec<LibraryError>) -> Done<Form> {
     let most_unpacked = args.max_gb << 30;
-    if let Some(path) = tables.first().filter(|path| array::is_array(path)) {
+    if let Some(path) = tables.first().filter(|path| array_file::is_array(path)) {
         return array_form(args, path, most_unpacked);
     }
     let mut unread = Vec::new();
@@ -299,7 +299,7 @@ fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Done<Form> {
         return Err(Failure::usage(problem));
     }
     let form = form(args, most_unpacked);
-    let (trials, _) = array::Trials::open(path, &form)?;
+    let (trials, _) = array_file::open(path, &form)?;
     if trials.are_rows {
         say!("each row is a trial of one channel, since there are as many labels");
     }

@@ -6,8 +6,9 @@
 //! written, `columns` what its columns are, `gather` collects rows by trial, and `mend` makes trials
 //! with a fixed rate of them.
 
+mod array;
 #[doc(hidden)]
-pub mod array;
+pub mod array_file;
 mod cell;
 #[doc(hidden)]
 pub mod columns;
@@ -27,6 +28,8 @@ mod table;
 mod text;
 
 use std::collections::{BTreeMap, BTreeSet};
+#[cfg(feature = "parquet")]
+use std::io::{Read as _, Seek as _};
 use std::path::{Path, PathBuf};
 
 use gather::Rows;
@@ -41,7 +44,7 @@ use stamp::Stamps;
 use table::Table;
 use text::Lines;
 
-use crate::library::{About, LibraryError};
+use crate::library::{About, LibraryError, files};
 use crate::scene::SourceId;
 use crate::trial::{Series, Signal, Trial, TrialKey, checked_session, utc};
 
@@ -105,7 +108,7 @@ pub struct Head {
 impl Head {
     /// Reads the first lines of a table, and finds out its layout.
     pub fn read(path: &Path, most_unpacked: u64) -> Result<Self, LibraryError> {
-        let mut lines = Lines::open(path, most_unpacked)?;
+        let mut lines = lines(path, most_unpacked)?;
         Self::of(&mut lines).map_err(LibraryError::at(path))
     }
 
@@ -152,6 +155,21 @@ impl Head {
     }
 }
 
+/// The lines of a table; `most_unpacked` is the largest number of bytes that a packed file may unpack to.
+fn lines(path: &Path, most_unpacked: u64) -> Result<Lines, LibraryError> {
+    let (file, _) = files::open_filled(path)?;
+    #[cfg(feature = "parquet")]
+    {
+        let (mut start, mut from) = (Vec::new(), &file);
+        let read = from.take(4).read_to_end(&mut start).and_then(|_| from.rewind());
+        read.map_err(|error| LibraryError::io(path, error))?;
+        if start == parquet::MAGIC {
+            return parquet::lines(file, most_unpacked).map_err(LibraryError::at(path));
+        }
+    }
+    Lines::new(Box::new(file), most_unpacked).map_err(LibraryError::at(path))
+}
+
 pub struct Read {
     pub trial: Trial,
     pub about: About,
@@ -195,11 +213,11 @@ pub fn read(
     on: OnRead<'_>,
 ) -> Result<Said, LibraryError> {
     let fail = LibraryError::at(path);
-    if array::is_array(path) {
-        return array::read(path, form, on);
+    if array_file::is_array(path) {
+        return array_file::read(path, form, on);
     }
     let head = Head::read(path, form.most_unpacked)?;
-    let mut lines = Lines::open(path, form.most_unpacked)?;
+    let mut lines = lines(path, form.most_unpacked)?;
     let table = Table::new(&head, form).map_err(fail)?;
     let mut gathered = table.gather(path, form, &mut lines, scratch).map_err(fail)?;
     let mut said = std::mem::take(&mut gathered.said);
@@ -380,8 +398,8 @@ pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
         from_1904: false,
         most_unpacked: 1 << 24,
     };
-    if array::is_array(path) {
-        let channels = array::Trials::open(path, &form)?.0.channels;
+    if array_file::is_array(path) {
+        let channels = array_file::open(path, &form)?.0.channels;
         let names = (1..=channels).map(|channel| channel.to_string()).collect();
         form.sources.extend(SourceId::new("x").map(|id| (id, names)));
     } else {

@@ -1,14 +1,11 @@
 //! The lines of a text file, in bounded memory: unpacked (gzip), decoded (UTF-8, UTF-16), and ended by
 //! LF, CR LF or CR. Text that is not UTF-8 is read as Latin-1 where it is shown.
 
-use std::fs::File;
 use std::io::{self, Cursor, Read};
-use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
 
 use super::layout::Layout;
-use crate::library::{LibraryError, files};
 
 /// Longest line that is read, in bytes.
 const MOST_LINE: usize = 1 << 20;
@@ -57,25 +54,6 @@ impl Lines {
     /// Ends the lines that are made of rows; no cell holds it.
     #[cfg(feature = "parquet")]
     pub(super) const RECORD_END: u8 = 0x1e;
-
-    /// Opens a file; `most` is the largest number of bytes that a packed file may unpack to.
-    pub(super) fn open(path: &Path, most: u64) -> Result<Self, LibraryError> {
-        let (file, _) = files::open_filled(path)?;
-        Self::of(file, most).map_err(LibraryError::at(path))
-    }
-
-    fn of(file: File, most: u64) -> Result<Self, String> {
-        #[cfg(feature = "parquet")]
-        {
-            let (mut start, mut from) = (Vec::new(), &file);
-            let read = from.take(4).read_to_end(&mut start);
-            read.and_then(|_| io::Seek::rewind(&mut from)).map_err(|error| error.to_string())?;
-            if start == super::parquet::MAGIC {
-                return super::parquet::lines(file, most);
-            }
-        }
-        Self::new(Box::new(file), most)
-    }
 
     /// Lines that are made of rows, of a known layout.
     #[cfg(feature = "parquet")]
