@@ -68,7 +68,10 @@ fn arrays_of_numpy_are_trials() {
     let numbers: Vec<i16> =
         (0..3).flat_map(|t| (0..2).flat_map(move |c| (0..40).map(move |r| at(t, c, r)))).collect();
     let small = numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
-    let large = numbers.iter().flat_map(|x| f64::from(*x).to_be_bytes()).collect::<Vec<u8>>();
+    let mut large: Vec<f64> = numbers.iter().map(|x| f64::from(*x)).collect();
+    // A missing value, which a straight line fills rightly here.
+    large[220] = f64::INFINITY;
+    let large = large.into_iter().flat_map(f64::to_be_bytes).collect::<Vec<u8>>();
     let words = ["oak", "ash", "oak"].map(|word| {
         (0..4)
             .flat_map(|at| word.chars().nth(at).map_or(0, u32::from).to_le_bytes())

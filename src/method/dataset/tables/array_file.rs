@@ -91,14 +91,10 @@ pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryErr
             let next = numbers.entry((surface.clone(), user.clone())).or_default();
             *next += 1;
             let key = TrialKey::new(surface, user, of_file.unwrap_or(*next)).with_session(session);
-            if let Some(bad) = values.iter().position(|value| value.is_infinite()) {
-                let (channel, sample) = (bad / samples + 1, bad % samples + 1);
-                let problem = format!("{key}, channel {channel}: sample {sample} is not finite");
-                return Err(fail(problem));
-            }
-            let row = |row: usize| places.iter().map(move |place| (place, row));
-            let rows = (0..samples).flat_map(row);
-            let values = rows.map(|(place, row)| values[place * samples + row]).collect();
+            // As in tables, an infinity is a missing value.
+            let value = |at: usize| if values[at].is_finite() { values[at] } else { f32::NAN };
+            let row = |row: usize| places.iter().map(move |place| place * samples + row);
+            let values = (0..samples).flat_map(row).map(value).collect();
             on(std::slice::from_ref(&key), None)?;
             give(path, key, Rows { times: Vec::new(), values }, form, None, &mut said, on)?;
         }
