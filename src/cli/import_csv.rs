@@ -300,9 +300,7 @@ fn array_form(args: &CsvArgs, path: &Path, most_unpacked: u64) -> Done<Form> {
     }
     let form = form(args, most_unpacked);
     let (trials, _) = array_file::open(path, &form)?;
-    if trials.are_rows {
-        say!("each row is a trial of one channel, since there are as many labels");
-    }
+    trials.note.iter().for_each(|note| say!("{note}"));
     let mut sources = args.source.clone();
     if sources.is_empty() {
         let names = (1..=trials.channels).map(|channel| channel.to_string()).collect();

@@ -79,12 +79,18 @@ fn arrays_of_numpy_are_trials() {
     });
     let labels = npy("<U4", "(3,)", &words.concat());
     let array = npy("<i2", "(3, 2, 40)", &small);
+    let turned: Vec<i16> =
+        (0..3).flat_map(|t| (0..40).flat_map(move |r| (0..2).map(move |c| at(t, c, r)))).collect();
+    let turned = turned.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+    let turned =
+        npz(&[("X.npy", npy("<i2", "(3, 40, 2)", &turned)), ("y.npy", labels.clone())], true);
     let file = |deflate| npz(&[("X.npy", array.clone()), ("y.npy", labels.clone())], deflate);
     for (name, bytes, args, keys) in [
         ("oak/1.npy", array.clone(), &[][..], ["oak 1", "oak 2", "oak 3"]),
         ("oak/1.npy", npy(">f8", "(3, 2, 40)", &large), &[], ["oak 1", "oak 2", "oak 3"]),
         ("all.npz", file(false), &["--labels", "y"], ["ash 1", "oak 1", "oak 2"]),
         ("all.npz", file(true), &["--labels", "y", "--variable", "X"], ["ash 1", "oak 1", "oak 2"]),
+        ("all.npz", turned, &["--labels", "y", "--variable", "X"], ["ash 1", "oak 1", "oak 2"]),
     ] {
         assert_trials((name, &bytes, args), keys);
     }

@@ -17,6 +17,8 @@ pub(super) struct Array {
     pub size: usize,
     pub is_big_endian: bool,
     pub is_crosswise: bool,
+    /// Whether it holds trials × samples × channels.
+    pub samples_first: bool,
     pub content: Box<dyn Read>,
 }
 
@@ -34,21 +36,29 @@ pub(super) enum Kind {
 pub struct Trials {
     pub count: usize,
     pub channels: usize,
-    /// Whether the rows of an array of two dimensions are the trials, by the number of labels.
-    pub are_rows: bool,
+    /// How its dimensions are understood by the number of labels.
+    pub note: Option<&'static str>,
     pub(super) arrays: Box<dyn Iterator<Item = Result<Array, String>>>,
 }
 
 impl Trials {
-    /// The trials of an array. If it has two dimensions, and as many rows as there are labels, each row is
-    /// a trial of one channel.
+    /// The trials of an array. If it has as many rows as there are labels, each row is a trial: of one channel if
+    /// it has two dimensions, and of samples × channels if these are fewer than the samples.
     pub(super) fn of(mut array: Array, labels: Option<usize>) -> Result<Self, String> {
-        let are_rows = matches!(array.shape[..], [rows, _] if rows > 1 && labels == Some(rows));
-        if are_rows {
-            array.shape.insert(1, 1);
-        }
+        let note = match array.shape[..] {
+            [rows, _] if rows > 1 && labels == Some(rows) => {
+                array.shape.insert(1, 1);
+                Some("each row is a trial of one channel, since there are as many labels")
+            }
+            [trials, samples, channels] if samples > channels && labels == Some(trials) => {
+                array.shape.swap(1, 2);
+                array.samples_first = true;
+                Some("the array holds trials × samples × channels, since there are as many labels")
+            }
+            _ => None,
+        };
         let [count, channels, _] = array.dimensions()?;
-        Ok(Self { count, channels, are_rows, arrays: Box::new(once(Ok(array))) })
+        Ok(Self { count, channels, note, arrays: Box::new(once(Ok(array))) })
     }
 }
 
@@ -62,13 +72,19 @@ impl Array {
         mut self,
     ) -> Result<impl Iterator<Item = Result<Vec<f32>, String>>, String> {
         let [trials, channels, samples] = self.dimensions()?;
-        let count = channels * samples;
-        let whole = self.is_crosswise.then(|| self.crosswise(trials, channels, samples));
+        let (count, is_turned) = (channels * samples, self.samples_first);
+        let (rows, columns) = if is_turned { (samples, channels) } else { (channels, samples) };
+        let whole = self.is_crosswise.then(|| self.crosswise(trials, rows, columns));
         let whole = whole.transpose()?;
-        Ok((0..trials).map(move |trial| match &whole {
+        let turned = move |values: Vec<f32>| match is_turned {
+            true => (0..count).map(|at| values[at % samples * channels + at / samples]).collect(),
+            false => values,
+        };
+        let values = move |trial: usize| match &whole {
             Some(whole) => Ok(whole[trial * count..(trial + 1) * count].to_vec()),
             None => self.numbers(count),
-        }))
+        };
+        Ok((0..trials).map(values).map(move |values| values.map(&turned)))
     }
 
     pub(super) fn dimensions(&self) -> Result<[usize; 3], String> {

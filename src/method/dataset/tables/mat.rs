@@ -107,7 +107,7 @@ impl MatFile {
             return Trials::of(elements.array(matrix)?, labels);
         }
         let arrays = Box::new(elements.cells(&matrix));
-        let mut trials = Trials { count: 0, channels: 0, are_rows: false, arrays };
+        let mut trials = Trials { count: 0, channels: 0, note: None, arrays };
         for (cell, array) in trials.arrays.by_ref().enumerate() {
             let within = |problem| format!("cell {}: {problem}", cell + 1);
             let [count, channels, _] = array.and_then(|it| it.dimensions()).map_err(within)?;
@@ -361,7 +361,15 @@ impl Elements {
             return Err(damaged(&format!("{:?} elements in {} bytes", matrix.shape, tag.size)));
         }
         let (is_big_endian, content) = (self.is_big_endian, self.from);
-        Ok(Array { shape, kind, size, is_big_endian, is_crosswise: true, content })
+        Ok(Array {
+            shape,
+            kind,
+            size,
+            is_big_endian,
+            is_crosswise: true,
+            samples_first: false,
+            content,
+        })
     }
 
     fn matrices(

@@ -114,7 +114,8 @@ fn read(mut from: Box<dyn Read>, length: Option<u64>) -> Result<Array, String> {
         return Err(format!("truncated: {shape:?} elements of {size} bytes are not there"));
     }
     let is_crosswise = value("fortran_order").is_some_and(|text| text.starts_with("True"));
-    Ok(Array { shape, kind, size, is_big_endian: order == ">", is_crosswise, content: from })
+    let (is_big_endian, samples_first) = (order == ">", false);
+    Ok(Array { shape, kind, size, is_big_endian, is_crosswise, samples_first, content: from })
 }
 
 /// A member of a ZIP file, as NumPy writes it: stored or deflated, also beyond 4 GB (ZIP64).
