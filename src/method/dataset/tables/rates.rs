@@ -96,8 +96,9 @@ fn overlaps(parts: &[Vec<Piece>], others: &[Vec<Piece>]) -> Vec<Vec<Piece>> {
             let both = || part.iter().chain(other);
             // A slow source has its first frame up to a step late.
             let step = |piece: &Piece| (S / piece.rate_hz) as i64;
-            let from = both().map(|piece| piece.start - step(piece)).max().unwrap_or(0);
-            let to = both().map(|piece| piece.end() + step(piece)).min().unwrap_or(0);
+            let from =
+                both().map(|piece| piece.start.saturating_sub(step(piece))).max().unwrap_or(0);
+            let to = both().map(|piece| piece.end().saturating_add(step(piece))).min().unwrap_or(0);
             all.extend(both().map(|piece| piece.within(from, to)).collect::<Option<Vec<_>>>());
         }
     }
@@ -111,18 +112,18 @@ impl Piece {
 
     /// Time of the last frame in ns.
     fn end(&self) -> i64 {
-        self.start + ((self.frames() - 1) as f64 * S / self.rate_hz) as i64
+        self.start.saturating_add(((self.frames() - 1) as f64 * S / self.rate_hz) as i64)
     }
 
     /// The frames in a range of times; `None` if there are fewer than two.
     fn within(&self, from: i64, to: i64) -> Option<Self> {
-        let place = |time: i64| (time - self.start) as f64 * self.rate_hz / S;
+        let place = |time: i64| time.saturating_sub(self.start) as f64 * self.rate_hz / S;
         // Times are rounded to nanoseconds.
         let first = (place(from) - 1e-3).ceil().max(0.0) as usize;
         let end = ((place(to) + 1e-3).floor() + 1.0).clamp(0.0, self.frames() as f64) as usize;
         let values = first * self.width..end * self.width;
         (first + 2 <= end).then(|| Self {
-            start: self.start + (first as f64 * S / self.rate_hz) as i64,
+            start: self.start.saturating_add((first as f64 * S / self.rate_hz) as i64),
             values: self.values[values.clone()].to_vec(),
             filled: self.filled.get(values).unwrap_or_default().to_vec(),
             ..*self

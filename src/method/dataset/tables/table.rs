@@ -321,14 +321,15 @@ fn time(stamps: &Stamps, cell: &[u8], group: &mut Group) -> Result<i64, String> 
     let [first, latest, last] = group.times.unwrap_or([time; 3]);
     if time < last {
         let before = latest - group.offset;
-        let most = (latest - first) as f64 * (MOST_OVERTAKEN / group.rows as f64).min(0.5);
+        let most =
+            latest.saturating_sub(first) as f64 * (MOST_OVERTAKEN / group.rows as f64).min(0.5);
         match lasts {
-            // A clock that begins anew goes back further, and not before a trial has some rows.
-            _ if group.rows <= FEWEST_OF_TRIAL || ((latest - time) as f64) < most => {}
             Some(lasts) if before as f64 > 0.9 * lasts && (read as f64) < 0.1 * lasts => {
                 group.offset = group.offset.checked_add(lasts as i64).ok_or_else(beyond)?;
                 time = read.checked_add(group.offset).ok_or_else(beyond)?;
             }
+            // A clock that begins anew goes back further, and not before a trial has some rows.
+            _ if group.rows <= FEWEST_OF_TRIAL || (latest.saturating_sub(time) as f64) < most => {}
             _ => {
                 return Err(
                     "the time does not rise; if a trial begins there, name trials by --trial, or \
