@@ -15,7 +15,6 @@ mod compare;
 mod decide;
 pub(crate) mod embedding;
 mod error;
-mod follow;
 mod method;
 mod model_file;
 mod prepared;
@@ -31,11 +30,12 @@ pub use decide::LeftOutBy;
 pub use decide::conformal::{Rejection, RejectionError};
 pub use decide::interval::wilson_interval;
 pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfall};
-pub use decide::settle::{SettleRule, Settling};
-pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Follower, QueryVector};
+pub use decide::settle::{FollowOptions, SettleRule, Settling};
+pub use embedding::{
+    Embedding, EmbeddingModel, EmbeddingOptions, Follower, FreshFrames, GuessSoFar, QueryVector,
+};
 pub use error::RecogniseError;
 pub(crate) use error::if_enough;
-pub use follow::{FollowOptions, FreshFrames, GuessSoFar};
 pub use method::{Evidence, Method, Model, SourceEvidence};
 pub use model_file::{ModelFile, ModelFileError};
 pub use prepared::Prepared;

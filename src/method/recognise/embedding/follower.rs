@@ -1,7 +1,9 @@
 //! Follows a scan with a trained model, and renews the guess at each look (step of [`LOOK_S`]).
 //!
 //! The scan so far is kept as sums, and new samples are added to them. So a look costs the same at any
-//! time of the scan. The vector equals that of a trial of the same samples.
+//! time of the scan. The vector equals that of a trial of the same samples. Scan time is counted in
+//! samples, not read from a clock, so the answer depends neither on the block size in which samples
+//! arrive nor on the playback speed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -17,14 +19,35 @@ use crate::features::tiles::PictureTiles;
 use crate::features::views::SourceViews;
 use crate::recognise::decide::conformal::Rejection;
 use crate::recognise::decide::dead_sensor::left_out;
-use crate::recognise::decide::settle::{Look, Settling, Watch};
+use crate::recognise::decide::settle::{FollowOptions, Look, Settling, Watch};
 use crate::recognise::error::RecogniseError;
-use crate::recognise::follow::{FollowOptions, FreshFrames, GuessSoFar};
 use crate::recognise::rank::Ranking;
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Doubt, Image, SeriesFlaws, Signal, Trial, is_plain};
 
 const NAMED: usize = 5;
+
+/// The next frames of one source of a scan.
+#[derive(Clone, Copy, Debug)]
+pub struct FreshFrames<'a> {
+    pub source: &'a SourceId,
+    pub rate_hz: f64,
+    pub channels: usize,
+    /// Interleaved samples that directly follow those given before.
+    pub samples: &'a [f32],
+}
+
+/// The best guess at the surface of a scan in progress.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GuessSoFar {
+    /// Scan time at which the guess was made, in seconds.
+    pub scan_s: f64,
+    /// Up to five surfaces with their probabilities, the most probable first.
+    pub named: Vec<(String, f64)>,
+    pub p_value: Option<f64>,
+    /// The settled answer, if any: its surface, and the scan time at which it was settled.
+    pub settled: Option<(String, f64)>,
+}
 
 /// Follows scans, one after another.
 pub struct Follower {
@@ -66,17 +89,13 @@ struct GrowingSeries {
 impl EmbeddingModel {
     /// Follows scans in progress. The first call calibrates the stopping rule, which takes a while.
     pub fn follow(self: Arc<Self>, options: &FollowOptions) -> Follower {
-        Follower::new(&self, options)
+        let settling = self.settling(options);
+        let scan = ScanSoFar::new(&settling);
+        Follower { model: self, rejection: options.rejection.clone(), settling, scan }
     }
 }
 
 impl Follower {
-    pub(super) fn new(model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
-        let settling = model.settling(options);
-        let scan = ScanSoFar::new(&settling);
-        Self { model: model.clone(), rejection: options.rejection.clone(), settling, scan }
-    }
-
     /// Adds the missing rest of a finished trial; `None` if it does not begin like the scan so far.
     fn take_rest(&mut self, trial: &Trial) -> Option<()> {
         let series = self.scan.series.iter().filter(|(_, series)| !series.broken);
@@ -267,16 +286,8 @@ impl ScanSoFar {
             let due = samples_by(scan_s, view.rate_hz).saturating_sub(series.samples);
             let frames = if series.drag { there.min(due) } else { there };
             if frames > 0 {
-                if let Some(SourceEmbedder::Series(library)) =
-                    model.joint.stretch(id).map(|stretch| &stretch.embedder)
-                    && !series.views.comparable(&library.views)
-                {
-                    return Err(RecogniseError::Rates {
-                        source_name: id.clone(),
-                        query_hz: view.rate_hz,
-                        library_hz: library.views.frames[0].rate_hz,
-                        trial: "the scan's library".into(),
-                    });
+                if let Some(stretch) = model.joint.stretch(id) {
+                    stretch.check_rate(&series.views, &"the scan's library")?;
                 }
                 series.pass_on(frames);
             }

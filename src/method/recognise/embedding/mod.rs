@@ -18,7 +18,6 @@ pub(crate) mod discriminant;
 mod eigen;
 mod ensemble;
 mod follower;
-mod fourier;
 mod joint;
 pub(super) mod labels;
 mod left_out;
@@ -37,7 +36,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-pub use self::follower::Follower;
+pub use self::follower::{Follower, FreshFrames, GuessSoFar};
 pub use self::model::{EmbeddingModel, QueryVector};
 use super::error::{RecogniseError, check_surfaces};
 use super::method::{Method, Model};

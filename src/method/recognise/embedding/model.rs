@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::NAME;
 use super::ensemble::Answer;
-use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch, columns};
+use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch};
 use super::labels::Labels;
 use super::left_out::{LeftOut, Measured, Trained, evenly};
 use super::together::together;
@@ -20,9 +20,10 @@ use crate::library::Entry;
 use crate::library::shape::LibraryShape;
 use crate::recognise::decide::conformal::{Rejection, RejectionError};
 use crate::recognise::decide::scan_time::{Goal, LeftOutAccuracy, LibraryCounts, ScanTime};
-use crate::recognise::decide::settle::{FollowedTrial, LeftOutLook, Settling, looks_in};
+use crate::recognise::decide::settle::{
+    FollowOptions, FollowedTrial, LeftOutLook, Settling, looks_in,
+};
 use crate::recognise::error::RecogniseError;
-use crate::recognise::follow::FollowOptions;
 use crate::recognise::method::{Evidence, Model, SourceEvidence};
 use crate::recognise::prepared::Prepared;
 use crate::recognise::rank::{Candidate, Ranking, rank};
@@ -63,13 +64,8 @@ pub(super) struct Posterior {
 impl Posterior {
     /// Index of the most probable surface; the first index in a tie.
     pub(super) fn best(&self) -> usize {
-        let mut best = 0;
-        for (i, p) in self.log_posterior.iter().enumerate() {
-            if *p > self.log_posterior[best] {
-                best = i;
-            }
-        }
-        best
+        let of = |class: usize| self.log_posterior[class];
+        (0..self.log_posterior.len()).rev().max_by(|&a, &b| of(a).total_cmp(&of(b))).unwrap_or(0)
     }
 }
 
@@ -181,15 +177,8 @@ impl EmbeddingModel {
         let measured = self.measured(&trained, present, scan_s);
         let p_value = trained.p_value(vector, (scan_s, measured));
         // One vector has one answer.
-        self.posterior_of(
-            &trained.all.answers(&[vector])[0],
-            measured.temperature.at(scan_s),
-            p_value,
-        )
-    }
-
-    fn stretches<'a>(&'a self, present: &'a Present) -> impl Iterator<Item = &'a Stretch> {
-        self.joint.stretches.iter().zip(present).filter(|(_, has)| **has).map(|(s, _)| s)
+        let answer = &trained.all.answers(&[vector])[0];
+        self.posterior_of(answer, measured.temperature.at(scan_s), p_value)
     }
 
     pub(super) fn ranking(&self, vector: &[f32], present: &Present, scan_s: f64) -> Ranking {
@@ -204,7 +193,7 @@ impl EmbeddingModel {
             Candidate { key, log_ds: -p }
         };
         let candidates = posterior.log_posterior.iter().enumerate().map(candidate).collect();
-        let sources = self.stretches(present).map(|stretch| stretch.spec.id.clone()).collect();
+        let sources = self.joint.there(present).map(|stretch| stretch.spec.id.clone()).collect();
         // There is a candidate, since a library has at least two surfaces.
         let mut ranking = rank(candidates, 1, sources).expect("at least two candidates");
         ranking.confidence = (self.left_out.held_out > 0).then(|| posterior.probabilities[best]);
@@ -214,7 +203,7 @@ impl EmbeddingModel {
 
     /// The trial of a class that is nearest to a standardised vector.
     fn nearest(&self, vector: &[f32], present: &Present, class: usize) -> TrialKey {
-        let columns = columns(&self.joint.stretches, present);
+        let columns = self.joint.columns(present);
         let distance = |trial: usize| -> f64 {
             let whole = self.training.whole(trial);
             columns.iter().map(|&c| f64::from(whole[c] - vector[c]).powi(2)).sum()
@@ -229,7 +218,7 @@ impl EmbeddingModel {
     /// over sources is the mean of their −ln posterior, up to a constant that is the same for all
     /// surfaces.
     fn evidence(&self, vector: &[f32], present: &Present) -> Evidence {
-        let columns: Vec<_> = self.stretches(present).map(|s| s.columns.clone()).collect();
+        let columns: Vec<_> = self.joint.there(present).map(|s| s.columns.clone()).collect();
         let trained = &self.trained(present).all;
         let (weights, offsets) = trained.weights(self.joint.dims());
         // u·m_c. The distance to class c is |u|² + |m_c|² − 2·u·m_c.
@@ -251,7 +240,7 @@ impl EmbeddingModel {
             source: stretch.spec.id.clone(),
             terms,
         };
-        let sources = self.stretches(present).zip(terms).map(of_source).collect();
+        let sources = self.joint.there(present).zip(terms).map(of_source).collect();
         Evidence { surfaces: self.labels.surfaces.clone(), sources }
     }
 

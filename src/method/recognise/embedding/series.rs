@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::eigen::{EigenPairs, push_upper};
 use super::places::{PlaceEmbedder, STILL};
-use super::view::{ViewEmbedder, median};
+use super::view::ViewEmbedder;
 use crate::features::counts::Counts;
 use crate::features::frames::SeriesFrames;
 use crate::features::growing::Piece;
@@ -20,6 +20,7 @@ use crate::features::packed::PackedFrames;
 use crate::features::quantiles::QUANTILES;
 use crate::features::views::SourceViews;
 use crate::features::windowed_frames::{FrameView, ln};
+use crate::recognise::rank::median;
 use crate::trial::usual_rests;
 
 /// Lags in samples; the joint covariance is of the series shifted by each of them.

@@ -3,7 +3,7 @@
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
 use crate::recognise::decide::LeftOutBy;
-use crate::recognise::follow::FollowOptions;
+use crate::recognise::decide::settle::FollowOptions;
 
 /// The accuracy that a scan time must reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
