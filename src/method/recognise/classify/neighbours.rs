@@ -18,7 +18,7 @@ pub(super) fn learn(training: &TrainingSet, decorrelates: bool) -> Scorer {
     let factor = decorrelates.then(|| cholesky(covariance(&training.features))).flatten();
     // Decorrelates columns, one for each trial, so that their distances are Euclidean.
     let decorrelated = move |mut columns: Array2<f64>| {
-        factor.iter().for_each(|factor| solve_lower(factor, &mut columns));
+        factor.iter().for_each(|factor| solve_lower(&factor.view(), columns.view_mut()));
         columns
     };
     let features = decorrelated(training.features.t().to_owned()).reversed_axes();

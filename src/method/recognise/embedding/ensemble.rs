@@ -59,8 +59,10 @@ impl Answer {
 
     /// ln of the probability of each class: of the mean over members of softmax(−distance/2τ).
     pub(crate) fn log_probabilities(&self, tau: f64) -> Vec<f64> {
-        let of_members: Vec<Vec<f64>> =
-            self.distances.iter().map(|distances| log_softmax(distances, tau)).collect();
+        let log_softmax = |distances: &Vec<f64>| -> Vec<f64> {
+            distances.iter().copied().map(log_share(distances, tau)).collect()
+        };
+        let of_members: Vec<_> = self.distances.iter().map(log_softmax).collect();
         let classes = of_members.first().map_or(0, Vec::len);
         (0..classes).map(|class| log_mean(of_members.iter().map(|of| of[class]))).collect()
     }
@@ -112,18 +114,14 @@ impl Ensemble {
                 (member(all), without.into_iter().map(|one| one.map(member)).collect::<Vec<_>>())
             })
             .collect();
-        let (all, by_member): (Vec<Member>, Vec<Vec<Option<Member>>>) = trained.into_iter().unzip();
-        let mut without: Vec<Option<Vec<Member>>> = vec![Some(Vec::new()); rows.group_count];
-        for of_member in by_member {
-            for (members, member) in without.iter_mut().zip(of_member) {
-                *members = members.take().zip(member).map(|(mut members, member)| {
-                    members.push(member);
-                    members
-                });
-            }
-        }
-        let ensemble = |members| Self { members };
-        (ensemble(all), without.into_iter().map(|members| members.map(ensemble)).collect())
+        let (members, mut by_member): (_, Vec<Vec<Option<Member>>>) = trained.into_iter().unzip();
+        by_member.truncate(members_without);
+        let without = |group: usize| {
+            let members = by_member.iter_mut().map(|of_member| of_member[group].take());
+            Some(Self { members: members.collect::<Option<_>>()? })
+        };
+        let without = (0..rows.group_count).map(without).collect();
+        (Self { members }, without)
     }
 
     pub(crate) fn is_of(&self, classes: usize, dims: usize) -> bool {
@@ -205,12 +203,7 @@ fn least(distances: &[f64]) -> f64 {
     distances.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
-/// ln softmax(−d/2τ); equal shares if all distances are infinite.
-fn log_softmax(distances: &[f64], tau: f64) -> Vec<f64> {
-    distances.iter().copied().map(log_share(distances, tau)).collect()
-}
-
-/// ln softmax(−d/2τ) of one of the distances.
+/// ln softmax(−d/2τ) of one of the distances; equal shares if all distances are infinite.
 fn log_share(distances: &[f64], tau: f64) -> impl Fn(f64) -> f64 {
     let least = least(distances);
     let equal = (!least.is_finite()).then(|| -(distances.len() as f64).ln());

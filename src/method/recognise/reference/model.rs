@@ -184,7 +184,7 @@ impl<'a> Query<'a> {
         repetitions: Range<usize>,
     ) -> Result<Vec<Scored>, RecogniseError> {
         let add = |(trial, sums): Scored| {
-            let contents = (self.trial.content(), trial.content());
+            let contents = (self.trial.content, trial.content);
             let mut all = Vec::with_capacity(self.sources.len());
             for (s, (spec, lengths)) in self.sources.iter().enumerate() {
                 let Some(frames) = self.trial.common_frames(&trial, &spec.id) else {

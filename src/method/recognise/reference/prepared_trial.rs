@@ -29,7 +29,9 @@ const KEPT_LENGTHS: usize = 3;
 pub struct PreparedTrial {
     entry: Entry,
     sources: BTreeMap<SourceId, PreparedSource>,
-    content: u64,
+    /// Hash of all raw samples (0 unless `hashed`). It seeds the draws for a pair of trials, so that
+    /// the draws depend neither on names nor on order.
+    pub(super) content: u64,
 }
 
 /// A source of a trial, at several lengths.
@@ -107,12 +109,6 @@ impl PreparedTrial {
 
     pub fn key(&self) -> &TrialKey {
         &self.entry.key
-    }
-
-    /// Hash of all raw samples (0 unless `hashed`). It seeds the draws for a pair of trials, so that
-    /// the draws depend neither on names nor on order.
-    pub(super) fn content(&self) -> u64 {
-        self.content
     }
 
     fn rate_hz(&self, id: &SourceId) -> Option<f64> {
