@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::error::RecogniseError;
+use super::error::Result;
 use super::reference::{
     DomainSamples, PreparedTrial, SampledSource, aligned, log_score, score_samples, shared_sources,
 };
@@ -57,12 +57,7 @@ pub struct TestOptions {
 ///
 /// # Errors
 /// If a trial does not fit the scene, the trials share no source, or their rates differ.
-pub fn compare(
-    z: &Trial,
-    y: &Trial,
-    scene: &Scene,
-    options: &TestOptions,
-) -> Result<Comparison, RecogniseError> {
+pub fn compare(z: &Trial, y: &Trial, scene: &Scene, options: &TestOptions) -> Result<Comparison> {
     check(z, y, scene)?;
     let mut sources = Vec::new();
     let mut log_ds = 0.0;
@@ -80,7 +75,7 @@ pub fn compare(
     Ok(Comparison { sources, ds: log_ds.exp() })
 }
 
-fn check(z: &Trial, y: &Trial, scene: &Scene) -> Result<(), RecogniseError> {
+fn check(z: &Trial, y: &Trial, scene: &Scene) -> Result<()> {
     let unsampled =
         |_: &SourceSpec, _: &Signal, _| SampledSource { sets: Vec::new(), domain: None };
     let prepared = |trial: &Trial| {

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::classify::{Classifier, OnFeatures};
 use super::embedding::{Embedding, EmbeddingOptions};
-use super::error::RecogniseError;
+use super::error::Result;
 use super::method::{Method, Model};
 use super::ready_model::ready_model;
 use super::reference::{Reference, ReferenceOptions};
@@ -72,7 +72,7 @@ impl MethodSpec {
     ///
     /// # Errors
     /// If a trial cannot be read or does not fit the scene, and the errors of [`Method::fit`].
-    pub fn fit(&self, library: &Library) -> Result<Arc<dyn Model>, RecogniseError> {
+    pub fn fit(&self, library: &Library) -> Result<Arc<dyn Model>> {
         let all = (0..library.entries.len()).collect();
         let method = self.build(&library.scene);
         Ok(ready_model(&*method, &library.entries, &all, None, &|_, _| ())?.model)

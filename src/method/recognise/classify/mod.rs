@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1};
 
-use super::error::{RecogniseError, check_surfaces, nothing_in_common};
+use super::error::{RecogniseError, Result, check_surfaces, nothing_in_common};
 use super::method::{Method, Model};
 use super::prepared::Prepared;
 use super::rank::{Candidate, Ranking, rank};
@@ -109,7 +109,7 @@ impl OnFeatures {
         Self { name, scene, classifier }
     }
 
-    fn features(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+    fn features(&self, entry: &Entry, trial: &Trial) -> Result<Prepared> {
         let features = FeatureVector::new(&entry.key, trial, &self.scene)?;
         Ok(Prepared::Features(Arc::new(features)))
     }
@@ -137,7 +137,7 @@ struct FeatureModel {
 }
 
 /// Position and standardisation of all features of a library.
-fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>, RecogniseError> {
+fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>> {
     let ids: BTreeSet<&SourceId> = library.iter().flat_map(|v| v.sources.keys()).collect();
     let mut columns = BTreeMap::new();
     let mut first = 0;
@@ -169,7 +169,7 @@ fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>
 
 impl Columns {
     /// Checks that there are as many features as in the library; a lower rate gives fewer bands.
-    fn check(&self, id: &SourceId, values: &[f64], rate_hz: f64) -> Result<(), RecogniseError> {
+    fn check(&self, id: &SourceId, values: &[f64], rate_hz: f64) -> Result<()> {
         if values.len() == self.width {
             return Ok(());
         }
@@ -191,7 +191,7 @@ fn width(columns: &BTreeMap<SourceId, Columns>) -> usize {
 fn standardised(
     columns: &BTreeMap<SourceId, Columns>,
     vector: &FeatureVector,
-) -> Result<Array1<f64>, RecogniseError> {
+) -> Result<Array1<f64>> {
     let mut row = Array1::zeros(width(columns));
     for (id, source) in &vector.sources {
         let Some(columns) = columns.get(id) else { continue };
@@ -214,20 +214,11 @@ impl Method for OnFeatures {
         seed::stable_hash(&[format!("{sources:?}").as_bytes()])
     }
 
-    fn prepare(
-        &self,
-        entry: &Entry,
-        trial: &Trial,
-        _: &LibraryShape,
-    ) -> Result<Prepared, RecogniseError> {
+    fn prepare(&self, entry: &Entry, trial: &Trial, _: &LibraryShape) -> Result<Prepared> {
         self.features(entry, trial)
     }
 
-    fn fit(
-        &self,
-        library: Vec<Prepared>,
-        _: &Arc<LibraryShape>,
-    ) -> Result<Arc<dyn Model>, RecogniseError> {
+    fn fit(&self, library: Vec<Prepared>, _: &Arc<LibraryShape>) -> Result<Arc<dyn Model>> {
         let library = library.iter().map(|trial| trial.features(self.name()).cloned());
         let mut library: Vec<Arc<FeatureVector>> = library.collect::<Result<_, _>>()?;
         library.sort_by_cached_key(|vector| {
@@ -258,11 +249,11 @@ impl Method for OnFeatures {
 }
 
 impl Model for FeatureModel {
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared> {
         self.method.features(entry, trial)
     }
 
-    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
+    fn rank(&self, query: &Prepared) -> Result<Ranking> {
         let Self { method: OnFeatures { name, classifier, .. }, columns, training, scorer } = self;
         let query = query.features(name)?;
         let sources: Vec<SourceId> =

@@ -20,7 +20,7 @@ use crate::features::views::SourceViews;
 use crate::recognise::decide::conformal::Rejection;
 use crate::recognise::decide::dead_sensor::left_out;
 use crate::recognise::decide::settle::{FollowOptions, Look, Settling, Watch};
-use crate::recognise::error::RecogniseError;
+use crate::recognise::error::Result;
 use crate::recognise::rank::Ranking;
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Doubt, Image, SeriesFlaws, Signal, Trial, is_plain};
@@ -152,7 +152,7 @@ impl Follower {
     ///
     /// # Errors
     /// If the frames do not fit the scene or the frames before them.
-    pub fn add(&mut self, fresh: FreshFrames<'_>) -> Result<(), RecogniseError> {
+    pub fn add(&mut self, fresh: FreshFrames<'_>) -> Result<()> {
         let FreshFrames { source, rate_hz, channels, samples } = fresh;
         let Some(stretch) = self.model.joint.stretch(source) else { return Ok(()) };
         if stretch.spec.channels != channels {
@@ -190,7 +190,7 @@ impl Follower {
     ///
     /// # Errors
     /// If received samples cannot be compared with the library.
-    pub fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
+    pub fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>> {
         let mut said = None;
         while !self.scan.failed && (self.scan.looks + 1) as f64 * LOOK_S <= scan_s + 1e-9 {
             self.scan.looks += 1;
@@ -279,7 +279,7 @@ impl ScanSoFar {
     }
 
     /// Adds the frames due by `scan_s` seconds of drag to the sums; frames of taps are always due.
-    fn pass_on(&mut self, model: &EmbeddingModel, scan_s: f64) -> Result<(), RecogniseError> {
+    fn pass_on(&mut self, model: &EmbeddingModel, scan_s: f64) -> Result<()> {
         for (id, series) in self.series.iter_mut().filter(|(_, series)| !series.broken) {
             let view = &series.views.frames[0];
             let there = series.waiting.len() / view.channels;

@@ -15,7 +15,7 @@ use crate::features::copies::Copy;
 use crate::features::counts::Counts;
 use crate::features::frames::{LOOK_S, SeriesFrames, SourceFrames, TrialFrames, samples_by};
 use crate::features::views::SourceViews;
-use crate::recognise::error::{RecogniseError, nothing_in_common};
+use crate::recognise::error::{RecogniseError, Result, nothing_in_common};
 use crate::scene::{Phase, Scene, SourceId, SourceSpec};
 use crate::trial::TrialKey;
 
@@ -135,11 +135,7 @@ impl Stretch {
 
     /// Checks that the frequency bands of a series are those of the library. Its rate may differ, but
     /// must not be too low for the bands. `like` names what has the library's rate.
-    pub(super) fn check_rate(
-        &self,
-        views: &SourceViews,
-        like: &dyn Display,
-    ) -> Result<(), RecogniseError> {
+    pub(super) fn check_rate(&self, views: &SourceViews, like: &dyn Display) -> Result<()> {
         match &self.embedder {
             SourceEmbedder::Series(library) if !views.comparable(&library.views) => {
                 Err(RecogniseError::Rates {
@@ -223,7 +219,7 @@ impl JointEmbedder {
     }
 
     /// Checks that a query, or a library trial itself, can be compared with the library.
-    pub(super) fn check(&self, query: &TrialFrames) -> Result<(), RecogniseError> {
+    pub(super) fn check(&self, query: &TrialFrames) -> Result<()> {
         if !query.sources.keys().any(|id| self.stretch(id).is_some()) {
             let ids = self.stretches.iter().map(|stretch| &stretch.spec.id);
             return Err(nothing_in_common(query.sources.keys(), ids));

@@ -38,7 +38,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::follower::{Follower, FreshFrames, GuessSoFar};
 pub use self::model::{EmbeddingModel, QueryVector};
-use super::error::{RecogniseError, check_surfaces};
+use super::error::{Result, check_surfaces};
 use super::method::{Method, Model};
 use super::prepared::Prepared;
 use crate::features::frames::TrialFrames;
@@ -88,7 +88,7 @@ impl Embedding {
         &self,
         mut library: Vec<Arc<TrialFrames>>,
         shape: &Arc<LibraryShape>,
-    ) -> Result<EmbeddingModel, RecogniseError> {
+    ) -> Result<EmbeddingModel> {
         // In an order that no name decides.
         library.sort_by(|a, b| a.digest.cmp(&b.digest).then_with(|| a.key.cmp(&b.key)));
         check_surfaces(library.iter().map(|trial| &trial.key))?;
@@ -105,22 +105,13 @@ impl Method for Embedding {
         TrialFrames::framing_key(&self.scene, shape, self.options.seed)
     }
 
-    fn prepare(
-        &self,
-        entry: &Entry,
-        trial: &Trial,
-        shape: &LibraryShape,
-    ) -> Result<Prepared, RecogniseError> {
+    fn prepare(&self, entry: &Entry, trial: &Trial, shape: &LibraryShape) -> Result<Prepared> {
         let seed = Some(self.options.seed);
         let frames = TrialFrames::new(&entry.key, trial, &self.scene, shape, seed)?;
         Ok(Prepared::Frames(Arc::new(frames)))
     }
 
-    fn fit(
-        &self,
-        library: Vec<Prepared>,
-        shape: &Arc<LibraryShape>,
-    ) -> Result<Arc<dyn Model>, RecogniseError> {
+    fn fit(&self, library: Vec<Prepared>, shape: &Arc<LibraryShape>) -> Result<Arc<dyn Model>> {
         let frames = library.iter().map(|trial| trial.frames(NAME).cloned());
         let frames = frames.collect::<Result<_, _>>()?;
         drop(library);

@@ -23,7 +23,7 @@ use crate::recognise::decide::scan_time::{Goal, LeftOutAccuracy, LibraryCounts, 
 use crate::recognise::decide::settle::{
     FollowOptions, FollowedTrial, LeftOutLook, Settling, looks_in,
 };
-use crate::recognise::error::RecogniseError;
+use crate::recognise::error::{RecogniseError, Result};
 use crate::recognise::method::{Evidence, Model, SourceEvidence};
 use crate::recognise::prepared::Prepared;
 use crate::recognise::rank::{Candidate, Ranking, rank};
@@ -76,7 +76,7 @@ impl EmbeddingModel {
         shape: &Arc<LibraryShape>,
         mut library: Vec<Arc<TrialFrames>>,
         seed: u64,
-    ) -> Result<Self, RecogniseError> {
+    ) -> Result<Self> {
         let keys: Vec<&TrialKey> = library.iter().map(|trial| &trial.key).collect();
         let labels = Labels::new(&keys, together(&library));
         let mut joint = JointEmbedder::new(scene, &library);
@@ -112,7 +112,7 @@ impl EmbeddingModel {
         }
     }
 
-    fn embed(&self, query: &TrialFrames) -> Result<(Vec<f32>, Present), RecogniseError> {
+    fn embed(&self, query: &TrialFrames) -> Result<(Vec<f32>, Present)> {
         self.joint.check(query)?;
         if !self.joint.says_something(query) {
             return Err(RecogniseError::TooLittle);
@@ -312,18 +312,18 @@ impl EmbeddingModel {
 }
 
 impl Model for EmbeddingModel {
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared> {
         let frames = TrialFrames::new(&entry.key, trial, &self.scene, &self.shape, None)?;
         Ok(Prepared::Frames(Arc::new(frames)))
     }
 
-    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
+    fn rank(&self, query: &Prepared) -> Result<Ranking> {
         let query = query.frames(NAME)?;
         let (vector, present) = self.embed(query)?;
         Ok(self.ranking(&vector, &present, self.left_out.ended_s(self.joint.drag_s(query))))
     }
 
-    fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+    fn explain(&self, query: &Prepared) -> Result<Option<Evidence>> {
         let query = query.frames(NAME)?;
         let (vector, present) = self.embed(query)?;
         Ok(Some(self.evidence(&vector, &present)))
@@ -381,7 +381,7 @@ impl EmbeddingModel {
     ///
     /// # Errors
     /// The errors of [`Model::rank`].
-    pub fn by_sources(self: Arc<Self>, query: &Prepared) -> Result<QueryVector, RecogniseError> {
+    pub fn by_sources(self: Arc<Self>, query: &Prepared) -> Result<QueryVector> {
         let (vector, present) = self.embed(query.frames(NAME)?)?;
         Ok(QueryVector { model: self, vector, present })
     }
