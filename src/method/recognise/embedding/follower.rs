@@ -10,7 +10,6 @@ use std::sync::Arc;
 
 use super::joint::{Present, SourceEmbedder, Stretch};
 use super::model::{EmbeddingModel, Posterior};
-use super::series::SeriesEmbedder;
 use crate::features::counts::Counts;
 use crate::features::frames::{LOOK_S, samples_by};
 use crate::features::growing::Growing;
@@ -111,8 +110,10 @@ impl Follower {
                 Signal::Image(_) => {}
                 Signal::Series(series) => {
                     let channels = series.channels();
-                    let known = self.scan.series.get(id).map_or(0, GrowingSeries::received);
-                    let samples = series.samples().get(known * channels..)?;
+                    let received =
+                        |known: &GrowingSeries| known.samples * channels + known.waiting.len();
+                    let known = self.scan.series.get(id).map_or(0, received);
+                    let samples = series.samples().get(known..)?;
                     let rate_hz = series.rate_hz();
                     self.add(FreshFrames { source: id, rate_hz, channels, samples }).ok()?;
                 }
@@ -315,7 +316,10 @@ impl ScanSoFar {
             let id = &stretch.spec.id;
             match &stretch.embedder {
                 _ if !sound.contains(id) => None,
-                SourceEmbedder::Series(embedder) => Some(self.series.get(id)?.vector(embedder)),
+                SourceEmbedder::Series(embedder) => {
+                    let GrowingSeries { frames, growing, views, .. } = self.series.get(id)?;
+                    Some(embedder.growing(frames, &growing.end(), views.moments_hz()))
+                }
                 SourceEmbedder::Picture(_) => self.pictures.get(id)?.vector.clone(),
             }
         };
@@ -339,11 +343,6 @@ impl GrowingSeries {
         }
     }
 
-    /// Number of frames received, whether added to the sums or still waiting.
-    fn received(&self) -> usize {
-        self.samples + self.waiting.len() / self.views.channels()
-    }
-
     /// Adds the first `frames` waiting frames to the sums.
     fn pass_on(&mut self, frames: usize) {
         let samples: Vec<f32> = self.waiting.drain(..frames * self.views.channels()).collect();
@@ -356,9 +355,5 @@ impl GrowingSeries {
         for (sums, fresh) in self.frames.iter_mut().zip(self.growing.add(&samples)) {
             sums.add(&fresh.values());
         }
-    }
-
-    fn vector(&self, embedder: &SeriesEmbedder) -> Vec<f32> {
-        embedder.growing(&self.frames, &self.growing.end(), self.views.moments_hz())
     }
 }

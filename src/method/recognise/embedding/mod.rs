@@ -28,7 +28,6 @@ mod places;
 mod series;
 mod stored;
 mod temperature;
-mod together;
 mod training;
 mod view;
 

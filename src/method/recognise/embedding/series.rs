@@ -88,12 +88,7 @@ impl SeriesEmbedder {
 
     /// Whether a channel is constant in the library and compared by its level, like a switch.
     pub(super) fn has_switch(&self) -> bool {
-        !self.views.passed && (0..self.channels()).any(|channel| !self.moves(channel))
-    }
-
-    /// Whether a channel varies in most trials of the library.
-    fn moves(&self, channel: usize) -> bool {
-        self.deviations.get(channel).is_none_or(|&deviation| deviation > STILL)
+        !self.views.passed && self.deviations.iter().any(|deviation| *deviation <= STILL)
     }
 
     fn channels(&self) -> usize {

@@ -29,12 +29,6 @@ struct BandScale {
 }
 
 impl BandScale {
-    /// Takes means and deviations of bands. 0.001 is added to each deviation, so that none is 0.
-    fn new(centre: Vec<f32>, deviation: &[f32]) -> Self {
-        let factor = |d: &f32| OMEGA / (std::f32::consts::PI * (d + 1e-3));
-        Self { factor: deviation.iter().map(factor).collect(), centre }
-    }
-
     fn width(&self) -> usize {
         self.centre.len()
     }
@@ -93,10 +87,13 @@ fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64> + Sync) 
     }
     let n = frames.max(1) as f64;
     let mean = |(sum, _): &(f64, f64)| (sum / n) as f32;
-    let deviation =
-        |(sum, square): &(f64, f64)| (square / n - (sum / n).powi(2)).max(0.0).sqrt() as f32;
-    let deviations: Vec<f32> = total.iter().map(deviation).collect();
-    BandScale::new(total.iter().map(mean).collect(), &deviations)
+    let factor = |(sum, square): &(f64, f64)| {
+        let deviation = (square / n - (sum / n).powi(2)).max(0.0).sqrt() as f32;
+        // 0.001 is added, so that no deviation is 0.
+        OMEGA / (std::f32::consts::PI * (deviation + 1e-3))
+    };
+    let centre = total.iter().map(mean).collect();
+    BandScale { centre, factor: total.iter().map(factor).collect() }
 }
 
 /// Adds the features of all bands to `sums`, shape ([`BAND_FEATURES`], width). `counts` has shape
