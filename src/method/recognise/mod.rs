@@ -44,21 +44,16 @@ pub use ready_model::{PreparedLibrary, ReadyModel, prepare_library, ready_model}
 pub use reference::{PositionMode, Reference, ReferenceOptions, SumPrecision};
 pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};
 
-#[doc(hidden)]
-pub use crate::features::frames::{LOOK_S, TrialFrames};
-#[doc(hidden)] // For the project's own tests and tools.
-pub use decide::dead_sensor::without_flawed;
-#[doc(hidden)]
-pub use reference::{
-    DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, image_grid, score_samples,
-};
-
-#[doc(hidden)]
-pub use compare::{Comparison, TestOptions, compare};
 pub(crate) use decide::interval::{chance, reaches, wilson_of_groups};
-#[doc(hidden)]
-pub use decide::sticky::StickyFilter;
-#[doc(hidden)]
-pub use rank::{log_discrepancy, medians, stated_probabilities};
-#[doc(hidden)]
-pub use spec::MOST_COUNT;
+
+#[doc(hidden)] // For the project's own tests and tools.
+pub use {
+    crate::features::frames::{LOOK_S, TrialFrames},
+    compare::{Comparison, TestOptions, compare},
+    decide::{dead_sensor::without_flawed, sticky::StickyFilter},
+    rank::{log_discrepancy, medians, stated_probabilities},
+    reference::{
+        DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, image_grid, score_samples,
+    },
+    spec::MOST_COUNT,
+};

@@ -265,12 +265,5 @@ fn squared_distance(a: ArrayView1<'_, f64>, b: ArrayView1<'_, f64>) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
 }
 
-/// −ln softmax of `logits`: smaller means more alike.
-fn negative_log_softmax(logits: &[f64]) -> Vec<f64> {
-    let most = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let sum = logits.iter().map(|x| (x - most).exp()).sum::<f64>().ln() + most;
-    logits.iter().map(|x| sum - x).collect()
-}
-
 #[cfg(test)]
 mod tests;

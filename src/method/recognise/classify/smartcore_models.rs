@@ -13,7 +13,7 @@ use smartcore::tree::decision_tree_classifier::{
     DecisionTreeClassifier, DecisionTreeClassifierParameters,
 };
 
-use super::{Scorer, Scores, TrainingSet, negative_log_softmax};
+use super::{Scorer, Scores, TrainingSet};
 use crate::seed;
 
 /// Added to every variance, in units of the library's variance. The 1e-9 of scikit-learn is too little
@@ -78,7 +78,11 @@ pub(crate) fn naive_bayes(training: &TrainingSet) -> Scorer {
             terms.sum()
         };
         let logits: Vec<f64> = means.iter().zip(&variances).map(log_likelihood).collect();
-        Scores::Surfaces { log_scores: negative_log_softmax(&logits), are_probabilities: true }
+        // −ln softmax.
+        let most = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let sum = logits.iter().map(|x| (x - most).exp()).sum::<f64>().ln() + most;
+        let log_scores = logits.iter().map(|x| sum - x).collect();
+        Scores::Surfaces { log_scores, are_probabilities: true }
     })
 }
 

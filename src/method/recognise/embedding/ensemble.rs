@@ -46,17 +46,12 @@ pub(crate) struct Ensemble {
 #[derive(Clone, Debug)]
 pub(crate) struct Answer {
     /// For each member, the squared distance to each class mean.
-    distances: Vec<Vec<f64>>,
+    pub(super) distances: Vec<Vec<f64>>,
     /// Number of features of a member.
-    features: usize,
+    pub(super) features: usize,
 }
 
 impl Answer {
-    #[cfg(test)]
-    pub(super) fn of(distances: Vec<Vec<f64>>) -> Self {
-        Self { distances, features: 1 }
-    }
-
     /// ln of the probability of each class: of the mean over members of softmax(−distance/2τ).
     pub(crate) fn log_probabilities(&self, tau: f64) -> Vec<f64> {
         let log_softmax = |distances: &Vec<f64>| -> Vec<f64> {
@@ -139,7 +134,7 @@ impl Ensemble {
     /// The answers to vectors of D features.
     pub(crate) fn answers(&self, vectors: &[ArrayView1<'_, f32>]) -> Vec<Answer> {
         let of_member = |member: &Member| {
-            let own = gathered(vectors.iter().copied(), &member.columns);
+            let own = gathered(vectors, &member.columns);
             member.discriminant.distances(own.view())
         };
         // The threads of a small task cost more than they save.
@@ -175,10 +170,7 @@ impl Ensemble {
 }
 
 /// The given columns of some rows. Faster than `select`, which goes through a matrix column by column.
-fn gathered<'v>(
-    rows: impl ExactSizeIterator<Item = ArrayView1<'v, f32>>,
-    columns: &[usize],
-) -> Array2<f32> {
+fn gathered(rows: &[ArrayView1<'_, f32>], columns: &[usize]) -> Array2<f32> {
     let mut own = Array2::zeros((rows.len(), columns.len()));
     for (mut own, row) in own.rows_mut().into_iter().zip(rows) {
         own.iter_mut().zip(columns).for_each(|(x, &column)| *x = row[column]);

@@ -301,8 +301,7 @@ impl ScanSoFar {
     fn says(&self, stretch: &Stretch, sound: &BTreeSet<SourceId>) -> bool {
         let id = &stretch.spec.id;
         let of_series = |series: &GrowingSeries| {
-            series.samples >= series.views.frames[1].points
-                && (stretch.has_switch() || !series.growing.end().moments.is_constant())
+            stretch.compares(&series.views, series.samples, &series.growing.end().moments)
         };
         let of_picture = |picture: &TakenPicture| picture.vector.is_some();
         sound.contains(id)

@@ -14,6 +14,7 @@ use super::series::SeriesEmbedder;
 use crate::features::copies::Copy;
 use crate::features::counts::Counts;
 use crate::features::frames::{LOOK_S, SeriesFrames, SourceFrames, TrialFrames, samples_by};
+use crate::features::moments::Moments;
 use crate::features::views::SourceViews;
 use crate::recognise::error::{RecogniseError, Result, nothing_in_common};
 use crate::scene::{Phase, Scene, SourceId, SourceSpec};
@@ -128,9 +129,12 @@ impl Stretch {
         });
     }
 
-    /// Whether a channel of the source is constant in the library and compared by its level.
-    pub(super) fn has_switch(&self) -> bool {
-        matches!(&self.embedder, SourceEmbedder::Series(embedder) if embedder.has_switch())
+    /// Whether a series has anything to compare: it is at least as long as a short frame, and varies or
+    /// has a channel that is constant in the library, like a switch.
+    pub(super) fn compares(&self, views: &SourceViews, samples: usize, moments: &Moments) -> bool {
+        let has_switch =
+            matches!(&self.embedder, SourceEmbedder::Series(embedder) if embedder.has_switch());
+        samples >= views.frames[1].points && (has_switch || !moments.is_constant())
     }
 
     /// Checks that the frequency bands of a series are those of the library. Its rate may differ, but
@@ -338,13 +342,11 @@ impl JointEmbedder {
         all
     }
 
-    /// Whether a trial has anything to compare: a picture, or a series at least as long as a short
-    /// frame. The series must vary, or have a channel that is constant in the library, like a switch.
+    /// Whether a trial has anything to compare: a picture, or a series that [`Stretch::compares`].
     pub(super) fn says_something(&self, trial: &TrialFrames) -> bool {
         self.stretches.iter().any(|stretch| match trial.sources.get(&stretch.spec.id) {
             Some(SourceFrames::Series(series)) => {
-                series.is_a_frame_long()
-                    && (stretch.has_switch() || !series.whole.moments.is_constant())
+                stretch.compares(&series.views, series.samples, &series.whole.moments)
             }
             Some(SourceFrames::Picture(_)) => true,
             None => false,

@@ -39,15 +39,15 @@ pub struct EmbeddingModel {
     pub(super) training: Training,
     pub(super) left_out: LeftOut,
     /// Ensembles for sets of sources that a query has had, but no library trial has.
-    trained: Mutex<HashMap<Present, Arc<Trained>>>,
+    pub(super) trained: Mutex<HashMap<Present, Arc<Trained>>>,
     /// The library's trials, kept until `followed` is computed from them.
-    unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
+    pub(super) unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
     /// How beginnings of left-out trials are answered by the sources of each trial.
     pub(super) begun: OnceLock<BTreeMap<Present, Measured>>,
     /// The left-out trials, each named at every look of its growing drag.
     pub(super) followed: OnceLock<Vec<FollowedTrial>>,
     /// The stopping rule for the first options asked for; later scans mostly have the same options.
-    settling: OnceLock<(FollowOptions, Settling)>,
+    pub(super) settling: OnceLock<(FollowOptions, Settling)>,
 }
 
 /// The probability of each surface for a query, and the p-value.
@@ -84,31 +84,20 @@ impl EmbeddingModel {
         }
         let training = Training::new(&mut joint, &mut library, &labels, seed);
         let left_out = LeftOut::new(&joint, &training, &labels, &library);
-        let keys = library.iter().map(|trial| trial.key.clone()).collect();
-        let model = Self::of(scene, shape, (keys, labels, joint, training, left_out));
-        Ok(Self { unfollowed: Mutex::new(Some(library)), ..model })
-    }
-
-    pub(super) fn of(
-        scene: &Scene,
-        shape: &Arc<LibraryShape>,
-        parts: (Vec<TrialKey>, Labels, JointEmbedder, Training, LeftOut),
-    ) -> Self {
-        let (keys, labels, joint, training, left_out) = parts;
-        Self {
+        Ok(Self {
             scene: scene.clone(),
             shape: shape.clone(),
-            keys,
+            keys: library.iter().map(|trial| trial.key.clone()).collect(),
             labels,
             joint,
             training,
             left_out,
             trained: Mutex::default(),
-            unfollowed: Mutex::default(),
+            unfollowed: Mutex::new(Some(library)),
             begun: OnceLock::new(),
             followed: OnceLock::new(),
             settling: OnceLock::new(),
-        }
+        })
     }
 
     fn embed(&self, query: &TrialFrames) -> Result<(Vec<f32>, Present)> {
@@ -296,18 +285,6 @@ impl EmbeddingModel {
             looks: answers.into_iter().map(look).collect(),
         })
     }
-
-    /// Number of people in the library, and its surfaces with their numbers of trials.
-    fn counts(&self) -> LibraryCounts {
-        let mut trials = vec![0; self.labels.classes];
-        self.labels.class.iter().for_each(|&class| trials[class] += 1);
-        let people: BTreeSet<&str> = self.keys.iter().map(|key| key.user.as_str()).collect();
-        LibraryCounts {
-            people: people.len(),
-            left_out: self.labels.left_out,
-            surfaces: self.labels.surfaces.iter().cloned().zip(trials).collect(),
-        }
-    }
 }
 
 impl Model for EmbeddingModel {
@@ -388,7 +365,15 @@ impl EmbeddingModel {
     /// How many left-out library trials are named right at each scan time. The first call takes a
     /// while, unless scans were followed before.
     pub fn left_out_accuracy(&self) -> LeftOutAccuracy {
-        LeftOutAccuracy::new(self.followed(), self.counts())
+        let mut trials = vec![0; self.labels.classes];
+        self.labels.class.iter().for_each(|&class| trials[class] += 1);
+        let people: BTreeSet<&str> = self.keys.iter().map(|key| key.user.as_str()).collect();
+        let counts = LibraryCounts {
+            people: people.len(),
+            left_out: self.labels.left_out,
+            surfaces: self.labels.surfaces.iter().cloned().zip(trials).collect(),
+        };
+        LeftOutAccuracy::new(self.followed(), counts)
     }
 
     /// How many trials of each surface were left out, and how many of these were named right by a model

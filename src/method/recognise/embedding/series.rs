@@ -211,22 +211,16 @@ impl SeriesEmbedder {
             let covariance = stats.covariances[lag][later * channels + earlier];
             covariance / (self.deviations[i] * self.deviations[j])
         };
-        let mut matrix = vec![0.0; size * size];
-        for row in 0..size {
-            for column in 0..size {
-                matrix[row * size + column] = 0.5 * (entry(row, column) + entry(column, row));
-            }
-        }
+        let places = (0..size * size).map(|at| (at / size, at % size));
+        let both = |(row, column)| 0.5 * (entry(row, column) + entry(column, row));
+        let matrix = places.map(both).collect();
         let log = EigenPairs::new(matrix, size, RIDGE).map(|x| (x.max(0.0) + RIDGE).ln());
         push_upper(&log, size, vector);
-        let mut correlations = Vec::with_capacity(channels * channels / 2);
-        for i in 0..channels {
-            for j in i + 1..channels {
-                let scale = stats.deviations[i] * stats.deviations[j];
-                correlations.push(stats.covariances[0][i * channels + j] / scale);
-            }
-        }
-        push_atanh(&correlations, vector);
+        let pairs = (0..channels).flat_map(|i| (i + 1..channels).map(move |j| (i, j)));
+        let correlation = |(i, j): (usize, usize)| {
+            stats.covariances[0][i * channels + j] / (stats.deviations[i] * stats.deviations[j])
+        };
+        push_atanh(&pairs.map(correlation).collect::<Vec<_>>(), vector);
     }
 }
 

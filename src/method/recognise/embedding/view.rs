@@ -28,12 +28,6 @@ struct BandScale {
     factor: Vec<f32>,
 }
 
-impl BandScale {
-    fn width(&self) -> usize {
-        self.centre.len()
-    }
-}
-
 /// Turns the frames of one view into features. Each band gives features in shape (relative to the
 /// series' own mean power) and in level (relative to the library's).
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -55,7 +49,7 @@ impl ViewEmbedder {
     }
 
     pub(super) fn dims(&self) -> usize {
-        2 * BAND_FEATURES * self.shape.width()
+        2 * BAND_FEATURES * self.shape.centre.len()
     }
 
     /// Appends the means of cos ωz and sin ωz over the counted frames, as if their samples were
@@ -110,7 +104,7 @@ fn add_bands(
     scale: &BandScale,
     sums: &mut [f64],
 ) {
-    let width = scale.width();
+    let width = scale.centre.len();
     for (band, counts) in counts.chunks_exact(bins.max(1)).enumerate() {
         let values = table[band / bands * bins..][..bins].as_chunks().0;
         let counts = counts.as_chunks().0;

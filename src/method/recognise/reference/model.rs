@@ -133,7 +133,8 @@ impl<'a> Query<'a> {
         let ReferenceModel { method, library } = model;
         let trial = query.samples(NAME)?;
         let cut = |spec: &SourceSpec, frames: usize| -> Result<_> {
-            let cut = method.cut_of(trial, spec, frames)?;
+            let cut = |signal: &Signal| method.cut(spec, signal, frames, false);
+            let cut = trial.at_length(&spec.id, frames, cut)?;
             let of_set = |set: &Arc<SampleSet>| {
                 QuerySet::new(set.clone(), spec.align_mean, method.options.precision)
             };
@@ -187,7 +188,8 @@ impl<'a> Query<'a> {
                     all.push(None);
                     continue;
                 };
-                let cut = self.method.cut_of(&trial, spec, frames)?;
+                let cut = |signal: &Signal| self.method.cut(spec, signal, frames, false);
+                let cut = trial.at_length(&spec.id, frames, cut)?;
                 let of_query = &lengths[&frames];
                 let sum = self.source_score(spec, of_query, &cut, contents, repetitions.clone());
                 all.push(Some(sum + sums.get(s).copied().flatten().unwrap_or(0.0)));
@@ -246,16 +248,6 @@ impl Reference {
         };
         let sets = (0..repetitions).into_par_iter().map(draw).collect();
         SampledSource { sets, domain: None }
-    }
-
-    /// A trial's source, cut to some length.
-    fn cut_of(
-        &self,
-        trial: &PreparedTrial,
-        spec: &SourceSpec,
-        frames: usize,
-    ) -> Result<Arc<SampledSource>> {
-        trial.at_length(&spec.id, frames, |signal| self.cut(spec, signal, frames, false))
     }
 }
 
