@@ -92,7 +92,8 @@ impl Trained {
         labels: &Labels,
         present: &Present,
         drag_s: f64,
-        (looks, begun): (&[usize], &[(usize, Vec<Vec<f32>>)]),
+        looks: &[usize],
+        begun: &[(usize, Vec<Vec<f32>>)],
     ) -> Measured {
         let has_all = has_all(training, present);
         let at_look = |(at, look): (usize, &usize)| {
@@ -249,8 +250,8 @@ impl LeftOut {
         let trials = evenly(library.len()).into_par_iter().filter(is_known);
         let begun: Vec<_> = trials.filter_map(begin).collect();
         let measured = |(present, trained): (&Present, &Arc<Trained>)| {
-            let begun = (looks.as_slice(), begun.as_slice());
-            (present.clone(), trained.measured(training, labels, present, self.drag_s, begun))
+            let measured = trained.measured(training, labels, present, self.drag_s, &looks, &begun);
+            (present.clone(), measured)
         };
         self.trained.iter().map(measured).collect()
     }
