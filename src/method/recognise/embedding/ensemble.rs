@@ -151,21 +151,17 @@ impl Ensemble {
     }
 
     /// Mean over members of w_c, shape (C, D), and of b_c; see [`Discriminant::weights`].
-    pub(crate) fn weights(&self, dims: usize) -> (Array2<f32>, Array1<f64>) {
-        let mut sums: Option<(Array2<f32>, Array1<f64>)> = None;
+    pub(crate) fn weights(&self, (classes, dims): (usize, usize)) -> (Array2<f32>, Array1<f64>) {
+        let (mut all, mut sum) = (Array2::zeros((classes, dims)), Array1::zeros(classes));
         for member in &self.members {
             let (weights, offsets) = member.discriminant.weights();
-            let (all, sum) = sums.get_or_insert_with(|| {
-                (Array2::zeros((weights.nrows(), dims)), Array1::zeros(offsets.len()))
-            });
             for (of_member, &column) in weights.columns().into_iter().zip(&member.columns) {
                 all.column_mut(column).scaled_add(1.0, &of_member);
             }
-            *sum += &offsets;
+            sum += &offsets;
         }
-        let (weights, offsets) = sums.unwrap_or_default();
         let members = self.members.len().max(1);
-        (weights / members as f32, offsets / members as f64)
+        (all / members as f32, sum / members as f64)
     }
 }
 

@@ -208,7 +208,7 @@ impl EmbeddingModel {
     fn evidence(&self, vector: &[f32], present: &Present) -> Evidence {
         let columns: Vec<_> = self.joint.there(present).map(|s| s.columns.clone()).collect();
         let trained = &self.trained(present).all;
-        let (weights, offsets) = trained.weights(self.joint.dims());
+        let (weights, offsets) = trained.weights((self.labels.classes, self.joint.dims()));
         // u·m_c. The distance to class c is |u|² + |m_c|² − 2·u·m_c.
         let inner = |class: usize, vector: ArrayView1<'_, f32>, columns: &Range<usize>| {
             let columns = s![columns.clone()];

@@ -139,13 +139,8 @@ impl SeriesEmbedder {
             }
             all
         });
-        self.vector(
-            counts.each_ref().map(AsRef::as_ref),
-            &end.moments,
-            &end.places,
-            moments_hz,
-            0.0,
-        )
+        let counts = counts.each_ref().map(AsRef::as_ref);
+        self.vector(counts, &end.moments, &end.places, moments_hz, 0.0)
     }
 
     /// The vector of a series, or of a part of it. `counts` holds the frames of each view.
