@@ -78,10 +78,6 @@ impl SeriesFrames {
         self.views.frames[0].rate_hz
     }
 
-    pub fn is_a_frame_long(&self) -> bool {
-        self.samples >= self.views.frames[1].points
-    }
-
     pub fn duration_s(&self) -> f64 {
         self.samples as f64 / self.rate_hz()
     }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::error::RecogniseError;
+use super::error::Result;
 use super::reference::{
     DomainSamples, PreparedTrial, SampledSource, aligned, log_score, score_samples, shared_sources,
 };
@@ -57,19 +57,16 @@ pub struct TestOptions {
 ///
 /// # Errors
 /// If a trial does not fit the scene, the trials share no source, or their rates differ.
-pub fn compare(
-    z: &Trial,
-    y: &Trial,
-    scene: &Scene,
-    options: &TestOptions,
-) -> Result<Comparison, RecogniseError> {
-    check(z, y, scene)?;
+pub fn compare(z: &Trial, y: &Trial, scene: &Scene, options: &TestOptions) -> Result<Comparison> {
+    let unsampled =
+        |_: &SourceSpec, _: &Signal, _| SampledSource { sets: Vec::new(), domain: None };
+    let prepared = |trial: &Trial| {
+        PreparedTrial::new(&Entry::in_memory(trial.clone()), trial, scene, false, unsampled)
+    };
     let mut sources = Vec::new();
     let mut log_ds = 0.0;
-    for spec in scene.sources() {
-        let (Some(of_z), Some(of_y)) = (z.signals.get(&spec.id), y.signals.get(&spec.id)) else {
-            continue;
-        };
+    for spec in shared_sources(scene, &prepared(z)?, &[Arc::new(prepared(y)?)])? {
+        let (of_z, of_y) = (&z.signals[&spec.id], &y.signals[&spec.id]);
         let frames = of_z.frames().min(of_y.frames());
         let z = DomainSamples::new(spec, of_z, frames);
         let y = DomainSamples::new(spec, of_y, frames);
@@ -78,15 +75,6 @@ pub fn compare(
         sources.push(compared);
     }
     Ok(Comparison { sources, ds: log_ds.exp() })
-}
-
-fn check(z: &Trial, y: &Trial, scene: &Scene) -> Result<(), RecogniseError> {
-    let unsampled =
-        |_: &SourceSpec, _: &Signal, _| SampledSource { sets: Vec::new(), domain: None };
-    let prepared = |trial: &Trial| {
-        PreparedTrial::new(&Entry::in_memory(trial.clone()), trial, scene, false, unsampled)
-    };
-    shared_sources(scene, &prepared(z)?, &[Arc::new(prepared(y)?)]).map(drop)
 }
 
 fn compare_source(

@@ -38,8 +38,11 @@ pub enum RecogniseError {
     TooLittle,
 }
 
+/// A result that fails, unless said otherwise, because trials cannot be named.
+pub(crate) type Result<T, E = RecogniseError> = std::result::Result<T, E>;
+
 /// `None` for a query that says too little to be named.
-pub(crate) fn if_enough<T>(named: Result<T, RecogniseError>) -> Result<Option<T>, RecogniseError> {
+pub(crate) fn if_enough<T>(named: Result<T>) -> Result<Option<T>> {
     match named {
         Err(RecogniseError::TooLittle) => Ok(None),
         named => named.map(Some),
@@ -59,7 +62,7 @@ impl From<RecogniseError> for Doubt {
 /// Fails if a library has trials of fewer than two surfaces.
 pub(super) fn check_surfaces<'a>(
     library: impl Iterator<Item = &'a TrialKey> + Clone,
-) -> Result<(), RecogniseError> {
+) -> Result<()> {
     let surfaces = library.clone().map(|key| &key.surface).collect::<BTreeSet<_>>().len();
     if surfaces < 2 {
         return Err(RecogniseError::TooFewSurfaces { surfaces, trials: library.count() });

@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::sync::Arc;
 
-use super::error::RecogniseError;
+use super::error::Result;
 use super::prepared::Prepared;
 use super::rank::Ranking;
 use crate::library::Entry;
@@ -23,12 +23,7 @@ pub trait Method: Send + Sync {
     ///
     /// # Errors
     /// If the trial does not fit the scene.
-    fn prepare(
-        &self,
-        entry: &Entry,
-        trial: &Trial,
-        shape: &LibraryShape,
-    ) -> Result<Prepared, RecogniseError>;
+    fn prepare(&self, entry: &Entry, trial: &Trial, shape: &LibraryShape) -> Result<Prepared>;
 
     /// Fits a model to a prepared library, or to part of it. `shape` is the library shape that the
     /// trials were prepared for.
@@ -36,11 +31,7 @@ pub trait Method: Send + Sync {
     /// # Errors
     /// If the trials are of fewer than two surfaces, cannot be compared with each other, or were
     /// prepared for another method.
-    fn fit(
-        &self,
-        library: Vec<Prepared>,
-        shape: &Arc<LibraryShape>,
-    ) -> Result<Arc<dyn Model>, RecogniseError>;
+    fn fit(&self, library: Vec<Prepared>, shape: &Arc<LibraryShape>) -> Result<Arc<dyn Model>>;
 
     /// Hash of everything except the trials that affects a library's model. `None` for a method that
     /// fits a model as fast as it could read a stored one.
@@ -60,20 +51,20 @@ pub trait Model: Send + Sync {
     ///
     /// # Errors
     /// If the trial does not fit the scene.
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError>;
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared>;
 
     /// Ranks the library's surfaces; the surface most like the query comes first.
     ///
     /// # Errors
     /// If the query has no source in common with the library, has another sample rate, or was
     /// prepared for another method.
-    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError>;
+    fn rank(&self, query: &Prepared) -> Result<Ranking>;
 
     /// Prepares a trial, and ranks the library's surfaces by it.
     ///
     /// # Errors
     /// The errors of [`Model::prepare`] and [`Model::rank`].
-    fn rank_trial(&self, trial: Trial) -> Result<Ranking, RecogniseError> {
+    fn rank_trial(&self, trial: Trial) -> Result<Ranking> {
         let trial = Arc::new(trial);
         self.rank(&self.prepare(&Entry::in_memory(trial.clone()), &trial)?)
     }
@@ -82,7 +73,7 @@ pub trait Model: Send + Sync {
     ///
     /// # Errors
     /// The errors of [`Model::rank`].
-    fn explain(&self, _query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+    fn explain(&self, _query: &Prepared) -> Result<Option<Evidence>> {
         Ok(None)
     }
 

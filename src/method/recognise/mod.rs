@@ -15,7 +15,6 @@ mod compare;
 mod decide;
 pub(crate) mod embedding;
 mod error;
-mod follow;
 mod method;
 mod model_file;
 mod prepared;
@@ -31,11 +30,12 @@ pub use decide::LeftOutBy;
 pub use decide::conformal::{Rejection, RejectionError};
 pub use decide::interval::wilson_interval;
 pub use decide::scan_time::{AccuracyAt, Goal, LeftOutAccuracy, ScanTime, Shortfall};
-pub use decide::settle::{SettleRule, Settling};
-pub use embedding::{Embedding, EmbeddingModel, EmbeddingOptions, Follower, QueryVector};
+pub use decide::settle::{FollowOptions, SettleRule, Settling};
+pub use embedding::{
+    Embedding, EmbeddingModel, EmbeddingOptions, Follower, FreshFrames, GuessSoFar, QueryVector,
+};
 pub use error::RecogniseError;
 pub(crate) use error::if_enough;
-pub use follow::{FollowOptions, FreshFrames, GuessSoFar};
 pub use method::{Evidence, Method, Model, SourceEvidence};
 pub use model_file::{ModelFile, ModelFileError};
 pub use prepared::Prepared;
@@ -44,21 +44,16 @@ pub use ready_model::{PreparedLibrary, ReadyModel, prepare_library, ready_model}
 pub use reference::{PositionMode, Reference, ReferenceOptions, SumPrecision};
 pub use spec::{MethodName, MethodSpec, NoOptions, TreeOptions};
 
-#[doc(hidden)]
-pub use crate::features::frames::{LOOK_S, TrialFrames};
-#[doc(hidden)] // For the project's own tests and tools.
-pub use decide::dead_sensor::without_flawed;
-#[doc(hidden)]
-pub use reference::{
-    DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, image_grid, score_samples,
-};
-
-#[doc(hidden)]
-pub use compare::{Comparison, TestOptions, compare};
 pub(crate) use decide::interval::{chance, reaches, wilson_of_groups};
-#[doc(hidden)]
-pub use decide::sticky::StickyFilter;
-#[doc(hidden)]
-pub use rank::{log_discrepancy, medians, stated_probabilities};
-#[doc(hidden)]
-pub use spec::MOST_COUNT;
+
+#[doc(hidden)] // For the project's own tests and tools.
+pub use {
+    crate::features::frames::{LOOK_S, TrialFrames},
+    compare::{Comparison, TestOptions, compare},
+    decide::{dead_sensor::without_flawed, sticky::StickyFilter},
+    rank::{log_discrepancy, medians, stated_probabilities},
+    reference::{
+        DomainSamples, QuerySet, STAGES, SampleSet, Scratch, Stage, image_grid, score_samples,
+    },
+    spec::MOST_COUNT,
+};

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::error::RecogniseError;
+use super::error::{RecogniseError, Result};
 use super::reference::prepared_trial::PreparedTrial;
 use crate::features::FeatureVector;
 use crate::features::frames::TrialFrames;
@@ -37,21 +37,15 @@ impl Prepared {
     }
 
     /// The samples; an error if the trial was not prepared for `method`.
-    pub(crate) fn samples(
-        &self,
-        method: &'static str,
-    ) -> Result<&Arc<PreparedTrial>, RecogniseError> {
+    pub(crate) fn samples(&self, method: &'static str) -> Result<&Arc<PreparedTrial>> {
         if let Self::Samples(trial) = self { Ok(trial) } else { Err(self.is_not_for(method)) }
     }
 
-    pub(crate) fn frames(&self, method: &'static str) -> Result<&Arc<TrialFrames>, RecogniseError> {
+    pub(crate) fn frames(&self, method: &'static str) -> Result<&Arc<TrialFrames>> {
         if let Self::Frames(trial) = self { Ok(trial) } else { Err(self.is_not_for(method)) }
     }
 
-    pub(crate) fn features(
-        &self,
-        method: &'static str,
-    ) -> Result<&Arc<FeatureVector>, RecogniseError> {
+    pub(crate) fn features(&self, method: &'static str) -> Result<&Arc<FeatureVector>> {
         if let Self::Features(trial) = self { Ok(trial) } else { Err(self.is_not_for(method)) }
     }
 

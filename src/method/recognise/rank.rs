@@ -112,12 +112,14 @@ pub fn log_discrepancy(weights: &[f64], scores: &[Option<f64>], medians: &[f64])
 
 /// Median score of each source over a library; 0 for a source that no trial has.
 pub fn medians(sources: usize, library: &[TrialScores]) -> Vec<f64> {
-    let median = |source: usize| {
-        let mut known: Vec<f64> = library.iter().filter_map(|scores| scores[source]).collect();
-        known.sort_by(f64::total_cmp);
-        known.get(known.len() / 2).copied().unwrap_or(0.0)
-    };
-    (0..sources).map(median).collect()
+    let known = |source: usize| library.iter().filter_map(|scores| scores[source]).collect();
+    (0..sources).map(|source| median(known(source))).collect()
+}
+
+/// The median of `values`: the upper middle value if their number is even, 0 if there are none.
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// The probabilities of all surfaces, best first, of which the first is the stated confidence; empty if

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::error::RecogniseError;
+use super::error::Result;
 use super::method::{Method, Model};
 use super::prepared::{FORMAT, Prepared};
 use crate::library::Entry;
@@ -37,7 +37,7 @@ impl PreparedLibrary {
         &self,
         method: &dyn Method,
         trials: impl IntoIterator<Item = &'a usize>,
-    ) -> Result<Arc<dyn Model>, RecogniseError> {
+    ) -> Result<Arc<dyn Model>> {
         let library = trials.into_iter().filter_map(|&i| self.trials[i].clone()).collect();
         method.fit(library, &self.shape)
     }
@@ -59,7 +59,7 @@ pub fn prepare_library(
     wanted: &BTreeSet<usize>,
     beside: Option<&Path>,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<PreparedLibrary, RecogniseError> {
+) -> Result<PreparedLibrary> {
     let shape = LibraryShape::of(&wanted.iter().map(|&i| &entries[i]).collect::<Vec<_>>())?;
     prepare_for(method, Arc::new(shape), (entries, wanted), beside, progress)
 }
@@ -71,7 +71,7 @@ fn prepare_for(
     (entries, wanted): (&[Entry], &BTreeSet<usize>),
     beside: Option<&Path>,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<PreparedLibrary, RecogniseError> {
+) -> Result<PreparedLibrary> {
     let mut remarks = Vec::new();
     let cache = beside.map(|folder| {
         let key = [FORMAT, method.settings_key(&shape)].map(u64::to_le_bytes);
@@ -101,7 +101,7 @@ fn prepare_for(
         Ok(Some((prepared, before.filter(|_| before == entry.stamp()))))
     };
     let trials: Vec<Option<(Prepared, Option<u64>)>> =
-        (0..entries.len()).into_par_iter().map(prepare).collect::<Result<_, RecogniseError>>()?;
+        (0..entries.len()).into_par_iter().map(prepare).collect::<Result<_>>()?;
     let from_cache = from_cache.into_inner();
     if let Some(cache) = cache
         && from_cache < wanted.len()
@@ -147,7 +147,7 @@ pub fn ready_model(
     wanted: &BTreeSet<usize>,
     beside: Option<&Path>,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<ReadyModel, RecogniseError> {
+) -> Result<ReadyModel> {
     let of_model: Vec<&Entry> = wanted.iter().map(|&i| &entries[i]).collect();
     let shape = Arc::new(LibraryShape::of(&of_model)?);
     let kept = beside.and_then(|folder| {

@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::classify::{Classifier, OnFeatures};
+use super::classify::smartcore_models::{boosted, forest, naive_bayes};
+use super::classify::{OnFeatures, neighbours, svm};
 use super::embedding::{Embedding, EmbeddingOptions};
-use super::error::RecogniseError;
+use super::error::Result;
 use super::method::{Method, Model};
 use super::ready_model::ready_model;
 use super::reference::{Reference, ReferenceOptions};
@@ -57,8 +58,8 @@ macro_rules! methods {
 
             pub fn build(&self, scene: &Scene) -> Box<dyn Method> {
                 match self {
-                    $(Self::$name($set) => {
-                        let $scene = scene.clone();
+                    $(Self::$name(set) => {
+                        let ($scene, $set) = (scene.clone(), set);
                         Box::new($build)
                     })*
                 }
@@ -72,7 +73,7 @@ impl MethodSpec {
     ///
     /// # Errors
     /// If a trial cannot be read or does not fit the scene, and the errors of [`Method::fit`].
-    pub fn fit(&self, library: &Library) -> Result<Arc<dyn Model>, RecogniseError> {
+    pub fn fit(&self, library: &Library) -> Result<Arc<dyn Model>> {
         let all = (0..library.entries.len()).collect();
         let method = self.build(&library.scene);
         Ok(ready_model(&*method, &library.entries, &all, None, &|_, _| ())?.model)
@@ -98,19 +99,21 @@ methods! {
     Embedding(EmbeddingOptions) = "embedding", "Fourier features and a shrinkage discriminant",
         |scene, options| Embedding::new(scene, options.clone());
     NaiveBayes(NoOptions) = "naive-bayes", "Hand-made features: Gaussian naive Bayes",
-        |scene, _| OnFeatures::new("naive-bayes", scene, Classifier::NaiveBayes);
+        |scene, _| OnFeatures::new("naive-bayes", scene, |trials| naive_bayes(trials));
     Svm(NoOptions) = "svm", "Hand-made features: support vector machine with RBF kernel",
-        |scene, _| OnFeatures::new("svm", scene, Classifier::Svm);
+        |scene, _| OnFeatures::new("svm", scene, svm::learn);
     Knn(NoOptions) = "knn", "Hand-made features: nearest neighbours",
-        |scene, _| OnFeatures::new("knn", scene, Classifier::Neighbours);
+        |scene, _| OnFeatures::new("knn", scene, |trials| neighbours::learn(trials, false));
     Mahalanobis(NoOptions) = "mahalanobis",
         "Hand-made features: nearest neighbours by Mahalanobis distance",
-        |scene, _| OnFeatures::new("mahalanobis", scene, Classifier::Mahalanobis);
+        |scene, _| OnFeatures::new("mahalanobis", scene, |trials| neighbours::learn(trials, true));
     Adaboost(TreeOptions) = "adaboost", "Hand-made features: boosted trees",
-        |scene, set| OnFeatures::new("adaboost", scene, Classifier::AdaBoost { seed: set.seed });
+        |scene, &TreeOptions { seed }| {
+            OnFeatures::new("adaboost", scene, move |trials| boosted(trials, seed))
+        };
     RandomForest(TreeOptions) = "random-forest", "Hand-made features: random forest",
-        |scene, set| {
-            OnFeatures::new("random-forest", scene, Classifier::RandomForest { seed: set.seed })
+        |scene, &TreeOptions { seed }| {
+            OnFeatures::new("random-forest", scene, move |trials| forest(trials, seed))
         };
 }
 

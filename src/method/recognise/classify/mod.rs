@@ -9,16 +9,17 @@
 //! machine borrows its training data, so a model could not hold it; `svm` therefore has its own
 //! solver. Smartcore has neither Mahalanobis neighbours nor AdaBoost.
 
-mod neighbours;
-mod smartcore_models;
-mod svm;
+pub(super) mod neighbours;
+pub(super) mod smartcore_models;
+pub(super) mod svm;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use ndarray::{Array1, Array2, ArrayView1};
 
-use super::error::{RecogniseError, check_surfaces, nothing_in_common};
+use super::embedding::labels::appearances;
+use super::error::{RecogniseError, Result, check_surfaces, nothing_in_common};
 use super::method::{Method, Model};
 use super::prepared::Prepared;
 use super::rank::{Candidate, Ranking, rank};
@@ -37,8 +38,9 @@ const CONSTANT: f64 = 1e-9;
 
 /// How unlike a query the library is, as logarithms; smaller means more alike.
 pub(crate) enum Scores {
-    /// One score for each surface, in the order of [`TrainingSet::surfaces`].
-    Surfaces(Vec<f64>),
+    /// One score for each surface, in the order of [`TrainingSet::surfaces`]; perhaps −ln of its
+    /// probability.
+    Surfaces { log_scores: Vec<f64>, are_probabilities: bool },
     /// One score for each trial of the library, in the order of [`TrainingSet::keys`]. The `k` nearest
     /// trials vote.
     Trials { log_scores: Vec<f64>, k: usize },
@@ -47,42 +49,8 @@ pub(crate) enum Scores {
 /// A fitted classifier: scores a query, which must have as many features as the library's trials.
 type Scorer = Box<dyn Fn(ArrayView1<'_, f64>) -> Scores + Send + Sync>;
 
-/// A way to tell surfaces apart by standardised features.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Classifier {
-    NaiveBayes,
-    /// Support vector machines with RBF kernel, one for each pair of surfaces.
-    Svm,
-    /// k nearest neighbours; k is chosen by naming each library trial by the others.
-    Neighbours,
-    /// The same with features decorrelated by the library's covariance, which is shrunk towards the
-    /// identity by a tenth.
-    Mahalanobis,
-    /// AdaBoost for many classes (SAMME, Zhu et al. 2009, "Multi-class AdaBoost"): 50 trees, each
-    /// trained on trials drawn by weight, and at most two levels deeper than one leaf per surface
-    /// needs.
-    AdaBoost {
-        seed: u64,
-    },
-    /// A random forest (Breiman 2001): 200 trees on bootstrapped trials. Each split tries √(number of
-    /// features) features. The seed determines the bootstraps and the features tried.
-    RandomForest {
-        seed: u64,
-    },
-}
-
-impl Classifier {
-    fn learn(self, training: &Arc<TrainingSet>) -> Scorer {
-        match self {
-            Self::NaiveBayes => smartcore_models::naive_bayes(training),
-            Self::Svm => svm::learn(training),
-            Self::Neighbours => neighbours::learn(training, false),
-            Self::Mahalanobis => neighbours::learn(training, true),
-            Self::AdaBoost { seed } => smartcore_models::boosted(training, seed),
-            Self::RandomForest { seed } => smartcore_models::forest(training, seed),
-        }
-    }
-}
+/// Trains a classifier on standardised features.
+type Learner = Arc<dyn Fn(&Arc<TrainingSet>) -> Scorer + Send + Sync>;
 
 /// A library in the form that classifiers are trained on.
 #[derive(Clone, Debug)]
@@ -97,19 +65,23 @@ pub(crate) struct TrainingSet {
 }
 
 /// A comparison classifier as a [`Method`].
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub(crate) struct OnFeatures {
     name: &'static str,
     scene: Scene,
-    classifier: Classifier,
+    learn: Learner,
 }
 
 impl OnFeatures {
-    pub(crate) fn new(name: &'static str, scene: Scene, classifier: Classifier) -> Self {
-        Self { name, scene, classifier }
+    pub(crate) fn new(
+        name: &'static str,
+        scene: Scene,
+        learn: impl Fn(&Arc<TrainingSet>) -> Scorer + Send + Sync + 'static,
+    ) -> Self {
+        Self { name, scene, learn: Arc::new(learn) }
     }
 
-    fn features(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+    fn features(&self, entry: &Entry, trial: &Trial) -> Result<Prepared> {
         let features = FeatureVector::new(&entry.key, trial, &self.scene)?;
         Ok(Prepared::Features(Arc::new(features)))
     }
@@ -137,7 +109,7 @@ struct FeatureModel {
 }
 
 /// Position and standardisation of all features of a library.
-fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>, RecogniseError> {
+fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>> {
     let ids: BTreeSet<&SourceId> = library.iter().flat_map(|v| v.sources.keys()).collect();
     let mut columns = BTreeMap::new();
     let mut first = 0;
@@ -169,7 +141,7 @@ fn columns(library: &[Arc<FeatureVector>]) -> Result<BTreeMap<SourceId, Columns>
 
 impl Columns {
     /// Checks that there are as many features as in the library; a lower rate gives fewer bands.
-    fn check(&self, id: &SourceId, values: &[f64], rate_hz: f64) -> Result<(), RecogniseError> {
+    fn check(&self, id: &SourceId, values: &[f64], rate_hz: f64) -> Result<()> {
         if values.len() == self.width {
             return Ok(());
         }
@@ -191,7 +163,7 @@ fn width(columns: &BTreeMap<SourceId, Columns>) -> usize {
 fn standardised(
     columns: &BTreeMap<SourceId, Columns>,
     vector: &FeatureVector,
-) -> Result<Array1<f64>, RecogniseError> {
+) -> Result<Array1<f64>> {
     let mut row = Array1::zeros(width(columns));
     for (id, source) in &vector.sources {
         let Some(columns) = columns.get(id) else { continue };
@@ -214,20 +186,11 @@ impl Method for OnFeatures {
         seed::stable_hash(&[format!("{sources:?}").as_bytes()])
     }
 
-    fn prepare(
-        &self,
-        entry: &Entry,
-        trial: &Trial,
-        _: &LibraryShape,
-    ) -> Result<Prepared, RecogniseError> {
+    fn prepare(&self, entry: &Entry, trial: &Trial, _: &LibraryShape) -> Result<Prepared> {
         self.features(entry, trial)
     }
 
-    fn fit(
-        &self,
-        library: Vec<Prepared>,
-        _: &Arc<LibraryShape>,
-    ) -> Result<Arc<dyn Model>, RecogniseError> {
+    fn fit(&self, library: Vec<Prepared>, _: &Arc<LibraryShape>) -> Result<Arc<dyn Model>> {
         let library = library.iter().map(|trial| trial.features(self.name()).cloned());
         let mut library: Vec<Arc<FeatureVector>> = library.collect::<Result<_, _>>()?;
         library.sort_by_cached_key(|vector| {
@@ -242,48 +205,42 @@ impl Method for OnFeatures {
         for (mut row, vector) in features.rows_mut().into_iter().zip(&library) {
             row.assign(&standardised(&columns, vector)?);
         }
-        let mut surfaces = Vec::<String>::new();
-        let class = keys.iter().map(|key| {
-            let known = surfaces.iter().position(|surface| *surface == key.surface);
-            known.unwrap_or_else(|| {
-                surfaces.push(key.surface.clone());
-                surfaces.len() - 1
-            })
-        });
-        let class = class.collect();
+        let (surfaces, class) = appearances(keys.iter().map(|key| key.surface.as_str()));
+        let surfaces = surfaces.into_iter().map(String::from).collect();
         let training = Arc::new(TrainingSet { features, class, surfaces, keys });
-        let scorer = self.classifier.learn(&training);
+        let scorer = (self.learn)(&training);
         Ok(Arc::new(FeatureModel { method: self.clone(), columns, training, scorer }))
     }
 }
 
 impl Model for FeatureModel {
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared> {
         self.method.features(entry, trial)
     }
 
-    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
-        let Self { method: OnFeatures { name, classifier, .. }, columns, training, scorer } = self;
-        let query = query.features(name)?;
+    fn rank(&self, query: &Prepared) -> Result<Ranking> {
+        let Self { method, columns, training, scorer } = self;
+        let query = query.features(method.name)?;
         let sources: Vec<SourceId> =
             query.sources.keys().filter(|id| columns.contains_key(*id)).cloned().collect();
         if sources.is_empty() {
             return Err(nothing_in_common(query.sources.keys(), columns.keys()));
         }
         let row = standardised(columns, query)?;
+        let mut confident = false;
         let (candidates, k) = match scorer(row.view()) {
             Scores::Trials { log_scores, k } => {
                 let pairs = training.keys.iter().zip(log_scores);
                 (pairs.map(|(key, log_ds)| Candidate { key: key.clone(), log_ds }).collect(), k)
             }
-            Scores::Surfaces(log_scores) => (by_surface(training, &log_scores, row.view()), 1),
+            Scores::Surfaces { log_scores, are_probabilities } => {
+                confident = are_probabilities;
+                (by_surface(training, &log_scores, row.view()), 1)
+            }
         };
         // There is at least one candidate, since the library has at least one trial.
         let mut ranking = rank(candidates, k, sources).expect("at least one candidate");
-        // The scores of these two are the inverse of probabilities.
-        if let Classifier::NaiveBayes | Classifier::RandomForest { .. } = classifier {
-            ranking.confidence = Some(ranking.ranked[0].score.recip());
-        }
+        ranking.confidence = confident.then(|| ranking.ranked[0].score.recip());
         Ok(ranking)
     }
 }
@@ -306,13 +263,6 @@ fn by_surface(
 
 fn squared_distance(a: ArrayView1<'_, f64>, b: ArrayView1<'_, f64>) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
-}
-
-/// −ln softmax of `logits`: smaller means more alike.
-fn negative_log_softmax(logits: &[f64]) -> Vec<f64> {
-    let most = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let sum = logits.iter().map(|x| (x - most).exp()).sum::<f64>().ln() + most;
-    logits.iter().map(|x| sum - x).collect()
 }
 
 #[cfg(test)]

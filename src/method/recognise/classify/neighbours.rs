@@ -12,13 +12,14 @@ const SHRINKAGE: f64 = 0.1;
 /// Least squared distance; keeps its logarithm and inverse finite.
 const FLOOR: f64 = 1e-12;
 
-/// Distances are between standardised features, which are decorrelated first if `decorrelates`.
-pub(super) fn learn(training: &TrainingSet, decorrelates: bool) -> Scorer {
+/// k is chosen by naming each library trial by the others. Features are decorrelated first if
+/// `decorrelates`.
+pub(crate) fn learn(training: &TrainingSet, decorrelates: bool) -> Scorer {
     // Lower Cholesky factor of the covariance.
     let factor = decorrelates.then(|| cholesky(covariance(&training.features))).flatten();
     // Decorrelates columns, one for each trial, so that their distances are Euclidean.
     let decorrelated = move |mut columns: Array2<f64>| {
-        factor.iter().for_each(|factor| solve_lower(factor, &mut columns));
+        factor.iter().for_each(|factor| solve_lower(&factor.view(), columns.view_mut()));
         columns
     };
     let features = decorrelated(training.features.t().to_owned()).reversed_axes();

@@ -13,7 +13,7 @@ use smartcore::tree::decision_tree_classifier::{
     DecisionTreeClassifier, DecisionTreeClassifierParameters,
 };
 
-use super::{Scorer, Scores, TrainingSet, negative_log_softmax};
+use super::{Scorer, Scores, TrainingSet};
 use crate::seed;
 
 /// Added to every variance, in units of the library's variance. The 1e-9 of scikit-learn is too little
@@ -42,7 +42,7 @@ fn labels(class: impl Iterator<Item = usize>) -> Vec<u32> {
 
 /// A scorer by trees that vote with weights. Each score is −ln of the surface's share of the votes. One
 /// extra vote, divided equally among the surfaces, keeps every share above 0.
-fn by_votes<T>(trees: Vec<(f64, T)>, surfaces: usize) -> Scorer
+fn by_votes<T>(trees: Vec<(f64, T)>, surfaces: usize, are_probabilities: bool) -> Scorer
 where
     T: Predictor<FeatureMatrix, Vec<u32>> + Send + Sync + 'static,
 {
@@ -56,12 +56,13 @@ where
         }
         let each = 1.0 / surfaces as f64;
         let total: f64 = votes.iter().sum::<f64>() + 1.0;
-        Scores::Surfaces(votes.iter().map(|votes| -((votes + each) / total).ln()).collect())
+        let log_scores = votes.iter().map(|votes| -((votes + each) / total).ln()).collect();
+        Scores::Surfaces { log_scores, are_probabilities }
     })
 }
 
 /// Each score is −ln of the surface's posterior probability.
-pub(super) fn naive_bayes(training: &TrainingSet) -> Scorer {
+pub(crate) fn naive_bayes(training: &TrainingSet) -> Scorer {
     let (x, y) = (matrix(training.features.view()), labels(training.class.iter().copied()));
     // Fails only for an empty library or a class without trials; a library has neither.
     let fitted = GaussianNB::fit(&x, &y, GaussianNBParameters::default())
@@ -77,11 +78,17 @@ pub(super) fn naive_bayes(training: &TrainingSet) -> Scorer {
             terms.sum()
         };
         let logits: Vec<f64> = means.iter().zip(&variances).map(log_likelihood).collect();
-        Scores::Surfaces(negative_log_softmax(&logits))
+        // −ln softmax.
+        let most = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let sum = logits.iter().map(|x| (x - most).exp()).sum::<f64>().ln() + most;
+        let log_scores = logits.iter().map(|x| sum - x).collect();
+        Scores::Surfaces { log_scores, are_probabilities: true }
     })
 }
 
-pub(super) fn forest(training: &TrainingSet, seed: u64) -> Scorer {
+/// A random forest (Breiman 2001) on bootstrapped trials. Each split tries √(number of features)
+/// features. The seed determines the bootstraps and the features tried.
+pub(crate) fn forest(training: &TrainingSet, seed: u64) -> Scorer {
     let (x, y) = (matrix(training.features.view()), labels(training.class.iter().copied()));
     let tree = |number: u64| {
         let key: [&[u8]; 3] = [b"tree", &seed.to_le_bytes(), &number.to_le_bytes()];
@@ -93,10 +100,12 @@ pub(super) fn forest(training: &TrainingSet, seed: u64) -> Scorer {
     };
     // A forest of one tree each. Smartcore gives the winner of a forest, but not how many trees chose it.
     let trees: Vec<_> = (0..TREES).into_par_iter().filter_map(tree).collect();
-    by_votes(trees, training.surfaces.len())
+    by_votes(trees, training.surfaces.len(), true)
 }
 
-pub(super) fn boosted(training: &TrainingSet, seed: u64) -> Scorer {
+/// AdaBoost for many classes (SAMME, Zhu et al. 2009, "Multi-class AdaBoost"). Each tree is trained on
+/// trials drawn by weight.
+pub(crate) fn boosted(training: &TrainingSet, seed: u64) -> Scorer {
     let TrainingSet { features, class, surfaces, .. } = training;
     let (n, surfaces) = (class.len(), surfaces.len());
     let x = matrix(features.view());
@@ -126,7 +135,7 @@ pub(super) fn boosted(training: &TrainingSet, seed: u64) -> Scorer {
         weights.iter_mut().for_each(|weight| *weight /= total);
         trees.push((alpha, tree));
     }
-    by_votes(trees, surfaces)
+    by_votes(trees, surfaces, false)
 }
 
 /// Draws indices in proportion to `weights`, as many as there are weights.

@@ -29,14 +29,7 @@ struct Pair {
     bias: f64,
 }
 
-impl Pair {
-    /// Value of the decision function; `kernel` holds the kernel between the query and each trial.
-    fn decide(&self, kernel: &[f64]) -> f64 {
-        self.bias + self.support.iter().map(|&(i, weight)| weight * kernel[i]).sum::<f64>()
-    }
-}
-
-pub(super) fn learn(training: &Arc<TrainingSet>) -> Scorer {
+pub(crate) fn learn(training: &Arc<TrainingSet>) -> Scorer {
     let distances = distances(training);
     let (cost, gamma) = choose(training, &distances);
     let everyone: Vec<usize> = (0..training.class.len()).collect();
@@ -49,15 +42,18 @@ pub(super) fn learn(training: &Arc<TrainingSet>) -> Scorer {
         let surfaces = training.surfaces.len();
         let most = (surfaces - 1) as f64;
         let score = |votes: f64| -((votes + 0.5) / (most + 1.0)).max(f64::MIN_POSITIVE).ln();
-        Scores::Surfaces(votes(&pairs, surfaces, &kernel).into_iter().map(score).collect())
+        let log_scores = votes(&pairs, surfaces, &kernel).into_iter().map(score).collect();
+        Scores::Surfaces { log_scores, are_probabilities: false }
     })
 }
 
-/// Number of pairs that each surface wins. Decision values, scaled to below ⅓, settle ties.
+/// Number of pairs that each surface wins. Decision values, scaled to below ⅓, settle ties. `kernel`
+/// holds the kernel between the query and each trial.
 fn votes(pairs: &[Pair], surfaces: usize, kernel: &[f64]) -> Vec<f64> {
     let (mut won, mut sure) = (vec![0.0; surfaces], vec![0.0; surfaces]);
     for pair in pairs {
-        let decision = pair.decide(kernel);
+        let weighted = pair.support.iter().map(|&(i, weight)| weight * kernel[i]);
+        let decision = pair.bias + weighted.sum::<f64>();
         won[if decision > 0.0 { pair.a } else { pair.b }] += 1.0;
         sure[pair.a] += decision;
         sure[pair.b] -= decision;

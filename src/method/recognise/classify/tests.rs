@@ -1,5 +1,6 @@
 //! Tests that every comparison classifier must pass.
 
+use super::smartcore_models::{boosted, forest, naive_bayes};
 use super::*;
 use crate::features::SourceFeatures;
 
@@ -24,8 +25,8 @@ fn of(source: &str, surface: &str, number: u32, values: Vec<f64>) -> Prepared {
     Prepared::Features(Arc::new(FeatureVector { key, sources }))
 }
 
-fn check(classifier: Classifier) {
-    let method = OnFeatures::new("classifier", Scene::lmt108(), classifier);
+fn check(learn: fn(&Arc<TrainingSet>) -> Scorer) {
+    let method = OnFeatures::new("classifier", Scene::lmt108(), learn);
     let (held, rest): (Vec<_>, Vec<_>) = library().into_iter().partition(|v| v.key().number == 3);
     let shape = Arc::default();
     let model = method.fit(rest.clone(), &shape).unwrap();
@@ -62,31 +63,31 @@ fn check(classifier: Classifier) {
 
 #[test]
 fn every_classifier_keeps_the_promises() {
-    check(Classifier::NaiveBayes);
-    check(Classifier::Neighbours);
-    check(Classifier::Mahalanobis);
-    check(Classifier::Svm);
-    check(Classifier::RandomForest { seed: 1 });
-    check(Classifier::AdaBoost { seed: 1 });
+    check(|trials| naive_bayes(trials));
+    check(|trials| neighbours::learn(trials, false));
+    check(|trials| neighbours::learn(trials, true));
+    check(svm::learn);
+    check(|trials| forest(trials, 1));
+    check(|trials| boosted(trials, 1));
 }
 
 #[test]
 fn another_seed_is_another_forest() {
-    let forest = |seed| {
-        let forest = Classifier::RandomForest { seed };
-        let method = OnFeatures::new("random-forest", Scene::lmt108(), forest);
+    let scores = |seed| {
+        let learn = move |trials: &Arc<_>| forest(trials, seed);
+        let method = OnFeatures::new("random-forest", Scene::lmt108(), learn);
         let model = method.fit(library(), &Arc::default()).unwrap();
         // A query between surfaces, so that the trees disagree.
         let query = of("x", "a", 9, vec![1.5, 150.0, 4.0]);
         model.rank(&query).unwrap().ranked.iter().map(|r| r.score).collect::<Vec<_>>()
     };
-    let forests: Vec<Vec<f64>> = (0..8).map(forest).collect();
+    let forests: Vec<Vec<f64>> = (0..8).map(scores).collect();
     assert!(forests.iter().any(|scores| *scores != forests[0]), "{forests:?}");
 }
 
 #[test]
 fn a_source_that_a_query_lacks_counts_as_the_mean() {
-    let method = OnFeatures::new("naive-bayes", Scene::lmt108(), Classifier::NaiveBayes);
+    let method = OnFeatures::new("naive-bayes", Scene::lmt108(), |trials| naive_bayes(trials));
     let mut both = Vec::new();
     for vector in library() {
         let mut vector = FeatureVector::clone(vector.features(method.name()).unwrap());

@@ -10,9 +10,9 @@
 //! `src/method/evaluate/README.md` shows results on real sounds. Following a scan with ten looks a second
 //! takes 0.2 % of a core (processor time over scan time).
 
+use super::conformal::Rejection;
 use super::interval::jeffreys_quantile;
 use crate::features::frames::LOOK_S;
-use crate::recognise::follow::FollowOptions;
 
 /// Hold times to try: how long the label must stay the same, in seconds of scan time.
 const HOLDS_S: [f64; 5] = [0.3, 0.6, 1.0, 1.5, 2.0];
@@ -21,6 +21,21 @@ const HOLDS_S: [f64; 5] = [0.3, 0.6, 1.0, 1.5, 2.0];
 const EPSILONS: [f64; 10] = [0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.003, 0.001];
 
 const CONFIDENCE: f64 = 0.9;
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct FollowOptions {
+    /// Accepted loss of accuracy, as a fraction of all scans, when a scan is answered once its guess
+    /// is settled instead of at its end.
+    pub loss: f64,
+    /// Threshold at which a scan is called unknown. An unknown scan is never settled.
+    pub rejection: Option<Rejection>,
+}
+
+impl Default for FollowOptions {
+    fn default() -> Self {
+        Self { loss: 0.01, rejection: None }
+    }
+}
 
 /// A stopping rule: how long a label must stay the same, and how probable it must be.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]

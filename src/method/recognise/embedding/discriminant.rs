@@ -64,11 +64,10 @@ pub(crate) struct Rows {
 }
 
 impl Rows {
-    /// Number of rows of each part, among those that `keep` chooses.
-    fn counts(&self, keep: impl Fn(usize) -> bool) -> Vec<f64> {
+    /// Number of rows of each part among `rows`.
+    fn counts(&self, rows: impl Iterator<Item = usize>) -> Vec<f64> {
         let mut counts = vec![0.0; 2 * self.classes];
-        let kept = (0..self.part.len()).filter(|&row| keep(row));
-        kept.for_each(|row| counts[self.part[row]] += 1.0);
+        rows.for_each(|row| counts[self.part[row]] += 1.0);
         counts
     }
 
@@ -79,14 +78,6 @@ impl Rows {
         whole.for_each(|row| scans[self.trials[row]].push(row));
         scans.retain(|rows| !rows.is_empty());
         scans
-    }
-
-    /// Number of trials of each class among those whose `scans` begin with a row that `keep` chooses.
-    fn trials_of(&self, scans: &[Vec<usize>], keep: impl Fn(usize) -> bool) -> Vec<f64> {
-        let mut trials = vec![0.0; self.classes];
-        let kept = scans.iter().map(|scans| scans[0]).filter(|&row| keep(row));
-        kept.for_each(|row| trials[self.part[row]] += 1.0);
-        trials
     }
 }
 
@@ -100,28 +91,32 @@ impl Discriminant {
         groups: usize,
     ) -> (Option<Self>, Vec<Option<Self>>) {
         let total = total_variance(&vectors.view());
-        let counts = rows.counts(|_| true);
+        let everyone = 0..rows.part.len();
+        let counts = rows.counts(everyone.clone());
         let (means, residuals) = residuals(vectors, &rows.part, &counts);
         let scatter = lower_gram(&residuals.view());
         let shrinkage = shrinkage(&residuals, &scatter, &rows.trials);
         let scans = rows.scans();
-        let trials = rows.trials_of(&scans, |_| true);
+        // One row of each trial; the number of these rows is that of the trials of a class.
+        let firsts = || scans.iter().map(|rows| rows[0]);
+        let trials = &rows.counts(firsts())[..rows.classes];
         let all = total.and_then(|total| metric(scatter.clone(), &counts, total, shrinkage));
         let off = all.as_ref().map_or(0.0, |factor| {
             let classes = trials.iter().filter(|n| **n > 0.5).count();
             off_mean(factor, &residuals, &scans, classes)
         });
         let without = |group: usize| {
-            let stays = |row: usize| rows.groups[row] != group;
-            let stay = rows.counts(stays);
+            let stays = |row: &usize| rows.groups[*row] != group;
+            let stay = rows.counts(everyone.clone().filter(stays));
             let (lost, moved) = left_out(&residuals, rows, group, (&counts, &stay));
             let mut left = lower_gram(&lost.view());
             left.zip_mut_with(&scatter, |left, all| *left = all - *left);
             let factor = metric(left, &stay, total?, shrinkage)?;
-            Self::of_factor(&factor, &means - &moved, &rows.trials_of(&scans, stays), off)
+            let trials = &rows.counts(firsts().filter(stays))[..rows.classes];
+            Self::of_factor(&factor, &means - &moved, trials, off)
         };
         let without = (0..groups).map(without).collect();
-        (all.and_then(|factor| Self::of_factor(&factor, means, &trials, off)), without)
+        (all.and_then(|factor| Self::of_factor(&factor, means, trials, off)), without)
     }
 
     /// Takes the factor L of the metric, the mean of each part, the number of trials of each class, and how
@@ -146,7 +141,7 @@ impl Discriminant {
             }
         }
         let mut white = white.reversed_axes().as_standard_layout().into_owned();
-        solve_lower(factor, &mut white);
+        solve_lower(&factor.view(), white.view_mut());
         let mut found = Self::of_white(&white, factor, &centre, present)?;
         let fewest = known.iter().map(|&class| trials[class]).fold(f64::INFINITY, f64::min);
         for class in known {
@@ -183,9 +178,9 @@ impl Discriminant {
         }
         let means = means.slice(s![.., ..independent.len()]).to_owned();
         let mut back = white.select(Axis(1), &independent);
-        solve_lower_transposed(factor, &mut back);
+        solve_lower_transposed(&factor.view(), back.view_mut());
         let mut projection = back.reversed_axes().as_standard_layout().into_owned();
-        solve_lower(&means.select(Axis(0), &independent), &mut projection);
+        solve_lower(&means.select(Axis(0), &independent).view(), projection.view_mut());
         let origin = projection.dot(centre);
         let projection = projection.mapv(|x| x as f32);
         let sound = projection.iter().all(|x| x.is_finite()) && means.iter().all(|x| x.is_finite());
@@ -285,7 +280,7 @@ fn off_mean(
             trial.zip_mut_with(&residuals.row(row), |sum, &x| *sum += share * f64::from(x));
         }
     }
-    solve_lower(factor, &mut trials);
+    solve_lower(&factor.view(), trials.view_mut());
     let mean = trials.iter().map(|x| x * x).sum::<f64>() / some.len().max(1) as f64;
     // The class means are of the same trials.
     let free = scans.len().saturating_sub(classes);

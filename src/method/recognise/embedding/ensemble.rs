@@ -46,21 +46,18 @@ pub(crate) struct Ensemble {
 #[derive(Clone, Debug)]
 pub(crate) struct Answer {
     /// For each member, the squared distance to each class mean.
-    distances: Vec<Vec<f64>>,
+    pub(super) distances: Vec<Vec<f64>>,
     /// Number of features of a member.
-    features: usize,
+    pub(super) features: usize,
 }
 
 impl Answer {
-    #[cfg(test)]
-    pub(super) fn of(distances: Vec<Vec<f64>>) -> Self {
-        Self { distances, features: 1 }
-    }
-
     /// ln of the probability of each class: of the mean over members of softmax(−distance/2τ).
     pub(crate) fn log_probabilities(&self, tau: f64) -> Vec<f64> {
-        let of_members: Vec<Vec<f64>> =
-            self.distances.iter().map(|distances| log_softmax(distances, tau)).collect();
+        let log_softmax = |distances: &Vec<f64>| -> Vec<f64> {
+            distances.iter().copied().map(log_share(distances, tau)).collect()
+        };
+        let of_members: Vec<_> = self.distances.iter().map(log_softmax).collect();
         let classes = of_members.first().map_or(0, Vec::len);
         (0..classes).map(|class| log_mean(of_members.iter().map(|of| of[class]))).collect()
     }
@@ -112,18 +109,14 @@ impl Ensemble {
                 (member(all), without.into_iter().map(|one| one.map(member)).collect::<Vec<_>>())
             })
             .collect();
-        let (all, by_member): (Vec<Member>, Vec<Vec<Option<Member>>>) = trained.into_iter().unzip();
-        let mut without: Vec<Option<Vec<Member>>> = vec![Some(Vec::new()); rows.group_count];
-        for of_member in by_member {
-            for (members, member) in without.iter_mut().zip(of_member) {
-                *members = members.take().zip(member).map(|(mut members, member)| {
-                    members.push(member);
-                    members
-                });
-            }
-        }
-        let ensemble = |members| Self { members };
-        (ensemble(all), without.into_iter().map(|members| members.map(ensemble)).collect())
+        let (members, mut by_member): (_, Vec<Vec<Option<Member>>>) = trained.into_iter().unzip();
+        by_member.truncate(members_without);
+        let without = |group: usize| {
+            let members = by_member.iter_mut().map(|of_member| of_member[group].take());
+            Some(Self { members: members.collect::<Option<_>>()? })
+        };
+        let without = (0..rows.group_count).map(without).collect();
+        (Self { members }, without)
     }
 
     pub(crate) fn is_of(&self, classes: usize, dims: usize) -> bool {
@@ -141,7 +134,7 @@ impl Ensemble {
     /// The answers to vectors of D features.
     pub(crate) fn answers(&self, vectors: &[ArrayView1<'_, f32>]) -> Vec<Answer> {
         let of_member = |member: &Member| {
-            let own = gathered(vectors.iter().copied(), &member.columns);
+            let own = gathered(vectors, &member.columns);
             member.discriminant.distances(own.view())
         };
         // The threads of a small task cost more than they save.
@@ -158,29 +151,22 @@ impl Ensemble {
     }
 
     /// Mean over members of w_c, shape (C, D), and of b_c; see [`Discriminant::weights`].
-    pub(crate) fn weights(&self, dims: usize) -> (Array2<f32>, Array1<f64>) {
-        let mut sums: Option<(Array2<f32>, Array1<f64>)> = None;
+    pub(crate) fn weights(&self, (classes, dims): (usize, usize)) -> (Array2<f32>, Array1<f64>) {
+        let (mut all, mut sum) = (Array2::zeros((classes, dims)), Array1::zeros(classes));
         for member in &self.members {
             let (weights, offsets) = member.discriminant.weights();
-            let (all, sum) = sums.get_or_insert_with(|| {
-                (Array2::zeros((weights.nrows(), dims)), Array1::zeros(offsets.len()))
-            });
             for (of_member, &column) in weights.columns().into_iter().zip(&member.columns) {
                 all.column_mut(column).scaled_add(1.0, &of_member);
             }
-            *sum += &offsets;
+            sum += &offsets;
         }
-        let (weights, offsets) = sums.unwrap_or_default();
         let members = self.members.len().max(1);
-        (weights / members as f32, offsets / members as f64)
+        (all / members as f32, sum / members as f64)
     }
 }
 
 /// The given columns of some rows. Faster than `select`, which goes through a matrix column by column.
-fn gathered<'v>(
-    rows: impl ExactSizeIterator<Item = ArrayView1<'v, f32>>,
-    columns: &[usize],
-) -> Array2<f32> {
+fn gathered(rows: &[ArrayView1<'_, f32>], columns: &[usize]) -> Array2<f32> {
     let mut own = Array2::zeros((rows.len(), columns.len()));
     for (mut own, row) in own.rows_mut().into_iter().zip(rows) {
         own.iter_mut().zip(columns).for_each(|(x, &column)| *x = row[column]);
@@ -205,12 +191,7 @@ fn least(distances: &[f64]) -> f64 {
     distances.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
-/// ln softmax(−d/2τ); equal shares if all distances are infinite.
-fn log_softmax(distances: &[f64], tau: f64) -> Vec<f64> {
-    distances.iter().copied().map(log_share(distances, tau)).collect()
-}
-
-/// ln softmax(−d/2τ) of one of the distances.
+/// ln softmax(−d/2τ) of one of the distances; equal shares if all distances are infinite.
 fn log_share(distances: &[f64], tau: f64) -> impl Fn(f64) -> f64 {
     let least = least(distances);
     let equal = (!least.is_finite()).then(|| -(distances.len() as f64).ln());

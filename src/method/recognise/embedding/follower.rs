@@ -1,14 +1,15 @@
 //! Follows a scan with a trained model, and renews the guess at each look (step of [`LOOK_S`]).
 //!
 //! The scan so far is kept as sums, and new samples are added to them. So a look costs the same at any
-//! time of the scan. The vector equals that of a trial of the same samples.
+//! time of the scan. The vector equals that of a trial of the same samples. Scan time is counted in
+//! samples, not read from a clock, so the answer depends neither on the block size in which samples
+//! arrive nor on the playback speed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::joint::{Present, SourceEmbedder, Stretch};
 use super::model::{EmbeddingModel, Posterior};
-use super::series::SeriesEmbedder;
 use crate::features::counts::Counts;
 use crate::features::frames::{LOOK_S, samples_by};
 use crate::features::growing::Growing;
@@ -17,14 +18,35 @@ use crate::features::tiles::PictureTiles;
 use crate::features::views::SourceViews;
 use crate::recognise::decide::conformal::Rejection;
 use crate::recognise::decide::dead_sensor::left_out;
-use crate::recognise::decide::settle::{Look, Settling, Watch};
-use crate::recognise::error::RecogniseError;
-use crate::recognise::follow::{FollowOptions, FreshFrames, GuessSoFar};
+use crate::recognise::decide::settle::{FollowOptions, Look, Settling, Watch};
+use crate::recognise::error::Result;
 use crate::recognise::rank::Ranking;
 use crate::scene::{Phase, SourceId};
 use crate::trial::{Doubt, Image, SeriesFlaws, Signal, Trial, is_plain};
 
 const NAMED: usize = 5;
+
+/// The next frames of one source of a scan.
+#[derive(Clone, Copy, Debug)]
+pub struct FreshFrames<'a> {
+    pub source: &'a SourceId,
+    pub rate_hz: f64,
+    pub channels: usize,
+    /// Interleaved samples that directly follow those given before.
+    pub samples: &'a [f32],
+}
+
+/// The best guess at the surface of a scan in progress.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GuessSoFar {
+    /// Scan time at which the guess was made, in seconds.
+    pub scan_s: f64,
+    /// Up to five surfaces with their probabilities, the most probable first.
+    pub named: Vec<(String, f64)>,
+    pub p_value: Option<f64>,
+    /// The settled answer, if any: its surface, and the scan time at which it was settled.
+    pub settled: Option<(String, f64)>,
+}
 
 /// Follows scans, one after another.
 pub struct Follower {
@@ -66,17 +88,13 @@ struct GrowingSeries {
 impl EmbeddingModel {
     /// Follows scans in progress. The first call calibrates the stopping rule, which takes a while.
     pub fn follow(self: Arc<Self>, options: &FollowOptions) -> Follower {
-        Follower::new(&self, options)
+        let settling = self.settling(options);
+        let scan = ScanSoFar::new(&settling);
+        Follower { model: self, rejection: options.rejection.clone(), settling, scan }
     }
 }
 
 impl Follower {
-    pub(super) fn new(model: &Arc<EmbeddingModel>, options: &FollowOptions) -> Self {
-        let settling = model.settling(options);
-        let scan = ScanSoFar::new(&settling);
-        Self { model: model.clone(), rejection: options.rejection.clone(), settling, scan }
-    }
-
     /// Adds the missing rest of a finished trial; `None` if it does not begin like the scan so far.
     fn take_rest(&mut self, trial: &Trial) -> Option<()> {
         let series = self.scan.series.iter().filter(|(_, series)| !series.broken);
@@ -92,8 +110,10 @@ impl Follower {
                 Signal::Image(_) => {}
                 Signal::Series(series) => {
                     let channels = series.channels();
-                    let known = self.scan.series.get(id).map_or(0, GrowingSeries::received);
-                    let samples = series.samples().get(known * channels..)?;
+                    let received =
+                        |known: &GrowingSeries| known.samples * channels + known.waiting.len();
+                    let known = self.scan.series.get(id).map_or(0, received);
+                    let samples = series.samples().get(known..)?;
                     let rate_hz = series.rate_hz();
                     self.add(FreshFrames { source: id, rate_hz, channels, samples }).ok()?;
                 }
@@ -133,7 +153,7 @@ impl Follower {
     ///
     /// # Errors
     /// If the frames do not fit the scene or the frames before them.
-    pub fn add(&mut self, fresh: FreshFrames<'_>) -> Result<(), RecogniseError> {
+    pub fn add(&mut self, fresh: FreshFrames<'_>) -> Result<()> {
         let FreshFrames { source, rate_hz, channels, samples } = fresh;
         let Some(stretch) = self.model.joint.stretch(source) else { return Ok(()) };
         if stretch.spec.channels != channels {
@@ -171,7 +191,7 @@ impl Follower {
     ///
     /// # Errors
     /// If received samples cannot be compared with the library.
-    pub fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>, RecogniseError> {
+    pub fn look(&mut self, scan_s: f64) -> Result<Option<GuessSoFar>> {
         let mut said = None;
         while !self.scan.failed && (self.scan.looks + 1) as f64 * LOOK_S <= scan_s + 1e-9 {
             self.scan.looks += 1;
@@ -260,23 +280,15 @@ impl ScanSoFar {
     }
 
     /// Adds the frames due by `scan_s` seconds of drag to the sums; frames of taps are always due.
-    fn pass_on(&mut self, model: &EmbeddingModel, scan_s: f64) -> Result<(), RecogniseError> {
+    fn pass_on(&mut self, model: &EmbeddingModel, scan_s: f64) -> Result<()> {
         for (id, series) in self.series.iter_mut().filter(|(_, series)| !series.broken) {
             let view = &series.views.frames[0];
             let there = series.waiting.len() / view.channels;
             let due = samples_by(scan_s, view.rate_hz).saturating_sub(series.samples);
             let frames = if series.drag { there.min(due) } else { there };
             if frames > 0 {
-                if let Some(SourceEmbedder::Series(library)) =
-                    model.joint.stretch(id).map(|stretch| &stretch.embedder)
-                    && !series.views.comparable(&library.views)
-                {
-                    return Err(RecogniseError::Rates {
-                        source_name: id.clone(),
-                        query_hz: view.rate_hz,
-                        library_hz: library.views.frames[0].rate_hz,
-                        trial: "the scan's library".into(),
-                    });
+                if let Some(stretch) = model.joint.stretch(id) {
+                    stretch.check_rate(&series.views, &"the scan's library")?;
                 }
                 series.pass_on(frames);
             }
@@ -289,8 +301,7 @@ impl ScanSoFar {
     fn says(&self, stretch: &Stretch, sound: &BTreeSet<SourceId>) -> bool {
         let id = &stretch.spec.id;
         let of_series = |series: &GrowingSeries| {
-            series.samples >= series.views.frames[1].points
-                && (stretch.has_switch() || !series.growing.end().moments.is_constant())
+            stretch.compares(&series.views, series.samples, &series.growing.end().moments)
         };
         let of_picture = |picture: &TakenPicture| picture.vector.is_some();
         sound.contains(id)
@@ -304,7 +315,10 @@ impl ScanSoFar {
             let id = &stretch.spec.id;
             match &stretch.embedder {
                 _ if !sound.contains(id) => None,
-                SourceEmbedder::Series(embedder) => Some(self.series.get(id)?.vector(embedder)),
+                SourceEmbedder::Series(embedder) => {
+                    let GrowingSeries { frames, growing, views, .. } = self.series.get(id)?;
+                    Some(embedder.growing(frames, &growing.end(), views.moments_hz()))
+                }
                 SourceEmbedder::Picture(_) => self.pictures.get(id)?.vector.clone(),
             }
         };
@@ -328,11 +342,6 @@ impl GrowingSeries {
         }
     }
 
-    /// Number of frames received, whether added to the sums or still waiting.
-    fn received(&self) -> usize {
-        self.samples + self.waiting.len() / self.views.channels()
-    }
-
     /// Adds the first `frames` waiting frames to the sums.
     fn pass_on(&mut self, frames: usize) {
         let samples: Vec<f32> = self.waiting.drain(..frames * self.views.channels()).collect();
@@ -345,9 +354,5 @@ impl GrowingSeries {
         for (sums, fresh) in self.frames.iter_mut().zip(self.growing.add(&samples)) {
             sums.add(&fresh.values());
         }
-    }
-
-    fn vector(&self, embedder: &SeriesEmbedder) -> Vec<f32> {
-        embedder.growing(&self.frames, &self.growing.end(), self.views.moments_hz())
     }
 }

@@ -1,6 +1,7 @@
 //! Puts all sources of a trial into one vector. The features of each source are standardised by the
 //! mean and deviation of the library. The *stretch* of a source is its range of columns in the vector.
 
+use std::fmt::Display;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -13,7 +14,9 @@ use super::series::SeriesEmbedder;
 use crate::features::copies::Copy;
 use crate::features::counts::Counts;
 use crate::features::frames::{LOOK_S, SeriesFrames, SourceFrames, TrialFrames, samples_by};
-use crate::recognise::error::{RecogniseError, nothing_in_common};
+use crate::features::moments::Moments;
+use crate::features::views::SourceViews;
+use crate::recognise::error::{RecogniseError, Result, nothing_in_common};
 use crate::scene::{Phase, Scene, SourceId, SourceSpec};
 use crate::trial::TrialKey;
 
@@ -86,8 +89,11 @@ pub(super) struct Stretch {
 }
 
 impl Stretch {
-    fn standardise(&self, features: ArrayViewMut1<'_, f32>) {
-        standardise(features, &self.mean, &self.factor);
+    /// Sets the columns of the source in a vector to its features, standardised.
+    fn fill(&self, vector: &mut [f32], features: &[f32]) {
+        let columns = &mut vector[self.columns.clone()];
+        columns.copy_from_slice(features);
+        standardise(columns.into(), &self.mean, &self.factor);
     }
 
     /// Sets the mean and deviation of each feature over the rows that are `there`, whole trials and
@@ -123,21 +129,24 @@ impl Stretch {
         });
     }
 
-    /// Whether a channel of the source is constant in the library and compared by its level.
-    pub(super) fn has_switch(&self) -> bool {
-        matches!(&self.embedder, SourceEmbedder::Series(embedder) if embedder.has_switch())
+    /// Whether a series has anything to compare: it is at least as long as a short frame, and varies or
+    /// has a channel that is constant in the library, like a switch.
+    pub(super) fn compares(&self, views: &SourceViews, samples: usize, moments: &Moments) -> bool {
+        let has_switch =
+            matches!(&self.embedder, SourceEmbedder::Series(embedder) if embedder.has_switch());
+        samples >= views.frames[1].points && (has_switch || !moments.is_constant())
     }
 
     /// Checks that the frequency bands of a series are those of the library. Its rate may differ, but
-    /// must not be too low for the bands.
-    fn check_rate(&self, series: &SeriesFrames) -> Result<(), RecogniseError> {
+    /// must not be too low for the bands. `like` names what has the library's rate.
+    pub(super) fn check_rate(&self, views: &SourceViews, like: &dyn Display) -> Result<()> {
         match &self.embedder {
-            SourceEmbedder::Series(library) if !series.views.comparable(&library.views) => {
+            SourceEmbedder::Series(library) if !views.comparable(&library.views) => {
                 Err(RecogniseError::Rates {
                     source_name: self.spec.id.clone(),
-                    query_hz: series.rate_hz(),
+                    query_hz: views.frames[0].rate_hz,
                     library_hz: library.views.frames[0].rate_hz,
-                    trial: self.first.to_string(),
+                    trial: like.to_string(),
                 })
             }
             _ => Ok(()),
@@ -199,20 +208,29 @@ impl JointEmbedder {
         self.stretches.iter().all(follows)
     }
 
+    /// The stretches of the sources that are `present`.
+    pub(super) fn there<'a>(&'a self, present: &'a Present) -> impl Iterator<Item = &'a Stretch> {
+        self.stretches.iter().zip(present).filter(|(_, has)| **has).map(|(stretch, _)| stretch)
+    }
+
+    pub(super) fn columns(&self, present: &Present) -> Vec<usize> {
+        self.there(present).flat_map(|stretch| stretch.columns.clone()).collect()
+    }
+
     /// The stretch of a source; `None` if the library lacks the source.
     pub(super) fn stretch(&self, id: &SourceId) -> Option<&Stretch> {
         self.stretches.iter().find(|stretch| stretch.spec.id == *id)
     }
 
     /// Checks that a query, or a library trial itself, can be compared with the library.
-    pub(super) fn check(&self, query: &TrialFrames) -> Result<(), RecogniseError> {
+    pub(super) fn check(&self, query: &TrialFrames) -> Result<()> {
         if !query.sources.keys().any(|id| self.stretch(id).is_some()) {
             let ids = self.stretches.iter().map(|stretch| &stretch.spec.id);
             return Err(nothing_in_common(query.sources.keys(), ids));
         }
         for stretch in &self.stretches {
             if let Some(series) = query.sources.get(&stretch.spec.id).and_then(|s| s.series()) {
-                stretch.check_rate(series)?;
+                stretch.check_rate(&series.views, &stretch.first)?;
             }
         }
         Ok(())
@@ -250,9 +268,7 @@ impl JointEmbedder {
         let mut present = vec![false; self.stretches.len()];
         for ((stretch, features), has) in self.stretches.iter().zip(features).zip(&mut present) {
             if let Some(features) = features {
-                let columns = &mut vector[stretch.columns.clone()];
-                columns.copy_from_slice(&features);
-                stretch.standardise(columns.into());
+                stretch.fill(&mut vector, &features);
                 *has = true;
             }
         }
@@ -320,21 +336,17 @@ impl JointEmbedder {
         for (stretch, features) in self.stretches.iter().zip(parts) {
             let Some(features) = features.filter(|looks| !looks.is_empty()) else { continue };
             for (vector, features) in all.iter_mut().zip(features) {
-                let columns = &mut vector[stretch.columns.clone()];
-                columns.copy_from_slice(&features);
-                stretch.standardise(columns.into());
+                stretch.fill(vector, &features);
             }
         }
         all
     }
 
-    /// Whether a trial has anything to compare: a picture, or a series at least as long as a short
-    /// frame. The series must vary, or have a channel that is constant in the library, like a switch.
+    /// Whether a trial has anything to compare: a picture, or a series that [`Stretch::compares`].
     pub(super) fn says_something(&self, trial: &TrialFrames) -> bool {
         self.stretches.iter().any(|stretch| match trial.sources.get(&stretch.spec.id) {
             Some(SourceFrames::Series(series)) => {
-                series.is_a_frame_long()
-                    && (stretch.has_switch() || !series.whole.moments.is_constant())
+                stretch.compares(&series.views, series.samples, &series.whole.moments)
             }
             Some(SourceFrames::Picture(_)) => true,
             None => false,
@@ -347,11 +359,6 @@ impl JointEmbedder {
         let lengths = drags.filter_map(|s| trial.sources.get(&s.spec.id)?.series());
         lengths.map(|series| series.duration_s()).max_by(f64::total_cmp)
     }
-}
-
-pub(super) fn columns(stretches: &[Stretch], present: &Present) -> Vec<usize> {
-    let there = stretches.iter().zip(present).filter(|(_, has)| **has);
-    there.flat_map(|(stretch, _)| stretch.columns.clone()).collect()
 }
 
 /// The features of the beginnings of a series at each of `looks` up to its end.

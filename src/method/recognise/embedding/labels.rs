@@ -1,12 +1,19 @@
 //! Labels of a library's trials for training: their classes, and the groups to leave out.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
+use crate::features::frames::{Prints, TrialFrames};
 use crate::recognise::decide::LeftOutBy;
 use crate::trial::{TrialKey, sessions_count};
 
 /// At most this many groups of trials are left out, one at a time.
 const MOST_GROUPS: usize = 10;
+
+/// Fewest equal windows of two trials, and the least share of the windows that are kept. A few short runs
+/// of a sensor at rest are equal by chance.
+const FEWEST: usize = 2;
+const LEAST_SHARE: f64 = 0.1;
 
 /// Classes and groups of the trials of a library. They depend on the order of the trials, and on which
 /// of them share a surface, a person or a session, never on names or numbers.
@@ -68,7 +75,9 @@ impl Labels {
 }
 
 /// The distinct values in the order in which they first appear, and the index of each value among them.
-fn appearances<T: Copy + Ord>(values: impl Iterator<Item = T>) -> (Vec<T>, Vec<usize>) {
+pub(in crate::recognise) fn appearances<T: Copy + Ord>(
+    values: impl Iterator<Item = T>,
+) -> (Vec<T>, Vec<usize>) {
     let (mut distinct, mut known) = (Vec::new(), BTreeMap::new());
     let place = |value| {
         *known.entry(value).or_insert_with(|| {
@@ -110,6 +119,51 @@ fn known_elsewhere(class: &[usize], group: &[usize]) -> usize {
         members.filter(|(class, _)| trials[**class] > 0).count()
     };
     (0..groups).map(of_group).sum()
+}
+
+/// For each trial, the first one with which it shares samples, directly or by way of others. Trials that
+/// do, such as copies, or excerpts that overlap, are left out together, since naming one by the other
+/// says nothing of new scans.
+pub(super) fn together(library: &[Arc<TrialFrames>]) -> Vec<usize> {
+    let mut first: Vec<usize> = (0..library.len()).collect();
+    let mut wholes = HashMap::new();
+    let mut windows: HashMap<_, Vec<usize>> = HashMap::new();
+    for (trial, frames) in library.iter().enumerate() {
+        for (source, Prints(whole, of_windows)) in &frames.prints {
+            if let Some(whole) = whole {
+                join(&mut first, *wholes.entry((source, whole)).or_insert(trial), trial);
+            }
+            for window in of_windows {
+                windows.entry((source, window)).or_default().push(trial);
+            }
+        }
+    }
+    let mut shared: BTreeMap<_, usize> = BTreeMap::new();
+    for ((source, _), trials) in &windows {
+        for other in &trials[1..] {
+            *shared.entry((trials[0], *other, *source)).or_default() += 1;
+        }
+    }
+    for ((one, other, source), count) in shared {
+        let kept = [one, other].map(|trial| library[trial].prints[source].1.len());
+        let least = (LEAST_SHARE * kept[0].min(kept[1]) as f64).ceil() as usize;
+        if count >= least.max(FEWEST) {
+            join(&mut first, one, other);
+        }
+    }
+    (0..library.len()).map(|trial| root(&first, trial)).collect()
+}
+
+fn root(first: &[usize], mut trial: usize) -> usize {
+    while first[trial] != trial {
+        trial = first[trial];
+    }
+    trial
+}
+
+fn join(first: &mut [usize], one: usize, other: usize) {
+    let (a, b) = (root(first, one), root(first, other));
+    first[a.max(b)] = a.min(b);
 }
 
 #[cfg(test)]

@@ -45,14 +45,6 @@ pub(super) struct Measured {
     pub temperature: Temperature,
 }
 
-/// Beginnings of left-out trials.
-struct Begun {
-    /// Lengths of the beginnings, in steps of [`LOOK_S`].
-    looks: Vec<usize>,
-    /// Index of each trial, and its standardised vector at each of `looks`.
-    trials: Vec<(usize, Vec<Vec<f32>>)>,
-}
-
 impl Trained {
     /// Trains, and measures whole trials that have these sources; in a library of one person excerpts,
     /// which replace scans by somebody else. `drag_s` is the median length of a drag in seconds.
@@ -92,22 +84,25 @@ impl Trained {
         trained
     }
 
-    /// Measures beginnings too.
+    /// Measures beginnings too: of lengths `looks`, in steps of [`LOOK_S`]. `begun` has the index of each
+    /// trial, and its standardised vector at each of `looks`.
     fn measured(
         &self,
         training: &Training,
         labels: &Labels,
         present: &Present,
-        (drag_s, begun): (f64, &Begun),
+        drag_s: f64,
+        looks: &[usize],
+        begun: &[(usize, Vec<Vec<f32>>)],
     ) -> Measured {
         let has_all = has_all(training, present);
         let at_look = |(at, look): (usize, &usize)| {
-            let kept = begun.trials.iter().filter(|(trial, _)| has_all[*trial]);
+            let kept = begun.iter().filter(|(trial, _)| has_all[*trial]);
             let vectors = kept.map(|(trial, vectors)| (*trial, ArrayView1::from(&vectors[at])));
             let answers = self.to_trials(labels, &vectors.collect::<Vec<_>>());
             (*look as f64 * LOOK_S, answers)
         };
-        let begun: Vec<_> = begun.looks.iter().enumerate().map(at_look).collect();
+        let begun: Vec<_> = looks.iter().enumerate().map(at_look).collect();
         let across_people = labels.left_out.across_people();
         let longest_s = if across_people { f64::INFINITY } else { SHARE * drag_s - 1e-9 };
         let by_length = (begun.iter())
@@ -253,10 +248,10 @@ impl LeftOut {
             long_enough.then(|| (i, joint.beginnings(&library[i], training.whole(i), &looks)))
         };
         let trials = evenly(library.len()).into_par_iter().filter(is_known);
-        let trials = trials.filter_map(begin).collect();
-        let begun = Begun { looks, trials };
+        let begun: Vec<_> = trials.filter_map(begin).collect();
         let measured = |(present, trained): (&Present, &Arc<Trained>)| {
-            (present.clone(), trained.measured(training, labels, present, (self.drag_s, &begun)))
+            let measured = trained.measured(training, labels, present, self.drag_s, &looks, &begun);
+            (present.clone(), measured)
         };
         self.trained.iter().map(measured).collect()
     }

@@ -144,36 +144,28 @@ fn subtract_lower_product(
 }
 
 /// Solves L·X = B in place; each column of `b` is a right-hand side.
-pub(crate) fn solve_lower(l: &Array2<f64>, b: &mut Array2<f64>) {
-    solve_from_left(&l.view(), b.view_mut());
-}
-
-fn solve_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
+pub(crate) fn solve_lower(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
     let n = l.nrows();
     if n > BLOCK {
         let half = half_of(n);
         let (mut first, mut second) = b.split_at(Axis(0), half);
-        solve_from_left(&l.slice(s![..half, ..half]), first.view_mut());
+        solve_lower(&l.slice(s![..half, ..half]), first.view_mut());
         general_mat_mul(-1.0, &l.slice(s![half.., ..half]), &first, 1.0, &mut second);
-        return solve_from_left(&l.slice(s![half.., half..]), second);
+        return solve_lower(&l.slice(s![half.., half..]), second);
     }
     let solved = inverse(l).dot(&b);
     b.assign(&solved);
 }
 
 /// Solves Lᵀ·X = B in place; each column of `b` is a right-hand side.
-pub(crate) fn solve_lower_transposed(l: &Array2<f64>, b: &mut Array2<f64>) {
-    solve_transposed_from_left(&l.view(), b.view_mut());
-}
-
-fn solve_transposed_from_left(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
+pub(crate) fn solve_lower_transposed(l: &ArrayView2<'_, f64>, mut b: ArrayViewMut2<'_, f64>) {
     let n = l.nrows();
     if n > BLOCK {
         let half = half_of(n);
         let (mut first, mut second) = b.split_at(Axis(0), half);
-        solve_transposed_from_left(&l.slice(s![half.., half..]), second.view_mut());
+        solve_lower_transposed(&l.slice(s![half.., half..]), second.view_mut());
         general_mat_mul(-1.0, &l.slice(s![half.., ..half]).t(), &second, 1.0, &mut first);
-        return solve_transposed_from_left(&l.slice(s![..half, ..half]), first);
+        return solve_lower_transposed(&l.slice(s![..half, ..half]), first);
     }
     let solved = inverse(l).t().dot(&b);
     b.assign(&solved);
@@ -217,8 +209,8 @@ pub(super) mod tests {
             let l = cholesky(a.clone()).unwrap();
             let x = Array2::from_shape_fn((n, 3), |(i, j)| (i as f64 - 2.0 * j as f64).cos());
             let mut b = a.dot(&x);
-            solve_lower(&l, &mut b);
-            solve_lower_transposed(&l, &mut b);
+            solve_lower(&l.view(), b.view_mut());
+            solve_lower_transposed(&l.view(), b.view_mut());
             assert!((&b - &x).iter().all(|d| d.abs() < 1e-8), "{n}");
         }
     }

@@ -18,7 +18,6 @@ pub(crate) mod discriminant;
 mod eigen;
 mod ensemble;
 mod follower;
-mod fourier;
 mod joint;
 pub(super) mod labels;
 mod left_out;
@@ -29,7 +28,6 @@ mod places;
 mod series;
 mod stored;
 mod temperature;
-mod together;
 mod training;
 mod view;
 
@@ -37,9 +35,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-pub use self::follower::Follower;
+pub use self::follower::{Follower, FreshFrames, GuessSoFar};
 pub use self::model::{EmbeddingModel, QueryVector};
-use super::error::{RecogniseError, check_surfaces};
+use super::error::{Result, check_surfaces};
 use super::method::{Method, Model};
 use super::prepared::Prepared;
 use crate::features::frames::TrialFrames;
@@ -89,7 +87,7 @@ impl Embedding {
         &self,
         mut library: Vec<Arc<TrialFrames>>,
         shape: &Arc<LibraryShape>,
-    ) -> Result<EmbeddingModel, RecogniseError> {
+    ) -> Result<EmbeddingModel> {
         // In an order that no name decides.
         library.sort_by(|a, b| a.digest.cmp(&b.digest).then_with(|| a.key.cmp(&b.key)));
         check_surfaces(library.iter().map(|trial| &trial.key))?;
@@ -106,22 +104,13 @@ impl Method for Embedding {
         TrialFrames::framing_key(&self.scene, shape, self.options.seed)
     }
 
-    fn prepare(
-        &self,
-        entry: &Entry,
-        trial: &Trial,
-        shape: &LibraryShape,
-    ) -> Result<Prepared, RecogniseError> {
+    fn prepare(&self, entry: &Entry, trial: &Trial, shape: &LibraryShape) -> Result<Prepared> {
         let seed = Some(self.options.seed);
         let frames = TrialFrames::new(&entry.key, trial, &self.scene, shape, seed)?;
         Ok(Prepared::Frames(Arc::new(frames)))
     }
 
-    fn fit(
-        &self,
-        library: Vec<Prepared>,
-        shape: &Arc<LibraryShape>,
-    ) -> Result<Arc<dyn Model>, RecogniseError> {
+    fn fit(&self, library: Vec<Prepared>, shape: &Arc<LibraryShape>) -> Result<Arc<dyn Model>> {
         let frames = library.iter().map(|trial| trial.frames(NAME).cloned());
         let frames = frames.collect::<Result<_, _>>()?;
         drop(library);

@@ -10,19 +10,19 @@ use rayon::prelude::*;
 
 use super::NAME;
 use super::ensemble::Answer;
-use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch, columns};
-use super::labels::Labels;
+use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch};
+use super::labels::{Labels, together};
 use super::left_out::{LeftOut, Measured, Trained, evenly};
-use super::together::together;
 use super::training::Training;
 use crate::features::frames::{LOOK_S, TrialFrames};
 use crate::library::Entry;
 use crate::library::shape::LibraryShape;
 use crate::recognise::decide::conformal::{Rejection, RejectionError};
 use crate::recognise::decide::scan_time::{Goal, LeftOutAccuracy, LibraryCounts, ScanTime};
-use crate::recognise::decide::settle::{FollowedTrial, LeftOutLook, Settling, looks_in};
-use crate::recognise::error::RecogniseError;
-use crate::recognise::follow::FollowOptions;
+use crate::recognise::decide::settle::{
+    FollowOptions, FollowedTrial, LeftOutLook, Settling, looks_in,
+};
+use crate::recognise::error::{RecogniseError, Result};
 use crate::recognise::method::{Evidence, Model, SourceEvidence};
 use crate::recognise::prepared::Prepared;
 use crate::recognise::rank::{Candidate, Ranking, rank};
@@ -39,15 +39,15 @@ pub struct EmbeddingModel {
     pub(super) training: Training,
     pub(super) left_out: LeftOut,
     /// Ensembles for sets of sources that a query has had, but no library trial has.
-    trained: Mutex<HashMap<Present, Arc<Trained>>>,
+    pub(super) trained: Mutex<HashMap<Present, Arc<Trained>>>,
     /// The library's trials, kept until `followed` is computed from them.
-    unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
+    pub(super) unfollowed: Mutex<Option<Vec<Arc<TrialFrames>>>>,
     /// How beginnings of left-out trials are answered by the sources of each trial.
     pub(super) begun: OnceLock<BTreeMap<Present, Measured>>,
     /// The left-out trials, each named at every look of its growing drag.
     pub(super) followed: OnceLock<Vec<FollowedTrial>>,
     /// The stopping rule for the first options asked for; later scans mostly have the same options.
-    settling: OnceLock<(FollowOptions, Settling)>,
+    pub(super) settling: OnceLock<(FollowOptions, Settling)>,
 }
 
 /// The probability of each surface for a query, and the p-value.
@@ -63,13 +63,8 @@ pub(super) struct Posterior {
 impl Posterior {
     /// Index of the most probable surface; the first index in a tie.
     pub(super) fn best(&self) -> usize {
-        let mut best = 0;
-        for (i, p) in self.log_posterior.iter().enumerate() {
-            if *p > self.log_posterior[best] {
-                best = i;
-            }
-        }
-        best
+        let of = |class: usize| self.log_posterior[class];
+        (0..self.log_posterior.len()).rev().max_by(|&a, &b| of(a).total_cmp(&of(b))).unwrap_or(0)
     }
 }
 
@@ -80,7 +75,7 @@ impl EmbeddingModel {
         shape: &Arc<LibraryShape>,
         mut library: Vec<Arc<TrialFrames>>,
         seed: u64,
-    ) -> Result<Self, RecogniseError> {
+    ) -> Result<Self> {
         let keys: Vec<&TrialKey> = library.iter().map(|trial| &trial.key).collect();
         let labels = Labels::new(&keys, together(&library));
         let mut joint = JointEmbedder::new(scene, &library);
@@ -89,34 +84,23 @@ impl EmbeddingModel {
         }
         let training = Training::new(&mut joint, &mut library, &labels, seed);
         let left_out = LeftOut::new(&joint, &training, &labels, &library);
-        let keys = library.iter().map(|trial| trial.key.clone()).collect();
-        let model = Self::of(scene, shape, (keys, labels, joint, training, left_out));
-        Ok(Self { unfollowed: Mutex::new(Some(library)), ..model })
-    }
-
-    pub(super) fn of(
-        scene: &Scene,
-        shape: &Arc<LibraryShape>,
-        parts: (Vec<TrialKey>, Labels, JointEmbedder, Training, LeftOut),
-    ) -> Self {
-        let (keys, labels, joint, training, left_out) = parts;
-        Self {
+        Ok(Self {
             scene: scene.clone(),
             shape: shape.clone(),
-            keys,
+            keys: library.iter().map(|trial| trial.key.clone()).collect(),
             labels,
             joint,
             training,
             left_out,
             trained: Mutex::default(),
-            unfollowed: Mutex::default(),
+            unfollowed: Mutex::new(Some(library)),
             begun: OnceLock::new(),
             followed: OnceLock::new(),
             settling: OnceLock::new(),
-        }
+        })
     }
 
-    fn embed(&self, query: &TrialFrames) -> Result<(Vec<f32>, Present), RecogniseError> {
+    fn embed(&self, query: &TrialFrames) -> Result<(Vec<f32>, Present)> {
         self.joint.check(query)?;
         if !self.joint.says_something(query) {
             return Err(RecogniseError::TooLittle);
@@ -181,15 +165,8 @@ impl EmbeddingModel {
         let measured = self.measured(&trained, present, scan_s);
         let p_value = trained.p_value(vector, (scan_s, measured));
         // One vector has one answer.
-        self.posterior_of(
-            &trained.all.answers(&[vector])[0],
-            measured.temperature.at(scan_s),
-            p_value,
-        )
-    }
-
-    fn stretches<'a>(&'a self, present: &'a Present) -> impl Iterator<Item = &'a Stretch> {
-        self.joint.stretches.iter().zip(present).filter(|(_, has)| **has).map(|(s, _)| s)
+        let answer = &trained.all.answers(&[vector])[0];
+        self.posterior_of(answer, measured.temperature.at(scan_s), p_value)
     }
 
     pub(super) fn ranking(&self, vector: &[f32], present: &Present, scan_s: f64) -> Ranking {
@@ -204,7 +181,7 @@ impl EmbeddingModel {
             Candidate { key, log_ds: -p }
         };
         let candidates = posterior.log_posterior.iter().enumerate().map(candidate).collect();
-        let sources = self.stretches(present).map(|stretch| stretch.spec.id.clone()).collect();
+        let sources = self.joint.there(present).map(|stretch| stretch.spec.id.clone()).collect();
         // There is a candidate, since a library has at least two surfaces.
         let mut ranking = rank(candidates, 1, sources).expect("at least two candidates");
         ranking.confidence = (self.left_out.held_out > 0).then(|| posterior.probabilities[best]);
@@ -214,7 +191,7 @@ impl EmbeddingModel {
 
     /// The trial of a class that is nearest to a standardised vector.
     fn nearest(&self, vector: &[f32], present: &Present, class: usize) -> TrialKey {
-        let columns = columns(&self.joint.stretches, present);
+        let columns = self.joint.columns(present);
         let distance = |trial: usize| -> f64 {
             let whole = self.training.whole(trial);
             columns.iter().map(|&c| f64::from(whole[c] - vector[c]).powi(2)).sum()
@@ -229,9 +206,9 @@ impl EmbeddingModel {
     /// over sources is the mean of their −ln posterior, up to a constant that is the same for all
     /// surfaces.
     fn evidence(&self, vector: &[f32], present: &Present) -> Evidence {
-        let columns: Vec<_> = self.stretches(present).map(|s| s.columns.clone()).collect();
+        let columns: Vec<_> = self.joint.there(present).map(|s| s.columns.clone()).collect();
         let trained = &self.trained(present).all;
-        let (weights, offsets) = trained.weights(self.joint.dims());
+        let (weights, offsets) = trained.weights((self.labels.classes, self.joint.dims()));
         // u·m_c. The distance to class c is |u|² + |m_c|² − 2·u·m_c.
         let inner = |class: usize, vector: ArrayView1<'_, f32>, columns: &Range<usize>| {
             let columns = s![columns.clone()];
@@ -251,7 +228,7 @@ impl EmbeddingModel {
             source: stretch.spec.id.clone(),
             terms,
         };
-        let sources = self.stretches(present).zip(terms).map(of_source).collect();
+        let sources = self.joint.there(present).zip(terms).map(of_source).collect();
         Evidence { surfaces: self.labels.surfaces.clone(), sources }
     }
 
@@ -308,33 +285,21 @@ impl EmbeddingModel {
             looks: answers.into_iter().map(look).collect(),
         })
     }
-
-    /// Number of people in the library, and its surfaces with their numbers of trials.
-    fn counts(&self) -> LibraryCounts {
-        let mut trials = vec![0; self.labels.classes];
-        self.labels.class.iter().for_each(|&class| trials[class] += 1);
-        let people: BTreeSet<&str> = self.keys.iter().map(|key| key.user.as_str()).collect();
-        LibraryCounts {
-            people: people.len(),
-            left_out: self.labels.left_out,
-            surfaces: self.labels.surfaces.iter().cloned().zip(trials).collect(),
-        }
-    }
 }
 
 impl Model for EmbeddingModel {
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared> {
         let frames = TrialFrames::new(&entry.key, trial, &self.scene, &self.shape, None)?;
         Ok(Prepared::Frames(Arc::new(frames)))
     }
 
-    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
+    fn rank(&self, query: &Prepared) -> Result<Ranking> {
         let query = query.frames(NAME)?;
         let (vector, present) = self.embed(query)?;
         Ok(self.ranking(&vector, &present, self.left_out.ended_s(self.joint.drag_s(query))))
     }
 
-    fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+    fn explain(&self, query: &Prepared) -> Result<Option<Evidence>> {
         let query = query.frames(NAME)?;
         let (vector, present) = self.embed(query)?;
         Ok(Some(self.evidence(&vector, &present)))
@@ -392,7 +357,7 @@ impl EmbeddingModel {
     ///
     /// # Errors
     /// The errors of [`Model::rank`].
-    pub fn by_sources(self: Arc<Self>, query: &Prepared) -> Result<QueryVector, RecogniseError> {
+    pub fn by_sources(self: Arc<Self>, query: &Prepared) -> Result<QueryVector> {
         let (vector, present) = self.embed(query.frames(NAME)?)?;
         Ok(QueryVector { model: self, vector, present })
     }
@@ -400,7 +365,15 @@ impl EmbeddingModel {
     /// How many left-out library trials are named right at each scan time. The first call takes a
     /// while, unless scans were followed before.
     pub fn left_out_accuracy(&self) -> LeftOutAccuracy {
-        LeftOutAccuracy::new(self.followed(), self.counts())
+        let mut trials = vec![0; self.labels.classes];
+        self.labels.class.iter().for_each(|&class| trials[class] += 1);
+        let people: BTreeSet<&str> = self.keys.iter().map(|key| key.user.as_str()).collect();
+        let counts = LibraryCounts {
+            people: people.len(),
+            left_out: self.labels.left_out,
+            surfaces: self.labels.surfaces.iter().cloned().zip(trials).collect(),
+        };
+        LeftOutAccuracy::new(self.followed(), counts)
     }
 
     /// How many trials of each surface were left out, and how many of these were named right by a model

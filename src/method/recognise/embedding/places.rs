@@ -9,6 +9,7 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::labels;
 use crate::features::moments::Statistics;
 use crate::features::places::Places;
 use crate::lanes::sum;
@@ -76,11 +77,7 @@ fn tells(trials: &[Placed<'_>], width: usize, channels: usize) -> bool {
             shape.chain(std::iter::repeat(0.0)).take(width).collect()
         })
         .collect();
-    let mut surfaces: Vec<&str> = trials.iter().map(|(surface, ..)| *surface).collect();
-    surfaces.sort_unstable();
-    surfaces.dedup();
-    let class = |(surface, ..): &Placed<'_>| surfaces.partition_point(|known| known < surface);
-    let classes: Vec<usize> = trials.iter().map(class).collect();
+    let (surfaces, classes) = labels::places(trials.iter().map(|(surface, ..)| *surface));
     let mut sizes = vec![0.0; surfaces.len()];
     classes.iter().for_each(|&class| sizes[class] += 1.0);
     let between = |turns: &[usize]| -> f64 {

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::eigen::{EigenPairs, push_upper};
 use super::places::{PlaceEmbedder, STILL};
-use super::view::{ViewEmbedder, median};
+use super::view::ViewEmbedder;
 use crate::features::counts::Counts;
 use crate::features::frames::SeriesFrames;
 use crate::features::growing::Piece;
@@ -20,6 +20,7 @@ use crate::features::packed::PackedFrames;
 use crate::features::quantiles::QUANTILES;
 use crate::features::views::SourceViews;
 use crate::features::windowed_frames::{FrameView, ln};
+use crate::recognise::rank::median;
 use crate::trial::usual_rests;
 
 /// Lags in samples; the joint covariance is of the series shifted by each of them.
@@ -87,12 +88,7 @@ impl SeriesEmbedder {
 
     /// Whether a channel is constant in the library and compared by its level, like a switch.
     pub(super) fn has_switch(&self) -> bool {
-        !self.views.passed && (0..self.channels()).any(|channel| !self.moves(channel))
-    }
-
-    /// Whether a channel varies in most trials of the library.
-    fn moves(&self, channel: usize) -> bool {
-        self.deviations.get(channel).is_none_or(|&deviation| deviation > STILL)
+        !self.views.passed && self.deviations.iter().any(|deviation| *deviation <= STILL)
     }
 
     fn channels(&self) -> usize {
@@ -143,13 +139,8 @@ impl SeriesEmbedder {
             }
             all
         });
-        self.vector(
-            counts.each_ref().map(AsRef::as_ref),
-            &end.moments,
-            &end.places,
-            moments_hz,
-            0.0,
-        )
+        let counts = counts.each_ref().map(AsRef::as_ref);
+        self.vector(counts, &end.moments, &end.places, moments_hz, 0.0)
     }
 
     /// The vector of a series, or of a part of it. `counts` holds the frames of each view.
@@ -215,22 +206,16 @@ impl SeriesEmbedder {
             let covariance = stats.covariances[lag][later * channels + earlier];
             covariance / (self.deviations[i] * self.deviations[j])
         };
-        let mut matrix = vec![0.0; size * size];
-        for row in 0..size {
-            for column in 0..size {
-                matrix[row * size + column] = 0.5 * (entry(row, column) + entry(column, row));
-            }
-        }
+        let places = (0..size * size).map(|at| (at / size, at % size));
+        let both = |(row, column)| 0.5 * (entry(row, column) + entry(column, row));
+        let matrix = places.map(both).collect();
         let log = EigenPairs::new(matrix, size, RIDGE).map(|x| (x.max(0.0) + RIDGE).ln());
         push_upper(&log, size, vector);
-        let mut correlations = Vec::with_capacity(channels * channels / 2);
-        for i in 0..channels {
-            for j in i + 1..channels {
-                let scale = stats.deviations[i] * stats.deviations[j];
-                correlations.push(stats.covariances[0][i * channels + j] / scale);
-            }
-        }
-        push_atanh(&correlations, vector);
+        let pairs = (0..channels).flat_map(|i| (i + 1..channels).map(move |j| (i, j)));
+        let correlation = |(i, j): (usize, usize)| {
+            stats.covariances[0][i * channels + j] / (stats.deviations[i] * stats.deviations[j])
+        };
+        push_atanh(&pairs.map(correlation).collect::<Vec<_>>(), vector);
     }
 }
 

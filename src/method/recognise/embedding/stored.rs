@@ -1,7 +1,7 @@
 //! The trained model as bytes.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use serde::Deserialize;
 
@@ -61,12 +61,19 @@ impl EmbeddingModel {
             && stored.left_out.trained.values().all(fits)
             && training.present.iter().all(|has| stored.left_out.trained.contains_key(has))
             && stored.followed.iter().all(|trial| trial.is_sound(labels.classes));
-        let parts = (stored.keys, labels, joint, training, stored.left_out);
-        sound.then(|| {
-            let mut model = Self::of(scene, shape, parts);
-            model.followed = OnceLock::from(stored.followed);
-            model.begun = OnceLock::from(stored.begun);
-            model
+        sound.then(|| Self {
+            scene: scene.clone(),
+            shape: shape.clone(),
+            keys: stored.keys,
+            labels,
+            joint,
+            training,
+            left_out: stored.left_out,
+            trained: Mutex::default(),
+            unfollowed: Mutex::default(),
+            begun: stored.begun.into(),
+            followed: stored.followed.into(),
+            settling: OnceLock::new(),
         })
     }
 }

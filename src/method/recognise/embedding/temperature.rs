@@ -69,7 +69,7 @@ mod tests {
 
     /// A trial of class 1 if it is among the `wrong`, else of class 0; its answer is always 0.
     fn trial(wrong: usize, i: usize) -> (Answer, usize) {
-        (Answer::of(vec![vec![0.0, 40.0]]), usize::from(i < wrong))
+        (Answer { distances: vec![vec![0.0, 40.0]], features: 1 }, usize::from(i < wrong))
     }
 
     #[test]

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::discriminant::Rows;
 use super::ensemble::Ensemble;
-use super::joint::{JointEmbedder, Present, columns, place};
+use super::joint::{JointEmbedder, Present, place};
 use super::labels::Labels;
 use crate::features::copies::Copy;
 use crate::features::frames::TrialFrames;
@@ -120,7 +120,7 @@ impl Training {
         joint: &JointEmbedder,
         present: &Present,
     ) -> (Ensemble, Vec<Option<Ensemble>>) {
-        let columns = self.varying(columns(&joint.stretches, present));
+        let columns = self.varying(joint.columns(present));
         Ensemble::train(&self.vectors, &columns, &self.rows, self.seed)
     }
 

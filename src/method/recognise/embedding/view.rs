@@ -1,12 +1,32 @@
-//! Turns the frames of one view of a series, or the tiles of a picture, into features.
+//! Turns the frames of one view of a series, or the tiles of a picture, into Fourier features: cos ωz and
+//! sin ωz for ω = 0.6 and 1.2.
+//!
+//! z is the value of a band minus the library's mean, divided by the library's standard deviation. The
+//! squared distance between two means of such features is the MMD² of a kernel of rank four, Σ_ω cos
+//! ω(z − z′). This is Bochner's theorem with two fixed frequencies instead of random ones. Each value
+//! costs one sine and one cosine; double-angle formulas give the second frequency.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::fourier::{BAND_FEATURES, BandScale, add_up};
 use crate::features::counts::{Counts, LANES};
 use crate::lanes::total;
+use crate::recognise::rank::median;
+
+/// The lower frequency, in radians per standard deviation.
+const OMEGA: f32 = 0.6;
+
+/// Number of features of one band: cosine and sine at both frequencies.
+const BAND_FEATURES: usize = 4;
+
+/// Scales that turn the values of the bands of one view into angles.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct BandScale {
+    centre: Vec<f32>,
+    /// ω/(π·deviation) of each band, so that angles are in half turns.
+    factor: Vec<f32>,
+}
 
 /// Turns the frames of one view into features. Each band gives features in shape (relative to the
 /// series' own mean power) and in level (relative to the library's).
@@ -29,7 +49,7 @@ impl ViewEmbedder {
     }
 
     pub(super) fn dims(&self) -> usize {
-        2 * BAND_FEATURES * self.shape.width()
+        2 * BAND_FEATURES * self.shape.centre.len()
     }
 
     /// Appends the means of cos ωz and sin ωz over the counted frames, as if their samples were
@@ -61,16 +81,13 @@ fn scale<'a>(pieces: &[Counts], ln_mean: impl Fn(usize) -> &'a Vec<f64> + Sync) 
     }
     let n = frames.max(1) as f64;
     let mean = |(sum, _): &(f64, f64)| (sum / n) as f32;
-    let deviation =
-        |(sum, square): &(f64, f64)| (square / n - (sum / n).powi(2)).max(0.0).sqrt() as f32;
-    let deviations: Vec<f32> = total.iter().map(deviation).collect();
-    BandScale::new(total.iter().map(mean).collect(), &deviations)
-}
-
-/// The median of `values`: the upper middle value if their number is even, 0 if there are none.
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
+    let factor = |(sum, square): &(f64, f64)| {
+        let deviation = (square / n - (sum / n).powi(2)).max(0.0).sqrt() as f32;
+        // 0.001 is added, so that no deviation is 0.
+        OMEGA / (std::f32::consts::PI * (deviation + 1e-3))
+    };
+    let centre = total.iter().map(mean).collect();
+    BandScale { centre, factor: total.iter().map(factor).collect() }
 }
 
 /// Adds the features of all bands to `sums`, shape ([`BAND_FEATURES`], width). `counts` has shape
@@ -87,7 +104,7 @@ fn add_bands(
     scale: &BandScale,
     sums: &mut [f64],
 ) {
-    let width = scale.width();
+    let width = scale.centre.len();
     for (band, counts) in counts.chunks_exact(bins.max(1)).enumerate() {
         let values = table[band / bands * bins..][..bins].as_chunks().0;
         let counts = counts.as_chunks().0;
@@ -105,6 +122,57 @@ fn add_bands(
             sums[feature * width + band] += total(&acc[feature]);
         }
     }
+}
+
+/// Adds the features of some values of a band to `acc`, each multiplied by its weight.
+#[inline(always)]
+fn add_up(
+    scale: &BandScale,
+    band: usize,
+    weights: &[f32; LANES],
+    values: &[f32; LANES],
+    acc: &mut [[f32; LANES]; BAND_FEATURES],
+) {
+    let (centre, factor) = (scale.centre[band], scale.factor[band]);
+    let mut u = [0f32; LANES];
+    for lane in 0..LANES {
+        let turns = (values[lane] - centre) * factor;
+        u[lane] = turns - 2.0 * (0.5 * turns).round_ties_even();
+    }
+    let (sin, cos) = sin_cos_pi(&u);
+    for lane in 0..LANES {
+        acc[0][lane] += weights[lane] * cos[lane];
+        acc[1][lane] += weights[lane] * sin[lane];
+        acc[2][lane] += weights[lane] * (1.0 - 2.0 * sin[lane] * sin[lane]);
+        acc[3][lane] += weights[lane] * (2.0 * sin[lane] * cos[lane]);
+    }
+}
+
+/// sin(πu) and cos(πu) for |u| ≤ 1, with errors below 1e-6. Half the angle is at most π/2; its Taylor
+/// series and the double-angle formulas are used.
+#[inline(always)]
+fn sin_cos_pi(u: &[f32; LANES]) -> ([f32; LANES], [f32; LANES]) {
+    const HALF_PI: f32 = std::f32::consts::FRAC_PI_2;
+    let (mut sin, mut cos) = ([0f32; LANES], [0f32; LANES]);
+    for lane in 0..LANES {
+        let x = u[lane] * HALF_PI;
+        let x2 = x * x;
+        let s = x
+            * (1.0
+                + x2 * (-1.0 / 6.0
+                    + x2 * (1.0 / 120.0
+                        + x2 * (-1.0 / 5040.0
+                            + x2 * (1.0 / 362_880.0 - x2 * (1.0 / 39_916_800.0))))));
+        let c = 1.0
+            + x2 * (-0.5
+                + x2 * (1.0 / 24.0
+                    + x2 * (-1.0 / 720.0
+                        + x2 * (1.0 / 40_320.0
+                            + x2 * (-1.0 / 3_628_800.0 + x2 * (1.0 / 479_001_600.0))))));
+        sin[lane] = 2.0 * s * c;
+        cos[lane] = 1.0 - 2.0 * s * s;
+    }
+    (sin, cos)
 }
 
 #[cfg(test)]
@@ -160,5 +228,16 @@ mod tests {
         let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-3);
         assert!(near(&quiet[..24], &loud[..24]) && !near(&quiet[24..], &loud[24..]));
         assert!(near(&played, &loud));
+    }
+
+    #[test]
+    fn sine_and_cosine_are_good_to_1e_6() {
+        for i in -1000..=1000 {
+            let u = i as f32 / 1000.0;
+            let (sin, cos) = sin_cos_pi(&[u; LANES]);
+            let exact = std::f64::consts::PI * f64::from(u);
+            assert!((f64::from(sin[0]) - exact.sin()).abs() < 1e-6, "{u}");
+            assert!((f64::from(cos[0]) - exact.cos()).abs() < 1e-6, "{u}");
+        }
     }
 }

@@ -24,7 +24,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::error::{RecogniseError, check_surfaces};
+use super::error::{Result, check_surfaces};
 use super::method::{Method, Model};
 use super::prepared::Prepared;
 use crate::kernel::{FOLD, NODES};
@@ -49,7 +49,7 @@ impl Reference {
     ///
     /// # Errors
     /// If a trial was prepared for another method.
-    pub fn model(&self, library: &[Prepared]) -> Result<ReferenceModel, RecogniseError> {
+    pub fn model(&self, library: &[Prepared]) -> Result<ReferenceModel> {
         let library = library.iter().map(|trial| trial.samples(NAME).cloned());
         Ok(ReferenceModel { method: self.clone(), library: library.collect::<Result<_, _>>()? })
     }
@@ -71,22 +71,13 @@ impl Method for Reference {
         seed::stable_hash(&[NAME.as_bytes(), settings.as_bytes()])
     }
 
-    fn prepare(
-        &self,
-        entry: &Entry,
-        trial: &Trial,
-        _: &LibraryShape,
-    ) -> Result<Prepared, RecogniseError> {
+    fn prepare(&self, entry: &Entry, trial: &Trial, _: &LibraryShape) -> Result<Prepared> {
         let ReferenceOptions { tabulate, precision, .. } = self.options;
         let tabulate = tabulate && precision == SumPrecision::Fast;
         Ok(Prepared::Samples(Arc::new(self.sampled(entry, trial, tabulate)?)))
     }
 
-    fn fit(
-        &self,
-        library: Vec<Prepared>,
-        _: &Arc<LibraryShape>,
-    ) -> Result<Arc<dyn Model>, RecogniseError> {
+    fn fit(&self, library: Vec<Prepared>, _: &Arc<LibraryShape>) -> Result<Arc<dyn Model>> {
         check_surfaces(library.iter().map(Prepared::key))?;
         Ok(Arc::new(self.model(&library)?))
     }

@@ -21,7 +21,7 @@ use super::score::{QuerySet, log_score};
 use super::{NAME, PositionMode, Reference, ReferenceOptions};
 use crate::library::Entry;
 use crate::recognise::embedding::labels::places;
-use crate::recognise::error::RecogniseError;
+use crate::recognise::error::Result;
 use crate::recognise::method::{Evidence, Model, SourceEvidence};
 use crate::recognise::prepared::Prepared;
 use crate::recognise::rank::{
@@ -37,11 +37,11 @@ pub struct ReferenceModel {
 }
 
 impl Model for ReferenceModel {
-    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared, RecogniseError> {
+    fn prepare(&self, entry: &Entry, trial: &Trial) -> Result<Prepared> {
         Ok(Prepared::Samples(Arc::new(self.method.sampled(entry, trial, false)?)))
     }
 
-    fn rank(&self, query: &Prepared) -> Result<Ranking, RecogniseError> {
+    fn rank(&self, query: &Prepared) -> Result<Ranking> {
         let options = &self.method.options;
         let query = Query::new(self, query)?;
         let weights = query.weights();
@@ -69,7 +69,7 @@ impl Model for ReferenceModel {
         Ok(ranking)
     }
 
-    fn explain(&self, query: &Prepared) -> Result<Option<Evidence>, RecogniseError> {
+    fn explain(&self, query: &Prepared) -> Result<Option<Evidence>> {
         let query = Query::new(self, query)?;
         let (surfaces, class) =
             places(self.library.iter().map(|trial| trial.key().surface.as_str()));
@@ -96,7 +96,7 @@ impl ReferenceModel {
     ///
     /// # Errors
     /// The errors of [`Model::rank`].
-    pub fn log_scores(&self, query: &Prepared) -> Result<Vec<Option<f64>>, RecogniseError> {
+    pub fn log_scores(&self, query: &Prepared) -> Result<Vec<Option<f64>>> {
         let query = Query::new(self, query)?;
         let (weights, scores) = (query.weights(), self.all_scores(&query)?);
         let medians = medians(weights.len(), &scores);
@@ -104,7 +104,7 @@ impl ReferenceModel {
     }
 
     /// ln of the scores of each library trial by each source, after all repetitions.
-    fn all_scores(&self, query: &Query<'_>) -> Result<Vec<TrialScores>, RecogniseError> {
+    fn all_scores(&self, query: &Query<'_>) -> Result<Vec<TrialScores>> {
         let repetitions = self.method.options.repetitions;
         Ok(query.log_scores(&query.go_on(self.unscored(), 0..repetitions)?, repetitions))
     }
@@ -129,11 +129,12 @@ struct Query<'a> {
 }
 
 impl<'a> Query<'a> {
-    fn new(model: &'a ReferenceModel, query: &'a Prepared) -> Result<Self, RecogniseError> {
+    fn new(model: &'a ReferenceModel, query: &'a Prepared) -> Result<Self> {
         let ReferenceModel { method, library } = model;
         let trial = query.samples(NAME)?;
-        let cut = |spec: &SourceSpec, frames: usize| -> Result<_, RecogniseError> {
-            let cut = method.cut_of(trial, spec, frames)?;
+        let cut = |spec: &SourceSpec, frames: usize| -> Result<_> {
+            let cut = |signal: &Signal| method.cut(spec, signal, frames, false);
+            let cut = trial.at_length(&spec.id, frames, cut)?;
             let of_set = |set: &Arc<SampleSet>| {
                 QuerySet::new(set.clone(), spec.align_mean, method.options.precision)
             };
@@ -149,7 +150,7 @@ impl<'a> Query<'a> {
         };
         let sources = shared_sources(&method.scene, trial, library)?;
         let sources = sources.into_par_iter().map(of_source);
-        let sources = sources.collect::<Result<_, RecogniseError>>()?;
+        let sources = sources.collect::<Result<_>>()?;
         Ok(Self { method, trial, sources })
     }
 
@@ -178,20 +179,17 @@ impl<'a> Query<'a> {
             .sum()
     }
 
-    fn go_on(
-        &self,
-        trials: Vec<Scored>,
-        repetitions: Range<usize>,
-    ) -> Result<Vec<Scored>, RecogniseError> {
+    fn go_on(&self, trials: Vec<Scored>, repetitions: Range<usize>) -> Result<Vec<Scored>> {
         let add = |(trial, sums): Scored| {
-            let contents = (self.trial.content(), trial.content());
+            let contents = (self.trial.content, trial.content);
             let mut all = Vec::with_capacity(self.sources.len());
             for (s, (spec, lengths)) in self.sources.iter().enumerate() {
                 let Some(frames) = self.trial.common_frames(&trial, &spec.id) else {
                     all.push(None);
                     continue;
                 };
-                let cut = self.method.cut_of(&trial, spec, frames)?;
+                let cut = |signal: &Signal| self.method.cut(spec, signal, frames, false);
+                let cut = trial.at_length(&spec.id, frames, cut)?;
                 let of_query = &lengths[&frames];
                 let sum = self.source_score(spec, of_query, &cut, contents, repetitions.clone());
                 all.push(Some(sum + sums.get(s).copied().flatten().unwrap_or(0.0)));
@@ -221,7 +219,7 @@ impl Reference {
         entry: &Entry,
         trial: &Trial,
         tabulate: bool,
-    ) -> Result<PreparedTrial, RecogniseError> {
+    ) -> Result<PreparedTrial> {
         let per_pair = self.options.positions == PositionMode::PerPair;
         PreparedTrial::new(entry, trial, &self.scene, per_pair, |spec, signal, frames| {
             self.cut(spec, signal, frames, tabulate)
@@ -250,16 +248,6 @@ impl Reference {
         };
         let sets = (0..repetitions).into_par_iter().map(draw).collect();
         SampledSource { sets, domain: None }
-    }
-
-    /// A trial's source, cut to some length.
-    fn cut_of(
-        &self,
-        trial: &PreparedTrial,
-        spec: &SourceSpec,
-        frames: usize,
-    ) -> Result<Arc<SampledSource>, RecogniseError> {
-        trial.at_length(&spec.id, frames, |signal| self.cut(spec, signal, frames, false))
     }
 }
 

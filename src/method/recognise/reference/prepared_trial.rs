@@ -7,7 +7,7 @@ use super::sample_set::SampleSet;
 use super::sampling::DomainSamples;
 use crate::features::sources::of_known_sources;
 use crate::library::Entry;
-use crate::recognise::error::{RecogniseError, nothing_in_common};
+use crate::recognise::error::{RecogniseError, Result, nothing_in_common};
 use crate::scene::{Scene, SourceId, SourceSpec};
 use crate::seed;
 use crate::trial::{Signal, Trial, TrialKey};
@@ -29,7 +29,9 @@ const KEPT_LENGTHS: usize = 3;
 pub struct PreparedTrial {
     entry: Entry,
     sources: BTreeMap<SourceId, PreparedSource>,
-    content: u64,
+    /// Hash of all raw samples (0 unless `hashed`). It seeds the draws for a pair of trials, so that
+    /// the draws depend neither on names nor on order.
+    pub(super) content: u64,
 }
 
 /// A source of a trial, at several lengths.
@@ -61,7 +63,7 @@ impl PreparedTrial {
         scene: &Scene,
         hashed: bool,
         cut: impl Fn(&SourceSpec, &Signal, usize) -> SampledSource + Sync,
-    ) -> Result<Self, RecogniseError> {
+    ) -> Result<Self> {
         let made = of_known_sources(&entry.key, trial, scene, |spec, signal| {
             let series = match signal {
                 Signal::Image(_) => None,
@@ -109,12 +111,6 @@ impl PreparedTrial {
         &self.entry.key
     }
 
-    /// Hash of all raw samples (0 unless `hashed`). It seeds the draws for a pair of trials, so that
-    /// the draws depend neither on names nor on order.
-    pub(super) fn content(&self) -> u64 {
-        self.content
-    }
-
     fn rate_hz(&self, id: &SourceId) -> Option<f64> {
         self.sources.get(id)?.series.map(|(rate_hz, _)| rate_hz)
     }
@@ -134,7 +130,7 @@ impl PreparedTrial {
         id: &SourceId,
         frames: usize,
         cut: impl Fn(&Signal) -> SampledSource,
-    ) -> Result<Arc<SampledSource>, RecogniseError> {
+    ) -> Result<Arc<SampledSource>> {
         let source = &self.sources[id];
         if let Some((_, cut)) = source.lock().iter().find(|(at, _)| *at == frames) {
             return Ok(cut.clone());
@@ -162,7 +158,7 @@ pub(crate) fn shared_sources<'a>(
     scene: &'a Scene,
     query: &PreparedTrial,
     library: &[Arc<PreparedTrial>],
-) -> Result<Vec<&'a SourceSpec>, RecogniseError> {
+) -> Result<Vec<&'a SourceSpec>> {
     let sources: Vec<&SourceSpec> = (scene.sources())
         .filter(|s| query.sources.contains_key(&s.id))
         .filter(|s| library.iter().any(|trial| trial.sources.contains_key(&s.id)))

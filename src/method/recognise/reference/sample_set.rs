@@ -3,7 +3,7 @@
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
-use crate::kernel::{LineSum, Number, Points, SelfMean, length_scale};
+use crate::kernel::{Number, Points, SelfMean, length_scale};
 
 /// If a set has at most this many distinct samples, its kernel sums run over the distinct samples.
 const MOST_DISTINCT: usize = 8;
@@ -174,18 +174,8 @@ impl SampleSet {
         });
     }
 
-    fn first_channel(&self) -> impl Iterator<Item = f64> {
+    pub(super) fn first_channel(&self) -> impl Iterator<Item = f64> {
         (0..self.n()).map(|i| self.values.at(i))
-    }
-
-    /// The kernel sum over the first channel's samples at length scale `sigma`, as a function of x.
-    pub(super) fn line(&self, sigma: f64) -> LineSum {
-        LineSum::new(self.first_channel(), self.centre[0], sigma)
-    }
-
-    /// Kernel sum between the first channel's samples, moved by `shift`, and those of `line`.
-    pub(super) fn sum_on_line(&self, line: &LineSum, shift: f64) -> f64 {
-        line.sum(self.first_channel(), shift)
     }
 
     /// Σ k(aᵢ, bⱼ) over distinct samples, b from `other` and moved by `shift`; `None` if many.

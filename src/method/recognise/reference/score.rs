@@ -85,7 +85,7 @@ pub struct QuerySet<S> {
     align_mean: bool,
     precision: SumPrecision,
     strategy: SumStrategy,
-    /// The points in f64 and Σ k(zᵢ, zⱼ), computed when a comparison first needs them.
+    /// z's points in f64 and Σ k(zᵢ, zⱼ), computed when a comparison first needs them.
     f64_points: OnceLock<(Points<f64>, f64)>,
 }
 
@@ -105,8 +105,8 @@ impl<S: Deref<Target = SampleSet>> QuerySet<S> {
         let strategy = if precision == SumPrecision::Oracle {
             SumStrategy::InF64
         } else if set.dims() == 1 {
-            let line = set.line(sigma);
-            let zz = set.sum_on_line(&line, 0.0);
+            let line = LineSum::new(set.first_channel(), set.centre[0], sigma);
+            let zz = line.sum(set.first_channel(), 0.0);
             SumStrategy::Line(line, zz)
         } else if set.fits_lanes(sigma) {
             let zz = set.self_sum_at(sigma, &mut Scratch::default());
@@ -158,7 +158,7 @@ impl<S: Deref<Target = SampleSet>> QuerySet<S> {
         let sigma = self.set.sigma;
         let clustered = [&*self.set, y].iter().all(|set| set.is_clustered_at(sigma));
         let (yz, zz) = match &self.strategy {
-            SumStrategy::Line(line, zz) => (y.sum_on_line(line, shift[0]), *zz),
+            SumStrategy::Line(line, zz) => (line.sum(y.first_channel(), shift[0]), *zz),
             SumStrategy::Lanes(z_lanes, zz) if y.fits_lanes(sigma) && !clustered => {
                 y.fill(&mut scratch.in_f32, sigma, &self.origin(shift));
                 (scratch.in_f32.sum(z_lanes), *zz)
@@ -170,7 +170,13 @@ impl<S: Deref<Target = SampleSet>> QuerySet<S> {
 
     fn f64_sums(&self, y: &SampleSet, shift: &[f64], scratch: &mut Scratch) -> CrossSums {
         let sigma = self.set.sigma;
-        let (z_points, zz) = self.in_f64();
+        let (z_points, zz) = self.f64_points.get_or_init(|| {
+            let mut points = Points::default();
+            self.set.fill(&mut points, sigma, &self.set.centre);
+            // The same order as in y's own sum and the cross sum, so that equal roundings cancel.
+            let zz = points.sum(&points);
+            (points, zz)
+        });
         let points = &mut scratch.in_f64;
         y.fill(points, sigma, &self.origin(shift));
         let yz = points.sum(z_points);
@@ -181,17 +187,6 @@ impl<S: Deref<Target = SampleSet>> QuerySet<S> {
     /// The origin of y's coordinates: the point that the shift moves to z's centre.
     fn origin(&self, shift: &[f64]) -> Vec<f64> {
         self.set.centre.iter().zip(shift).map(|(x, shift)| x - shift).collect()
-    }
-
-    /// z's points in f64, and Σ k(zᵢ, zⱼ).
-    fn in_f64(&self) -> &(Points<f64>, f64) {
-        self.f64_points.get_or_init(|| {
-            let mut points = Points::default();
-            self.set.fill(&mut points, self.set.sigma, &self.set.centre);
-            // The same order as in y's own sum and the cross sum, so that equal roundings cancel.
-            let zz = points.sum(&points);
-            (points, zz)
-        })
     }
 }
 

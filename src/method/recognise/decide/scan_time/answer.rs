@@ -3,7 +3,7 @@
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
 use crate::recognise::decide::LeftOutBy;
-use crate::recognise::follow::FollowOptions;
+use crate::recognise::decide::settle::FollowOptions;
 
 /// The accuracy that a scan time must reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,11 +20,11 @@ impl Goal {
         accuracy.map_or(Self::Loss(FollowOptions::default().loss), Self::Accuracy)
     }
 
-    /// Accuracy that the trials must be able to prove if all of them are named right.
-    pub(super) fn to_show(self) -> f64 {
+    /// The accuracy to reach if that of whole scans is `whole`.
+    pub(super) fn target(self, whole: f64) -> f64 {
         match self {
             Self::Accuracy(share) => share,
-            Self::Loss(loss) => 1.0 - loss,
+            Self::Loss(loss) => whole - loss,
         }
     }
 }

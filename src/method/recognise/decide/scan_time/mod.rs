@@ -110,10 +110,7 @@ impl LeftOutAccuracy {
 
     /// Accuracy if group g is measured at the scan time with index `at(g)`.
     fn point(&self, scan_s: f64, at: impl Fn(usize) -> usize) -> AccuracyAt {
-        let counts: Vec<(usize, usize)> = self
-            .groups
-            .iter()
-            .enumerate()
+        let counts: Vec<(usize, usize)> = (self.groups.iter().enumerate())
             .map(|(g, group)| (group.right[at(g)], group.trials))
             .collect();
         let share = counts.iter().map(|count| count.0).sum::<usize>() as f64 / self.trials() as f64;
@@ -132,11 +129,8 @@ impl LeftOutAccuracy {
         let right = |at: usize| kept().map(|(_, group)| group.right[at]).sum::<usize>();
         let last = self.times.len() - 1;
         let share = |at: usize| right(at) as f64 / f64::max(trials as f64, 1.0);
-        let target = match goal {
-            Goal::Accuracy(target) => target,
-            Goal::Loss(loss) => share(last) - loss,
-        };
-        let is_measured = |at: usize| at == last || can_show(self.measured[at], goal.to_show());
+        let (target, to_show) = (goal.target(share(last)), goal.target(1.0));
+        let is_measured = |at: usize| at == last || can_show(self.measured[at], to_show);
         let enough = |at: &usize| share(*at) >= target - 1e-9 && is_measured(*at);
         (0..self.times.len()).rev().take_while(enough).last()
     }
@@ -145,39 +139,27 @@ impl LeftOutAccuracy {
     pub fn scan_time(&self, goal: Goal) -> ScanTime {
         let whole = self.points().last().copied();
         let trials = self.trials();
-        let target = match goal {
-            Goal::Accuracy(share) => share,
-            Goal::Loss(loss) => whole.map_or(1.0, |whole| whole.accuracy) - loss,
-        };
-        let mut answer = ScanTime {
-            target,
-            enough: None,
-            whole,
-            trials,
-            people: self.library.people,
-            left_out: self.library.left_out,
-            shortfall: None,
-        };
-        let share = goal.to_show();
-        if trials == 0 {
-            answer.shortfall = Some(Shortfall::NothingLeftOut { lacking: self.lacking() });
-            return answer;
-        }
-        match self.earliest(goal, None) {
-            None => answer.shortfall = Some(Shortfall::NotReached),
+        let target = goal.target(whole.map_or(1.0, |whole| whole.accuracy));
+        // All trials named right must be able to show it.
+        let share = goal.target(1.0);
+        let chance = chance(self.library.surfaces.iter().map(|(_, trials)| *trials));
+        let at_chance = |accuracy| wilson(accuracy, trials as f64).0 <= chance;
+        let (enough, shortfall) = match (trials > 0).then(|| self.earliest(goal, None)) {
+            None => (None, Some(Shortfall::NothingLeftOut { lacking: self.lacking() })),
+            Some(None) => (None, Some(Shortfall::NotReached)),
             // Whatever chance names at full length, it names as well at once. This is over trials: whether
             // names say anything at all, a few people show, too.
-            Some(_) if whole.is_none_or(|whole| self.may_be_chance(whole)) => {
-                answer.shortfall = Some(Shortfall::AtChance { chance: self.chance() });
+            Some(Some(_)) if whole.is_none_or(|whole| at_chance(whole.accuracy)) => {
+                (None, Some(Shortfall::AtChance { chance }))
             }
-            Some(_) if !can_show(trials, share) => {
+            Some(Some(_)) if !can_show(trials, share) => {
                 let needed = (trials..).find(|&n| can_show(n, share)).unwrap_or(trials);
-                answer.shortfall = Some(Shortfall::TooFewTrials { share, more: needed - trials });
-                answer.enough = whole;
+                (whole, Some(Shortfall::TooFewTrials { share, more: needed - trials }))
             }
-            Some(at) => answer.enough = Some(self.cross_fitted(goal, at, target)),
-        }
-        answer
+            Some(Some(at)) => (Some(self.cross_fitted(goal, at, target)), None),
+        };
+        let LibraryCounts { people, left_out, .. } = self.library;
+        ScanTime { target, enough, whole, trials, people, left_out, shortfall }
     }
 
     /// The earliest time, from index `at` on, with a cross-fitted accuracy that reaches the target; if
@@ -190,16 +172,6 @@ impl LeftOutAccuracy {
             |by: usize| self.point(self.times[(at + by).min(last)], |g| (chosen[g] + by).min(last));
         let reaches = |point: &AccuracyAt| point.accuracy >= target - 1e-9;
         (0..last).map(later).find(reaches).unwrap_or_else(|| later(last))
-    }
-
-    /// Whether the lower end of the 95 % interval over trials reaches no further than chance.
-    fn may_be_chance(&self, whole: AccuracyAt) -> bool {
-        wilson(whole.accuracy, self.trials() as f64).0 <= self.chance()
-    }
-
-    /// The share of trials that are named right if the most frequent surface is always named.
-    fn chance(&self) -> f64 {
-        chance(self.library.surfaces.iter().map(|(_, trials)| *trials))
     }
 
     /// Surfaces with too few trials to leave one out, and the number of trials that each lacks.

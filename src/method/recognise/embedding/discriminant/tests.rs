@@ -33,7 +33,7 @@ fn by_definition(
     vector: ArrayView1<'_, f32>,
 ) -> Vec<f64> {
     let z = vectors.mapv(f64::from);
-    let (_, rest) = residuals(vectors.clone(), &rows.part, &rows.counts(|_| true));
+    let (_, rest) = residuals(vectors.clone(), &rows.part, &rows.counts(0..rows.part.len()));
     let gamma = shrinkage(&rest, &lower_gram(&rest.view()), &rows.trials);
     let mut means = Array2::<f64>::zeros((2 * rows.classes, z.ncols()));
     let (mut freedom, mut w) = (0.0, Array2::<f64>::zeros((z.ncols(), z.ncols())));
@@ -51,7 +51,7 @@ fn by_definition(
     let factor = cholesky(metric).unwrap();
     let distance = |mean: ArrayView1<'_, f64>| {
         let mut d = (&vector.mapv(f64::from) - &mean).insert_axis(Axis(1));
-        solve_lower(&factor, &mut d);
+        solve_lower(&factor.view(), d.view_mut());
         d.iter().map(|x| x * x).sum::<f64>()
     };
     means.rows().into_iter().take(rows.classes).map(distance).collect()
