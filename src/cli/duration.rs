@@ -109,10 +109,14 @@ impl Args {
             RuleName::Quantile => Estimator::Algorithm1(published.settings(Rule::Quantile)),
             RuleName::MeanCi => Estimator::Algorithm1(published.settings(Rule::MeanCi)),
         };
-        let Self { source, surface, user, as_time, samples, .. } = self;
-        let (sources, surfaces, user) = (source.clone(), surface.clone(), user.clone());
-        let (as_time, samples) = (*as_time, *samples);
-        Ok(Question { sources, surfaces, user, as_time, samples, estimator })
+        Ok(Question {
+            sources: self.source.clone(),
+            surfaces: self.surface.clone(),
+            user: self.user.clone(),
+            as_time: self.as_time,
+            samples: self.samples,
+            estimator,
+        })
     }
 }
 

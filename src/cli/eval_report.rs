@@ -78,10 +78,15 @@ impl EvalTable {
     /// The reports, of which there are several, of methods that named the same queries.
     pub(super) fn new(methods: Vec<EvalReport>) -> Self {
         let all: Vec<_> = methods.iter().map(|one| (&*one.outcome.method, one.named())).collect();
-        let EvalReport { data, synthetic, protocol, left_out, over, .. } = &methods[0];
-        let (data, protocol, left_out) = (data.clone(), protocol.clone(), left_out.clone());
-        let (synthetic, paired) = (*synthetic, paired(&all, *over));
-        Self { data, synthetic, protocol, left_out, methods, paired }
+        let first = &methods[0];
+        Self {
+            data: first.data.clone(),
+            synthetic: first.synthetic,
+            protocol: first.protocol.clone(),
+            left_out: first.left_out.clone(),
+            paired: paired(&all, first.over),
+            methods,
+        }
     }
 
     pub(super) fn print(&self) {

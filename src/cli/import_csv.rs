@@ -166,8 +166,13 @@ pub(super) fn run(args: &CsvArgs) -> Done {
     }
     let form = understood(args, &tables, &mut bad)?;
     let staging = if args.dry_run { None } else { Some(Staging::new(&args.out, &form)?) };
-    let (keys, folders, taken, summary) = Default::default();
-    let mut import = Import { form: &form, keys, folders, taken, summary };
+    let mut import = Import {
+        form: &form,
+        keys: BTreeSet::new(),
+        folders: BTreeSet::new(),
+        taken: BTreeMap::new(),
+        summary: Summary::default(),
+    };
     if let (None, Some(names)) = (&form.labels[0], &form.names) {
         tables::named(&tables, names).iter().for_each(|key| import.count(key));
     }

@@ -407,8 +407,8 @@ pub(super) fn run(args: &Args) -> Done {
                 say!("{} is made; enroll surfaces on the page (--serve)", library.display());
             }
             let check = naming::check(&library, &how);
-            let load = naming::load(&library, &config.scene, &how, answering, Some(given));
-            let load = if config.is_continuous { naming::with_scan_time(load) } else { load };
+            let (scene, is_continuous) = (&config.scene, config.is_continuous);
+            let load = naming::load(&library, scene, &how, answering, Some(given), is_continuous);
             (Work::ByLibrary(load, check), library, how.query_seconds)
         }
     };

@@ -110,13 +110,15 @@ pub(super) fn trained(
 }
 
 /// Returns a function that reads the library each time it is called, and prepares it for naming.
-/// `given` are the sources that scans can have, if they are known.
+/// `given` are the sources that scans can have, if they are known. Without begin and end
+/// (`is_continuous`), a library whose scan time is not known is refused.
 pub(super) fn load(
     path: &Path,
     scene: &Scene,
     how: &Comparing,
     (answers, accuracy): (&AnswerArgs, &AccuracyArgs),
     given: Option<BTreeSet<SourceId>>,
+    is_continuous: bool,
 ) -> Load {
     let (path, scene) = (path.to_path_buf(), scene.clone());
     let (how, answers, accuracy) = (how.clone(), answers.clone(), accuracy.clone());
@@ -136,15 +138,14 @@ pub(super) fn load(
         let by = Recogniser::new(model, scene, state).with_trials(&entries);
         let mut by = Ready::new(by, &answers, lasting).map_err(|error| error.to_string())?.by;
         by.library.remarks.extend(bad_files::skipped());
+        if is_continuous {
+            has_scan_time(&by)?;
+        }
         Ok(Arc::new(by))
     })
 }
 
 /// Refuses a library whose scan time is not known, for naming without begin and end.
-pub(super) fn with_scan_time(load: Load) -> Load {
-    Arc::new(move || load().and_then(|by| has_scan_time(&by).map(|()| by)))
-}
-
 pub(super) fn has_scan_time(by: &Recogniser) -> Result<(), String> {
     by.needed_s.map(drop).ok_or_else(|| {
         "naming without begin and end needs the scan time that the library requires, which is not known: \

@@ -247,9 +247,8 @@ fn play(args: &Args, how: &Comparing, mut stage: ReplayStage, lock: Option<Libra
     if let Some(folder) = library {
         let (folder, scene) = (folder.clone(), stage.scene.clone());
         let answering = (&args.answers, &args.accuracy);
-        let load = naming::load(&folder, &scene, how, answering, None);
         let is_continuous = station.continuous.is_some();
-        station.load = Some(if is_continuous { naming::with_scan_time(load) } else { load });
+        station.load = Some(naming::load(&folder, &scene, how, answering, None, is_continuous));
         station.store = Some(ScanStore::new(folder.clone(), scene.clone()));
         settings.check = Some(naming::check(&folder, how));
         settings.library = Some(LibraryFolder { folder, scene });

@@ -101,9 +101,14 @@ impl Publisher {
 
     /// Publishes through one connection. Returns why it broke, or `None` at the end of the station.
     async fn connection(&mut self, answers: &mut mpsc::Receiver<Said>) -> Option<String> {
-        let line = Line::open(self.options.clone());
-        let (queued, flying, awaited, state) = Default::default();
-        let mut on = Connection { line, is_connected: false, queued, flying, awaited, state };
+        let mut on = Connection {
+            line: Line::open(self.options.clone()),
+            is_connected: false,
+            queued: VecDeque::new(),
+            flying: Vec::new(),
+            awaited: None,
+            state: String::new(),
+        };
         let mut state_due = every(STATE_EVERY);
         loop {
             tokio::select! {

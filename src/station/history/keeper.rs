@@ -197,15 +197,8 @@ impl Work {
     /// Writes why a scan got its name, and small views of the scan and of the nearest trial.
     fn note(&self, answered: &AnsweredScan, folder: &Path) -> Result<(), HistoryError> {
         let AnsweredScan { scan, by, .. } = answered;
-        // A method or a decoder that panics must not end the thread, so the panic is caught.
-        let explain = std::panic::AssertUnwindSafe(|| {
-            let by = by.as_ref()?;
-            let why = by.explain(scan).ok()?;
-            let nearest = by.trials.get(&why.nearest).and_then(|trial| trial.load().ok());
-            Some((why, nearest))
-        });
-        let (why, nearest) = std::panic::catch_unwind(explain).ok().flatten().unzip();
-        let nearest = nearest.flatten();
+        let why = caught(|| by.as_ref()?.explain(scan).ok());
+        let nearest = caught(|| by.as_ref()?.trials.get(&why.as_ref()?.nearest)?.load().ok());
         if let Some(nearest) = &nearest {
             write_pictures(nearest, folder)?;
         }
@@ -220,6 +213,11 @@ impl Work {
         let path = folder.join(super::NOTES);
         std::fs::write(&path, json_text(&notes)).map_err(HistoryError::io(&path))
     }
+}
+
+/// A method or a decoder that panics on one scan must not end the thread, so the panic is caught.
+fn caught<T>(work: impl FnOnce() -> Option<T>) -> Option<T> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).ok().flatten()
 }
 
 fn write_pictures(trial: &Trial, folder: &Path) -> Result<(), HistoryError> {

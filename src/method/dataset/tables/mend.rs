@@ -7,6 +7,8 @@ use crate::trial::Series;
 
 /// The longest run of samples that is filled.
 pub(super) const MOST_FILLED: usize = 5;
+/// A longer step from row to row, in usual steps, is a gap that is not filled.
+pub(super) const LONGEST_STEP: f64 = MOST_FILLED as f64 + 1.5;
 /// The largest share of the samples of a channel that is filled.
 pub(super) const SHARE_FILLED: f64 = 0.05;
 /// The fewest rows of a part of a trial that was cut.
@@ -90,7 +92,7 @@ pub(super) fn mend(
         let times = rows.times.windows(2).zip(&mut cuts[1..]);
         // Two times may be further apart than an i64 can say.
         let long = |two: &[i64]| grid.steps(two[1].saturating_sub(two[0]));
-        times.for_each(|(two, cut)| *cut = long(two) > MOST_FILLED as f64 + 1.5);
+        times.for_each(|(two, cut)| *cut = long(two) > LONGEST_STEP);
         let bursts = cuts.iter().filter(|cut| **cut).count();
         if bursts > 2 && bursts * 50 > count {
             return Err(format!(
@@ -239,7 +241,7 @@ fn straight(a: f32, b: f32, share: f64) -> f32 {
 fn resample(piece: &mut Piece, times: &[i64], grid: &Grid) -> Result<(), String> {
     let last = times.len() - 1;
     let long = (times[last] - times[0]) as f64;
-    // No step is longer than `MOST_FILLED + 1.5` of the grid's, so this is bounded by the rows.
+    // No step is longer than `LONGEST_STEP` of the grid, so this is bounded by the rows.
     let count = (long * piece.rate_hz / S + 1e-6).floor() as usize + 1;
     if count > Series::MOST_SAMPLES {
         return Err(format!("is {:.0} minutes long, too long for a trial", long / S / 60.0));

@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use super::gather::Rows;
-use super::mend::{Gaps, MOST_FILLED, Mended, Piece, S, SHARE_FILLED, mend};
+use super::mend::{Gaps, LONGEST_STEP, Mended, Piece, S, SHARE_FILLED, mend};
 use crate::scene::SourceId;
 
 /// Sorts rows by their times. Returns how many came after a row of a later time.
@@ -65,8 +65,10 @@ pub(super) fn mend_sources(
         let own = Rows { times: own(of).map(time).collect(), values: own_values.collect() };
         let mended = mend(own, columns, None, gaps);
         let mended = mended.map_err(|problem| format!("{problem} (source `{source}`)"))?;
-        let is_first = source == &sources[0].0;
-        all.parts = if is_first { mended.parts } else { overlaps(&all.parts, &mended.parts) };
+        all.parts = match of.start {
+            0 => mended.parts,
+            _ => overlaps(&all.parts, &mended.parts),
+        };
         all.repeated += mended.repeated;
         all.too_short += mended.too_short;
         all.resampled_hz = all.resampled_hz.or(mended.resampled_hz);
@@ -83,7 +85,7 @@ fn are_regular(times: &[i64]) -> bool {
     let mut steps: Vec<f64> = steps.collect();
     steps.sort_by(f64::total_cmp);
     let Some(usual) = steps.get(steps.len() / 2) else { return false };
-    let lost = (1.5 * usual)..((MOST_FILLED as f64 + 1.5) * usual);
+    let lost = (1.5 * usual)..(LONGEST_STEP * usual);
     let lost = steps.iter().filter(|step| lost.contains(*step)).count();
     lost as f64 <= SHARE_FILLED * steps.len() as f64
 }
