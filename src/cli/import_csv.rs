@@ -198,6 +198,16 @@ pub(super) fn run(args: &CsvArgs) -> Done {
              --session file makes each table a session, which `eval` leaves out as a whole"
         );
     }
+    let are_named = args.names.is_some() || form.labels[0].is_some();
+    if let (false, true, Some(key)) = (are_named, tables.len() > 1, import.keys.first())
+        && import.keys.iter().all(|other| other.surface == key.surface)
+    {
+        say!(
+            "all trials are of the surface `{}`, the name of their folder; if the names of files name surfaces, say \
+             how, such as --names '{{surface}}_{{trial}}'",
+            key.surface
+        );
+    }
     // The tables are not in the library, so that a check of it does not name them.
     bad_files::warn(&args.out, bad, "--strict")?;
     let Some(staging) = staging else {
@@ -222,10 +232,21 @@ fn one_folder_a_surface(given: &[PathBuf], tables: &[PathBuf]) -> Done {
         let first = *upper.entry(name).or_insert(other);
         if first != other {
             let [name, first, other] = [name, first, other].map(|name| name.to_string_lossy());
+            let mut patterns =
+                vec!["{user}/{surface}/{trial}".to_string(), "{surface}/{user}/{trial}".into()];
+            // A program may write tables of the same names into a folder for each recording.
+            let size = |path: &&PathBuf| std::fs::metadata(path).map_or(0, |about| about.len());
+            let stem = tables.iter().max_by_key(size).and_then(|path| path.file_stem());
+            if let Some(stem) = stem
+                && tables.iter().filter(|other| other.file_stem() == Some(stem)).count() > 2
+            {
+                patterns.insert(0, format!("{{surface}}/{{trial}}/{}", stem.to_string_lossy()));
+            }
+            let patterns = patterns.iter().map(|one| format!("'{one}'")).collect::<Vec<_>>();
             return Err(Failure::usage(format!(
-                "both `{first}` and `{other}` hold a folder `{name}`: say what names the surface, by \
-                 --names '{{user}}/{{surface}}/{{trial}}' or '{{surface}}/{{user}}/{{trial}}', or by \
-                 '{{surface}}/{{trial}}' if the upper folder names nothing"
+                "both `{first}` and `{other}` hold a folder `{name}`: say what names the surface, by --names {}, or by \
+                 '{{surface}}/{{trial}}' if the upper folder names nothing",
+                patterns.join(" or ")
             )));
         }
     }

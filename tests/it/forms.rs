@@ -105,6 +105,16 @@ fn files_without_trial_folders_are_trials_of_a_drag_s_sound() {
 }
 
 #[test]
+fn files_named_after_the_folder_of_their_take_are_of_one_source() {
+    let (_dir, path) = temp();
+    for take in ["ZOOM0001", "ZOOM0002"] {
+        write_wav(&path.join(format!("oak/{take}/{take}_LR.WAV")), 48_000, 2, &[1, 2]);
+    }
+    let library = open(&path).unwrap();
+    assert!(library.entries.len() == 2 && library.entries.iter().all(|e| e.sources == [id("LR")]));
+}
+
+#[test]
 fn where_no_source_is_usual_the_names_of_files_tell_it() {
     let (_dir, path) = temp();
     for name in ["pac_1", "scan2"] {

@@ -116,6 +116,7 @@ fn every_kind_of_wav_gives_its_samples() {
         ("a stream of 2^31 − 1", streamed(0x7FFF_FFFF, 0x7FFF_FFFF, &two), &is),
         ("a stream of sox", streamed(0x7FFF_F024, 0x7FFF_F000, &two), &is),
         ("a stream of arecord", streamed(0x8000_0024, 0x8000_0000, &two), &is),
+        ("zeros after the samples", Wav { after: vec![0; 50], ..wav(1, 2, &two) }, &is),
         ("a stream that was stopped", streamed(0, 0, &[&two[..], b"\x07"].concat()), &is),
         ("RF64", long(u32::MAX, 4), &is),
         ("BW64", Wav { form: b"BW64", ..long(u32::MAX, 4) }, &is),
@@ -155,6 +156,7 @@ fn what_wav_does_not_hold_is_named() {
         (Wav { before: list(u32::MAX, b""), ..wav(1, 2, &[0; 4]) }, "truncated"),
         (Wav { claimed: Some(4000), ..wav(1, 2, &[0; 4]) }, "truncated"),
         (Wav { claimed: Some(u32::MAX), ..wav(1, 2, &[]) }, "it holds no samples"),
+        (Wav { claimed: Some(8), ..wav(1, 2, &[7; 400]) }, "of 8 bytes of samples, but 400 follow"),
     ] {
         says(&samples(&file.bytes()).unwrap_err(), &[part]);
     }

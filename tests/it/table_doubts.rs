@@ -66,7 +66,7 @@ fn what_has_two_readings_is_refused_and_shows_both() {
         ),
         (
             "time,sensor,x,y\n".to_string()
-                + &t(|i| format!("0.{i:02},{},{i}.5,1\n", ["acc", "gyro"][i % 2])),
+                + &t(|i| format!("0.{i:02},{},{}.5,1\n", ["acc", "gyro"][i % 2], i * 7 % 11)),
             &[],
             &["column `sensor`", "holds the values (`acc`, `gyro`, …)", "pivot"],
         ),
@@ -270,9 +270,9 @@ fn what_would_give_wrong_numbers_without_a_word_is_refused_or_said() {
     let heat = table("time,ax,T\n", |i, [x, y, _]| format!("{:.2},{x},{y}", i as f64 / 100.0));
     assert_eq!(import("oak/1.csv", heat.as_bytes(), &[]).series("t").frames(), ROWS);
     let thousands =
-        table("ax;force\n", |i, [x, ..]| format!("{};1 {:03},5", x.replace('.', ","), i));
+        table("ax;force\n", |i, [x, ..]| format!("{};1 {:03},5", x.replace('.', ","), i * 7 % 11));
     let thousands = import("oak/1.csv", thousands.as_bytes(), rate);
-    assert_eq!(thousands.series("force").samples()[7], 1007.5);
+    assert_eq!(thousands.series("force").samples()[7], 1005.5);
     let over =
         table("ax,force\n", |i, [x, ..]| format!("{x},{}", if i < 20 { "2.5" } else { "OVER" }));
     let over = import("oak/1.csv", over.as_bytes(), rate);
@@ -290,6 +290,60 @@ fn what_would_give_wrong_numbers_without_a_word_is_refused_or_said() {
     let quoted = table("surface,ax\n", |_, [x, ..]| format!("\"3\"\" pipe\",{x}"));
     let quoted = import("all.csv", quoted.as_bytes(), &["--surface", "surface", "--rate", "9"]);
     assert_eq!(quoted.library().entries[0].key.surface, "3\" pipe");
+}
+
+#[test]
+fn rows_of_several_trials_are_told_apart() {
+    let counted = |name: &str, count: fn(usize) -> String| {
+        let text = table(&format!("{name},surface,ax\n"), move |i, [x, ..]| {
+            format!("{},oak,{x}", count(i))
+        });
+        let imported =
+            import("all.csv", text.as_bytes(), &["--surface", "surface", "--rate", "100"]);
+        let signals = imported.library().entries[0].load().unwrap().signals;
+        let sources: Vec<String> = signals.keys().map(|id| id.to_string()).collect();
+        (imported.library().entries.len(), sources.join(", "))
+    };
+    let ax = || "ax".to_string();
+    assert_eq!(counted("i", |i| (i % 100).to_string()), (3, ax()), "a counter that begins anew");
+    assert_eq!(counted("Unnamed: 0", |i| (i % 75).to_string()), (4, ax()));
+    assert_eq!(counted("nSeq", |i| (i % 16).to_string()), (1, ax()), "four bits");
+    let second = |i: usize| format!("{},{}", i / 100, i % 100 * 10);
+    let parts = table("second,ms,ax\n", |i, [x, ..]| format!("{},{x}", second(i)));
+    let parts = import("oak/1.csv", parts.as_bytes(), &["--rate", "100"]);
+    assert_eq!(parts.library().entries.len(), 1, "{}", parts.said());
+    assert_eq!(parts.series("ax").channels(), 1);
+    // Rows of other trials between them; and trials side by side.
+    let between = table("surface,ax\n", |i, [x, ..]| format!("{},{x}", ["oak", "felt"][i % 2]));
+    let args = &["--surface", "surface", "--rate", "100"];
+    says(&import("all.csv", between.as_bytes(), args).said(), &["sort the rows by trial"]);
+    let beside = table("Force (N) Run #1,Force (N) Run #2\n", |_, [x, y, _]| format!("{x},{y}"));
+    let beside = import("oak/1.csv", beside.as_bytes(), &["--rate", "100"]);
+    says(&beside.said(), &["several runs side by side (Run #1, Run #2)"]);
+    let wide: Vec<String> = (0..40).map(|column| format!("v{column}")).collect();
+    let wide = table(&(wide.join(",") + "\n"), |_, [x, ..]| vec![x; 40].join(","));
+    let wide = import("oak/1.csv", wide.as_bytes(), &["--rate", "100"]);
+    says(&wide.said(), &["each row is read as one sample of 40 channels"]);
+}
+
+#[test]
+fn a_sensor_that_ends_before_the_others_is_refused_with_what_it_may_mean() {
+    let ends = |after: usize| {
+        table("time,ax,mic\n", move |i, [x, y, _]| {
+            let x = if i < after { x } else { String::new() };
+            format!("{:.2},{x},{y}", i as f64 / 100.0)
+        })
+    };
+    for (after, of_time) in [(75, true), (75, false), (200, true), (270, false)] {
+        let args: &[&str] = if of_time { &[] } else { &["--rate", "100"] };
+        let imported = import("oak/1.csv", ends(after).as_bytes(), args);
+        let part = format!("`ax` (source `ax`) in its first {after} of 300 rows alone");
+        says(&imported.said(), &[&part, "a table of its own"]);
+    }
+    let imported = import("oak/1.csv", ends(295).as_bytes(), &[]);
+    assert_eq!(imported.series("mic").frames(), 295);
+    let alone = import("oak/1.csv", ends(75).as_bytes(), &["--source", "mic=mic"]);
+    assert_eq!(alone.series("mic").frames(), ROWS);
 }
 
 #[test]
@@ -437,6 +491,9 @@ fn clocks_and_counters_are_no_channels_and_axes_are() {
         ),
         ("nSeq,ax,ay,az\n", |i| format!("{},", i % 16)),
         ("n,ax,ay,az\n", |i| format!("{},", i % 150)),
+        ("x,ax,ay,az\n", |i| format!("{:.3},", 0.01 * i as f64 - 1.5)),
+        ("part,ax,ay,az\n", |i| format!("{},", (i * 9_970 + i % 3 * 20) % 1_000_000)),
+        ("dt_ms,ax,ay,az\n", |i| format!("{},", 10 + i * 7 % 3)),
         ("SampleTimeFine,ax,ay,az\n", |i| format!("{},", 16_667 * i + i % 3)),
         ("time (ms),ax,ay,az\n", |i| format!("{},", 10 * i)),
     ] {

@@ -380,6 +380,73 @@ fn tables_of_phones_loggers_and_programs_hold_their_numbers() {
             s3,
         ),
         (
+            "rigol_1.csv",
+            table(
+                "X,CH1,CH2,CH3,Start,Increment,\nSequence,V,V,V,-1.5E-01,5E-03\n",
+                |i, [x, y, z]| format!("{i},{x},{y},{z},"),
+            )
+            .into(),
+            &["--source", "ch=CH1,CH2,CH3"],
+            200.0,
+            &[("ch", &[0, 1, 2])],
+        ),
+        (
+            "lvm_without_x_1.lvm",
+            table(&lvm.replace("X_Columns\tOne", "X_Columns\tNo"), |_, [x, y, z]| {
+                format!("\t{x}\t{y}\t{z}\t")
+            })
+            .into(),
+            &["--rate", "1000"],
+            1000.0,
+            &[("voltage", &[0, 1, 2])],
+        ),
+        (
+            "teraterm_1.log",
+            table("", |i, [x, y, z]| {
+                format!("[Tue Mar 05 14:03:{:06.3} 2024] {x},{y},{z}", i as f64 / 100.0)
+            })
+            .into(),
+            &[],
+            100.0,
+            s3,
+        ),
+        (
+            "logging_1.log",
+            german("", |i, [x, y, z]| {
+                let time = format!("{:06.3}", i as f64 / 100.0).replace('.', ",");
+                format!("2024-03-05 14:03:{time} - INFO - {x};{y};{z}")
+            })
+            .into(),
+            &["--rate", "100"],
+            100.0,
+            s3,
+        ),
+        (
+            "begun_in_the_middle_1.log",
+            table("=~=~= PuTTY log =~=~=\n5,0.5\n", |_, [x, y, z]| format!("{x},{y},{z}")).into(),
+            &["--rate", "100"],
+            100.0,
+            s3,
+        ),
+        (
+            "timedelta_1.csv",
+            table(",ax,ay,az\n", |i, [x, y, z]| {
+                format!("0 days 00:00:{:09.6},{x},{y},{z}", i as f64 / 100.0)
+            })
+            .into(),
+            &[],
+            100.0,
+            a3,
+        ),
+        (
+            "minus_1.csv",
+            table("ax,ay,az\n", |_, [x, y, z]| format!("{},{y}D0,{z}", x.replace('-', "\u{2212}")))
+                .into(),
+            &["--rate", "100"],
+            100.0,
+            a3,
+        ),
+        (
             "labelled_1.csv",
             table("t,ax,ay,az,class\n", |i, [x, y, z]| {
                 format!("{},{x},{y},{z},{}", i as f64 / 100.0, i / 100)

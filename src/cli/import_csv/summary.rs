@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::cli::show::{self, counted};
-use crate::dataset::tables::{Clock, Form, Said};
+use crate::dataset::tables::{Clock, Form, MOST_TURNED, Said};
 use crate::scene::SourceId;
 use crate::trial::{Series, Signal, Trial};
 
@@ -64,6 +64,7 @@ impl Summary {
         self.said.no_rows += said.no_rows;
         self.said.unlabelled += said.unlabelled;
         self.said.coarse.extend(said.coarse);
+        self.said.running.extend(said.running);
     }
 
     pub(super) fn print(&self, form: &Form) {
@@ -83,6 +84,13 @@ impl Summary {
         });
         show::table(&["surface", ">trials", ">mean length", "by"], rows);
         let said = &self.said;
+        if matches!(form.clock, Clock::Rate(_)) && form.widest() > MOST_TURNED {
+            say!(
+                "each row is read as one sample of {} channels; if it is a whole trial, turn the table, or save it as \
+                 .npy",
+                form.widest()
+            );
+        }
         said.times.iter().for_each(|times| say!("{times}"));
         if said.own_rates {
             say!(
@@ -116,6 +124,12 @@ impl Summary {
             say!(
                 "warning: column `{name}` has more digits than a sample holds (24 bits), so that most of its \
                  steps are lost; subtract a constant from it first"
+            );
+        }
+        for name in &said.running {
+            say!(
+                "warning: channel {name} rises like a clock or a counter; leave it out by naming the others by \
+                 --source"
             );
         }
         for ((id, channel), values) in &self.constant {

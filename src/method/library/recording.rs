@@ -290,7 +290,7 @@ impl RecordingOpening {
         let bad_files = self.bad.len();
         let mut sources = BTreeMap::new();
         for item in files::list(&folder.path)? {
-            match self.source(&item) {
+            match self.source(&item, &folder.name) {
                 Ok(Some((id, _))) if sources.contains_key(&id) => {
                     let problem =
                         format!("a second file for source `{id}` of this trial; remove one");
@@ -334,19 +334,29 @@ impl RecordingOpening {
         let header = series_file::probe(path)?;
         if self.scene.get(id.as_str()).is_none() {
             let (channels, rate_hz) = (counted(header.channels, "channel"), header.rate_hz);
-            let what = format!(
+            let mut what = format!(
                 "no source is called `{id}`, so it is taken as a series of {channels} at {rate_hz} Hz; \
                  [sources.{id}] in {DESCRIPTION} can say more"
             );
+            if id.as_str().bytes().all(|byte| byte.is_ascii_digit()) {
+                what += "; if the numbers are those of takes, give each take a folder of its own";
+            }
             self.headers.note(path, what);
         }
         self.scene.set_channels(id, header.channels);
         Ok(())
     }
 
-    /// The source that a file of a trial holds; `None` if the file is not used.
-    fn source(&mut self, item: &Listed) -> Result<Option<(SourceId, SourceFiles)>, LibraryError> {
+    /// The source that a file of a trial in the folder `folder` holds; `None` if the file is not used.
+    fn source(
+        &mut self,
+        item: &Listed,
+        folder: &str,
+    ) -> Result<Option<(SourceId, SourceFiles)>, LibraryError> {
         let (stem, extension) = item.stem_and_extension();
+        // Recorders name the files of a take after its folder, such as `ZOOM0001_LR` in `ZOOM0001`.
+        let rest = stem.strip_prefix(folder).and_then(|rest| rest.strip_prefix(['_', '-', ' ']));
+        let stem = rest.filter(|rest| !rest.is_empty()).unwrap_or(stem);
         let is_series = item.has_series_name();
         let picture = PICTURES.contains(&extension.as_str());
         if item.is_hidden() || item.is_dir {

@@ -125,6 +125,16 @@ fn open_wav(path: &Path) -> Result<(BufReader<File>, WavData), LibraryError> {
     if rest < data.length {
         return Err(truncated(path, &format!(" ({rest} of {} bytes of samples)", data.length)));
     }
+    let goes_on = rest > data.length + (data.length / 10).max(64)
+        && !ends_after(&mut file, data.length, rest).map_err(|error| failure(path, error))?;
+    if goes_on {
+        let problem = format!(
+            "its header tells of {} bytes of samples, but {rest} follow, as where a recorder was interrupted; open it \
+             in a sound editor as raw samples, and save it anew",
+            data.length
+        );
+        return Err(LibraryError::file(path, problem));
+    }
     Ok((file, data))
 }
 
@@ -203,6 +213,18 @@ fn walk_wav(file: &mut BufReader<File>, size: u64) -> io::Result<WavData> {
 fn is_placeholder(length: u64) -> bool {
     [1 << 31, 1 << 32].iter().any(|&most: &u64| length.abs_diff(most) < 1 << 16)
         || length >= u64::MAX >> 1
+}
+
+/// Whether chunks, zeros or nothing follow the samples of the `claimed` length. Does not move.
+fn ends_after(file: &mut BufReader<File>, claimed: u64, rest: u64) -> io::Result<bool> {
+    let start = file.stream_position()?;
+    file.seek(io::SeekFrom::Start(start + claimed + claimed % 2))?;
+    let rest = rest.saturating_sub(claimed + claimed % 2);
+    let is_whole = holds_chunks(file, rest)?;
+    let mut first = Vec::new();
+    file.by_ref().take(64).read_to_end(&mut first)?;
+    file.seek(io::SeekFrom::Start(start))?;
+    Ok(is_whole || first.iter().all(|byte| *byte == 0))
 }
 
 /// Whether the `rest` bytes that follow are whole chunks, rather than samples. Does not move.

@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use super::stamp;
+
 /// The separators of cells, in the order in which they are tried.
 pub(super) const DELIMITERS: [u8; 5] = [b';', b'\t', b',', b'|', b' '];
 
@@ -76,6 +78,11 @@ impl Numbers {
     fn grouped(&mut self, cell: &[u8]) -> Result<f64, String> {
         let no_number = || "is not a finite number".to_string();
         let mut text = shown(cell).replace('\u{2212}', "-");
+        // Fortran's exponents.
+        if let Some((number, exponent)) = text.split_once(['d', 'D']).filter(|(of, _)| of.len() > 1)
+        {
+            text = format!("{number}e{exponent}");
+        }
         if let Some(apart) = text.find(SPACES).and_then(|at| text[at..].chars().next()) {
             let (whole, rest) = text.split_at(text.find([',', '.']).unwrap_or(text.len()));
             let are_groups =
@@ -90,10 +97,11 @@ impl Numbers {
         };
         if text.matches(is_mark).count() == 1 {
             let value = number(&text.replace(',', ".")).ok_or_else(no_number)?;
-            if self.mark.is_none() && self.between_commas && by_thousands(&text) {
+            let mark = text.as_bytes()[last];
+            if self.mark.is_none() && self.between_commas && mark == b',' && by_thousands(&text) {
                 return Err(may_be(&value.to_string(), &text.replace(',', "")));
             }
-            self.marked(b',', cell)?;
+            self.marked(mark, cell)?;
             return Ok(value);
         }
         // Several marks: the last is the decimal one, unless all are alike.
@@ -148,21 +156,32 @@ fn by_thousands(text: &str) -> bool {
     }) && groups.all(|group| group.len() == 3 && is_number(group))
 }
 
-pub(super) fn arrow(line: &[u8]) -> Option<usize> {
-    line.windows(2).take(40).position(|two| two == b"->")
+/// The time that a monitor or a log writes before each line, and the rest of the line: `TIME -> `, `[TIME] ` or
+/// `TIME - LEVEL - `.
+pub(super) fn timed(line: &[u8]) -> Option<(&[u8], &[u8])> {
+    let line = line.trim_ascii_start();
+    let start = &line[..line.len().min(60)];
+    let (time, rest) = if let Some(at) = memchr::memmem::find(start, b"->") {
+        (&line[..at], &line[at + 2..])
+    } else if start.starts_with(b"[") {
+        let end = memchr::memchr(b']', start)?;
+        (&line[1..end], &line[end + 1..])
+    } else {
+        let at = [memchr::memmem::find(start, b" - ")?, memchr::memmem::rfind(start, b" - ")?];
+        (&line[..at[0]], &line[at[1] + 3..])
+    };
+    let time = time.trim_ascii();
+    // Tera Term writes the day before it and the year behind it.
+    let of_day = || time.split(|byte| *byte == b' ').find(|word| stamp::is_clock(word));
+    Some((if stamp::is_moment(time) { time } else { of_day()? }, rest))
 }
 
 /// Appends the cells of a line, without outer spaces and quotes.
-pub(super) fn split<'a>(
-    line: &'a [u8],
-    delimiter: u8,
-    has_arrows: bool,
-    cells: &mut Vec<&'a [u8]>,
-) {
+pub(super) fn split<'a>(line: &'a [u8], delimiter: u8, is_timed: bool, cells: &mut Vec<&'a [u8]>) {
     let mut rest = line;
-    if has_arrows && let Some(at) = arrow(line) {
-        cells.push(line[..at].trim_ascii());
-        rest = &line[at + 2..];
+    if is_timed && let Some((time, after)) = timed(line) {
+        cells.push(time);
+        rest = after;
     }
     if memchr::memchr(b'"', rest).is_some() {
         return split_quoted(rest, delimiter, cells);
@@ -200,9 +219,9 @@ fn split_quoted<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a [u8]>) {
     }
 }
 
-pub(super) fn owned(line: &[u8], delimiter: u8, has_arrows: bool) -> Vec<Vec<u8>> {
+pub(super) fn owned(line: &[u8], delimiter: u8, is_timed: bool) -> Vec<Vec<u8>> {
     let mut cells = Vec::new();
-    split(line, delimiter, has_arrows, &mut cells);
+    split(line, delimiter, is_timed, &mut cells);
     cells.into_iter().map(<[u8]>::to_vec).collect()
 }
 

@@ -13,6 +13,9 @@ use crate::scene::SourceId;
 const COUNTERS: &str = "n index idx sample samples samplenumber sampleno count counter nr no seq sequence row \
     packet";
 
+/// Names of columns with the time since the row before.
+const INTERVALS: &str = "dt deltat deltatime timedelta interval";
+
 /// A column that rises by 1 for so many rows counts them, whatever it is called.
 const SURELY_COUNTED: usize = 50;
 
@@ -158,6 +161,29 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
     }
 }
 
+/// Whether a column may hold parts of the seconds that another column counts.
+pub(super) fn is_part_of_second(head: &Head, at: usize) -> bool {
+    const SECONDS: &str = "s ss sec secs second seconds tvsec";
+    let are_whole = |column: usize| head.cells(column).iter().all(|cell| whole(cell).is_some());
+    let mut columns = head.layout.columns.iter().enumerate();
+    columns.any(|(other, column)| {
+        other != at && is_among(SECONDS, &plain(&column.base)) && are_whole(other)
+    })
+}
+
+/// The first column among `others` that counts rows, again and again where trials stand below each other.
+pub(super) fn counter(head: &Head, others: impl Fn(&usize) -> bool) -> Option<usize> {
+    (0..head.layout.columns.len()).filter(others).find(|at| {
+        let numbers: Option<Vec<i64>> = head.cells(*at).iter().map(|cell| whole(cell)).collect();
+        numbers.is_some_and(|numbers| {
+            let anew = numbers.windows(2).filter(|two| two[1] != two[0] + 1).count();
+            // Counters of 4 and 8 bits begin anew within a trial.
+            let is_small = matches!(numbers.iter().max(), Some(15 | 255));
+            numbers.len() >= SURELY_COUNTED && anew * 10 <= numbers.len() && !is_small
+        })
+    })
+}
+
 /// A source, and the names of the columns that are its channels.
 #[doc(hidden)]
 pub type Wanted = (SourceId, Vec<String>);
@@ -194,19 +220,28 @@ pub fn sources(
             }
             continue;
         }
-        let is_pandas =
-            ["unnamed", "level", "indexlevel"].iter().any(|name| base.starts_with(name));
+        let is_pandas = ["Unnamed: ", "level_", "__index_level_"];
+        let is_pandas = is_pandas.iter().any(|start| column.base.starts_with(start));
         let is_counter = base.is_empty() || is_among(COUNTERS, &base) || is_pandas;
         let is_clock = is_time(&layout.columns, at)
             || at == 0 && layout.columns.len() > 1 && is_nameless(&column.base)
             || RUNNING.iter().any(|part| base.contains(part));
-        let runs_on = || cells.iter().map(number).collect::<Option<Vec<_>>>().is_some_and(runs_on);
-        if is_clock && runs_on() {
-            notes.push(format!("column `{name}` rises like a clock or a counter, and is left out"));
-        } else if (is_counter || cells.len() >= SURELY_COUNTED) && counts(cells.iter())
-            || is_counter && runs_on()
+        let runs_on = || {
+            let numbers = cells.iter().map(number).collect::<Option<Vec<_>>>()?;
+            Some(runs_surely(&numbers) || (is_clock || is_counter) && runs_on(&numbers))
+        };
+        if (is_counter || cells.len() >= SURELY_COUNTED) && counts(cells.iter())
+            || is_counter && runs_on() == Some(true)
         {
             notes.push(format!("column `{name}` only counts the rows, and is left out"));
+        } else if runs_on() == Some(true) {
+            notes.push(format!(
+                "column `{name}` rises like a clock or a counter, and is left out; use it by --source"
+            ));
+        } else if is_among(INTERVALS, &base) {
+            notes.push(format!(
+                "column `{name}` is left out, since its name is one of times between rows; use it by --source"
+            ));
         } else if is_surface || is_among(LABELS, &base) || is_label(&cells) {
             notes.push(format!(
                 "column `{name}` looks like a label, and is left out; name it by --surface, --user or \
@@ -223,8 +258,7 @@ pub fn sources(
             if kept.len() == 1 { "" } else { "s" }
         ));
     }
-    let runs: BTreeSet<&str> =
-        kept.iter().filter_map(|column| Some(column.base.rsplit_once(": ")?.0)).collect();
+    let runs: BTreeSet<&str> = kept.iter().filter_map(|column| run(&column.base)).collect();
     if runs.len() > 1 {
         let runs = runs.into_iter().collect::<Vec<_>>().join(", ");
         return Err(format!(
@@ -261,7 +295,11 @@ fn of_texts(
     may_name: bool,
 ) -> Result<Option<String>, String> {
     let is_text = |cell: &&Vec<u8>| number(cell, delimiter).is_none() && !is_missing(cell);
-    let Some(text) = cells.iter().find(is_text) else { return Ok(None) };
+    let Some(text) = cells.iter().find(is_text) else {
+        let is_empty = cells.iter().all(|cell| is_missing(cell));
+        let empty = || format!("column `{name}` is left out, since most of its cells are empty");
+        return Ok((!is_empty).then(empty));
+    };
     if number(bare(text), delimiter).is_some() {
         return Err(format!(
             "column `{name}` holds `{}`: remove what stands beside the number, or name the columns to use \
@@ -304,6 +342,13 @@ fn quantities(
     })
 }
 
+/// The run that a name tells: `Run 1: Force`, or `Force (N) Run #1`.
+fn run(name: &str) -> Option<&str> {
+    let is_number = |text: &str| text.trim_start_matches('#').bytes().all(|b| b.is_ascii_digit());
+    let after = name.rfind(" Run ").filter(|at| is_number(&name[at + " Run ".len()..]));
+    after.map(|at| &name[at + 1..]).or_else(|| Some(name.rsplit_once(": ")?.0))
+}
+
 /// The part of a name that the channels of one source share.
 fn stem<'a>(name: &'a str, all: &[String]) -> &'a str {
     if let Some(rest) = name.strip_suffix(['x', 'y', 'z']) {
@@ -334,16 +379,27 @@ fn bare(cell: &[u8]) -> &[u8] {
     &cell[from..to]
 }
 
-/// Whether numbers rise like a clock or a counter: they hardly ever fall, or mostly rise by one step, where a
-/// counter begins anew after some.
-fn runs_on(values: Vec<f64>) -> bool {
+/// Whether numbers of a column that is called so rise like a clock or a counter: they hardly ever fall.
+fn runs_on(values: &[f64]) -> bool {
+    let falls = values.windows(2).filter(|two| two[1] < two[0]).count();
+    falls * 20 < values.len() && values.last() > values.first()
+}
+
+/// Whether numbers rise like a clock or a counter, whatever they are called: mostly by one step; or they only fall
+/// where they begin anew, as the part of a second does.
+pub(super) fn runs_surely(values: &[f64]) -> bool {
+    if values.len() < SURELY_COUNTED {
+        return false;
+    }
     let mut steps: Vec<f64> = values.windows(2).map(|two| two[1] - two[0]).collect();
     steps.sort_by(f64::total_cmp);
-    let Some(middle) = steps.get(steps.len() / 2) else { return false };
-    let falls = steps.iter().filter(|step| **step < 0.0).count();
+    let middle = steps[steps.len() / 2];
     let alike = steps.iter().filter(|step| **step > 0.0 && (*step - middle).abs() <= 0.1 * middle);
-    falls * 20 <= steps.len() && values.last() > values.first()
-        || values.len() >= SURELY_COUNTED && alike.count() * 10 >= steps.len() * 9
+    let [least, most] = [f64::min, f64::max].map(|of| values.iter().copied().fold(values[0], of));
+    let falls: Vec<&f64> = steps.iter().take_while(|step| **step < 0.0).collect();
+    let rises = steps.iter().filter(|step| **step > 0.0).count();
+    let begins_anew = falls.len() > 1 && falls.iter().all(|fall| **fall <= 0.5 * (least - most));
+    alike.count() * 10 >= steps.len() * 9 || begins_anew && rises * 5 >= steps.len() * 4
 }
 
 /// Whether cells are a few whole numbers that seldom change, like the number of a class.

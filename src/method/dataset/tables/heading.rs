@@ -171,13 +171,13 @@ impl Names {
         (0..width).map(name).collect()
     }
 
-    pub(super) fn columns(&self, width: usize, has_arrows: bool) -> Vec<Column> {
+    pub(super) fn columns(&self, width: usize, is_timed: bool) -> Vec<Column> {
         let mut names = self.joined();
         names.resize(width, String::new());
         if self.rows.is_empty() {
             names = (1..=width).map(|column| column.to_string()).collect();
         }
-        if has_arrows {
+        if is_timed {
             names[0] = "time".to_string();
         }
         let column = |(at, mut name): (usize, String)| {

@@ -1,7 +1,7 @@
 //! How a table is laid out, found out from its first lines: what separates the cells, which lines name
 //! the columns and their units, and where the rows begin.
 
-use super::cell::{BOTH_COMMAS, DELIMITERS, Numbers, arrow, is_missing, owned, shortened, split};
+use super::cell::{BOTH_COMMAS, DELIMITERS, Numbers, is_missing, owned, shortened, split, timed};
 use super::heading::{Column, HeadLine, Names, distinct, names_in};
 use super::stamp;
 use crate::printable::counted;
@@ -20,8 +20,8 @@ pub(crate) enum Line {
 pub struct Layout {
     /// The separator of cells; a space stands for any number of spaces and tabs.
     pub delimiter: u8,
-    /// Whether each line begins with the time of a serial monitor, `12:34:56.789 -> `.
-    pub has_arrows: bool,
+    /// Whether a monitor or a log has written a time before each line, such as `12:34:56.789 -> `.
+    pub is_timed: bool,
     pub columns: Vec<Column>,
     /// The line number of the first row, and of the last line of the names (0 without names).
     pub first: u64,
@@ -45,19 +45,19 @@ impl Layout {
         let mut notes = Vec::new();
         distinct(&mut columns, &mut notes);
         let (delimiter, first) = (Self::BETWEEN, 1);
-        let (has_arrows, names_at, rate_hz) = (false, 0, None);
-        Self { delimiter, has_arrows, columns, first, names_at, notes, rate_hz, is_typed: true }
+        let (is_timed, names_at, rate_hz) = (false, 0, None);
+        Self { delimiter, is_timed, columns, first, names_at, notes, rate_hz, is_typed: true }
     }
 
     /// Finds out the layout from the `head` of a file: its first lines with their numbers.
     pub(crate) fn of(head: &[(u64, Vec<u8>)]) -> Result<Self, String> {
-        let has_arrows = have_arrows(head);
+        let is_timed = are_timed(head);
         let split_by = |delimiter: u8| {
             let lines = head.iter().filter(|(_, line)| !line.trim_ascii().is_empty());
             let lines = lines.filter(|(_, line)| !is_comment(line));
             let cells = |(number, line): &(u64, Vec<u8>)| HeadLine {
                 number: *number,
-                cells: owned(line, delimiter, has_arrows),
+                cells: owned(line, delimiter, is_timed),
             };
             lines.map(cells).collect::<Vec<_>>()
         };
@@ -65,7 +65,8 @@ impl Layout {
         for delimiter in DELIMITERS {
             let lines = split_by(delimiter);
             let fit = fit(&lines, delimiter);
-            if fit > best.0 {
+            // Other separators say where a cell is empty.
+            if fit > best.0 * if delimiter == b' ' { 1.1 } else { 1.0 } {
                 best = (fit, delimiter, lines);
             }
         }
@@ -73,7 +74,14 @@ impl Layout {
         if fit == 0.0 {
             lines = split_by(b',');
         }
+        // LabVIEW's own settings: of the file, then of its first segment.
+        let is_end =
+            |line: &HeadLine| line.cells.first().is_some_and(|cell| cell == b"***End_of_Header***");
+        if let Some(at) = (0..lines.len()).filter(|at| is_end(&lines[*at])).take(2).last() {
+            lines.drain(..=at);
+        }
         let mut width = usual_width(&lines, delimiter).ok_or_else(|| no_rows(head))?;
+        let rate_hz = increment(&mut lines, delimiter);
         // An end of each row that is empty, and that nothing names, is no column.
         while width > 1
             && lines.iter().all(|line| line.cells.get(width - 1).is_none_or(Vec::is_empty))
@@ -81,6 +89,9 @@ impl Layout {
             width -= 1;
         }
         lines.iter_mut().for_each(|line| strip(&mut line.cells, width));
+        if let Some(at) = cut_off(&lines, width, delimiter) {
+            lines.remove(at);
+        }
         let is_numeric = numeric_columns(&lines, width, delimiter);
         let is_row = |line: &HeadLine| {
             let mut numbers = Numbers::new(delimiter);
@@ -119,11 +130,15 @@ impl Layout {
             start = 1;
         }
         let (above, mut lines) = lines.split_at(start);
-        let rate_hz = start_and_rate(lines, delimiter);
         if let Some(rate_hz) = rate_hz {
+            notes.push(format!("its second line tells the rate, {rate_hz} Hz"));
+        }
+        let of_rows = start_and_rate(lines, delimiter);
+        if let Some(rate_hz) = of_rows {
             notes.push(format!("the first two rows are when it began and its rate, {rate_hz} Hz"));
             lines = &lines[2..];
         }
+        let rate_hz = rate_hz.or(of_rows);
         let Some(first) = lines.first().map(|line| line.number) else {
             return Err(no_rows(head));
         };
@@ -135,22 +150,13 @@ impl Layout {
                 .find_map(|comment| names_in(comment, delimiter, width))
                 .unwrap_or(names);
         }
-        let mut columns = names.columns(width, has_arrows);
+        let mut columns = names.columns(width, is_timed);
         for (column, is_numeric) in columns.iter_mut().zip(is_numeric) {
             column.is_numeric = is_numeric;
         }
         distinct(&mut columns, &mut notes);
         let names_at = names.at;
-        Ok(Self {
-            delimiter,
-            has_arrows,
-            columns,
-            first,
-            names_at,
-            notes,
-            rate_hz,
-            is_typed: false,
-        })
+        Ok(Self { delimiter, is_timed, columns, first, names_at, notes, rate_hz, is_typed: false })
     }
 
     /// Splits a line into the cells of a row, and says what the line is.
@@ -168,7 +174,7 @@ impl Layout {
             cells.extend(line.split(|byte| *byte == self.delimiter).map(<[u8]>::trim_ascii));
             return Ok(of(cells));
         }
-        split(line, self.delimiter, self.has_arrows, cells);
+        split(line, self.delimiter, self.is_timed, cells);
         let width = self.columns.len();
         if cells.len() != width {
             if is_comment(line) || of(cells) == Line::Nothing {
@@ -257,6 +263,28 @@ fn has_split_decimals(lines: &[HeadLine]) -> bool {
         && !wholes().any(|cell| cell.len() > 1 && cell[0] == b'0')
 }
 
+/// The rate in Hz, if the first line names a start and an increment beyond the columns, as Rigol's oscilloscopes
+/// do, and the second line tells them. Both are taken out.
+fn increment(lines: &mut [HeadLine], delimiter: u8) -> Option<f64> {
+    let [names, values, ..] = lines else { return None };
+    let last = names.cells.iter().rposition(|cell| !cell.is_empty()).filter(|last| *last > 1)?;
+    let is_told = names.cells[last - 1].eq_ignore_ascii_case(b"start")
+        && names.cells[last].eq_ignore_ascii_case(b"increment");
+    let step_s = Numbers::new(delimiter).read(values.cells.get(last)?).ok()?;
+    let rate_hz = Some(1.0 / step_s).filter(|hz| is_told && (0.01..1e10).contains(hz))?;
+    names.cells.truncate(last - 1);
+    values.cells.truncate(last - 1);
+    Some((rate_hz * 1e6).round() / 1e6)
+}
+
+/// The place of a line above the first row that is the end of a row, which a program met in the middle.
+fn cut_off(lines: &[HeadLine], width: usize, delimiter: u8) -> Option<usize> {
+    let are_numbers = |line: &HeadLine| line.cells.iter().all(|cell| is_number(cell, delimiter));
+    let is_row = |line: &HeadLine| line.cells.len() == width && are_numbers(line);
+    let above = lines.iter().position(is_row)?.checked_sub(1)?;
+    (lines[above].cells.len() < width && are_numbers(&lines[above])).then_some(above)
+}
+
 /// The rate in Hz, if a first row repeats one time since 1970 and a second row one rate, as Empatica's wristbands
 /// write them for each channel.
 fn start_and_rate(rows: &[HeadLine], delimiter: u8) -> Option<f64> {
@@ -285,12 +313,10 @@ fn is_comment(line: &[u8]) -> bool {
     line.starts_with(b"#") || line.starts_with(b"%") || line.starts_with(b"//")
 }
 
-/// Whether most lines begin with a time and an arrow, as Arduino's serial monitor writes them.
-fn have_arrows(head: &[(u64, Vec<u8>)]) -> bool {
+/// Whether a monitor or a log has written a time before most lines ([`timed`]).
+fn are_timed(head: &[(u64, Vec<u8>)]) -> bool {
     let lines = || head.iter().filter(|(_, line)| !line.trim_ascii().is_empty());
-    let with = lines()
-        .filter(|(_, line)| arrow(line).is_some_and(|at| stamp::is_clock(line[..at].trim_ascii())));
-    let with = with.count();
+    let with = lines().filter(|(_, line)| timed(line).is_some()).count();
     with > 0 && with * 5 >= lines().count() * 4
 }
 
@@ -327,18 +353,18 @@ fn usual_width(lines: &[HeadLine], delimiter: u8) -> Option<usize> {
     counts.into_iter().max_by_key(|(width, count)| (*count, *width)).map(|(width, _)| width)
 }
 
-/// Which columns hold numbers in at least half of their cells, by the last 200 lines.
+/// Which columns hold numbers in at least half of their cells, by the last 200 that are not missing.
 fn numeric_columns(lines: &[HeadLine], width: usize, delimiter: u8) -> Vec<bool> {
     let fitting: Vec<&HeadLine> = lines.iter().filter(|line| line.cells.len() == width).collect();
-    let last = &fitting[fitting.len().saturating_sub(200)..];
     let is_numeric = |column: usize| {
-        let cells = last.iter().map(|line| &line.cells[column]).filter(|cell| !is_missing(cell));
+        let cells = fitting.iter().rev().map(|line| &line.cells[column]);
         let (mut numbers, mut all) = (0, 0);
-        for cell in cells {
+        for cell in cells.filter(|cell| !is_missing(cell)).take(200) {
             all += 1;
             numbers += usize::from(is_number(cell, delimiter));
         }
-        all > 0 && 2 * numbers >= all
+        // Settings may stand beside the first rows.
+        all > 0 && 2 * numbers >= all && numbers * 5 >= fitting.len().min(200)
     };
     (0..width).map(is_numeric).collect()
 }

@@ -134,8 +134,8 @@ pub(super) fn mend(
     }
     match mended.parts.is_empty() {
         true => Err(format!(
-            "has no {FEWEST} rows in a row without a gap; if these sensors have different rates, name each \
-             by --source"
+            "has no {FEWEST} rows in a row without a gap; if rows of other trials stand between them, sort the \
+             rows by trial; if these sensors have different rates, name each by --source"
         )),
         false => Ok(mended),
     }

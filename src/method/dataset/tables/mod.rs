@@ -52,7 +52,7 @@ use crate::trial::{Series, Signal, Trial, TrialKey, checked_session, utc};
 const HEAD_LINES: usize = 2000;
 const HEAD_BYTES: usize = 1 << 20;
 /// A trial with more channels than this has at least as many samples.
-const MOST_TURNED: usize = 16;
+pub const MOST_TURNED: usize = 16;
 
 /// How to find the time of each row of a table.
 #[derive(Clone, Debug, PartialEq)]
@@ -202,6 +202,8 @@ pub struct Said {
     pub unlabelled: usize,
     /// Columns whose samples lose most of their steps when they are rounded to 24 bits.
     pub coarse: BTreeSet<String>,
+    /// Channels of an array that rise like a clock or a counter.
+    pub running: BTreeSet<String>,
 }
 
 /// Reads all trials of a table. Calls `on` with the names of all trials first, and then with each trial;
@@ -312,7 +314,7 @@ impl Form {
     }
 
     /// The number of channels of the source with the most.
-    fn widest(&self) -> usize {
+    pub fn widest(&self) -> usize {
         self.sources.iter().map(|(_, columns)| columns.len()).max().unwrap_or(1)
     }
 

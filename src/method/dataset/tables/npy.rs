@@ -43,12 +43,16 @@ fn of(mut file: File, length: u64, name: Option<&str>, most: u64) -> Result<Arra
             member.ok_or_else(|| format!("it has no array `{name}`; it has {}", names()))?,
         );
     }
-    let mut found = None;
+    let (mut found, mut is_list) = (None, false);
     for member in members.iter().filter(|member| member.name.ends_with(".npy")) {
         // All members share one file, so only one may be read from at a time.
-        if open(member).is_ok_and(|array| array.shape.len() > 1 && array.is_number())
-            && found.replace(member).is_some()
-        {
+        let array = open(member).ok().filter(|array| array.shape.len() > 1 && array.is_number());
+        let Some(array) = array else { continue };
+        // A list, such as of labels, may be written as a matrix of one column.
+        let is_other_list = array.shape.iter().filter(|n| **n > 1).count() < 2;
+        if found.is_none() || is_list && !is_other_list {
+            (found, is_list) = (Some(member), is_other_list);
+        } else if is_list || !is_other_list {
             return Err(format!("it has several arrays ({}); say which by --variable", names()));
         }
     }

@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use super::gather::Rows;
-use super::mend::{Gaps, LONGEST_STEP, Mended, Piece, S, SHARE_FILLED, mend};
+use super::mend::{Gaps, LONGEST_STEP, MOST_FILLED, Mended, Piece, S, SHARE_FILLED, mend};
 use crate::scene::SourceId;
 
 /// Sorts rows by their times. Returns how many came after a row of a later time.
@@ -52,10 +52,29 @@ pub(super) fn mend_sources(
         let of = of.clone();
         (0..count).filter(move |row| values(*row, &of).iter().any(|value| !value.is_nan()))
     };
+    // Without times, longer runs of rows without any value stand for gaps.
+    let (mut filled, mut last) = (count as f64, 0);
+    for row in own(&(0..names.len())).filter(|_| rate_hz.is_some()) {
+        filled -= if row > last + MOST_FILLED { (row - last - 1) as f64 } else { 0.0 };
+        last = row;
+    }
     let is_apart = |of: &Range<usize>| {
-        let are_few = (own(of).count() as f64) < (1.0 - SHARE_FILLED) * count as f64;
+        let are_few = (own(of).count() as f64) < (1.0 - SHARE_FILLED) * filled;
         are_few && are_regular(&own(of).map(time).collect::<Vec<_>>())
     };
+    for (of, (source, columns)) in ranges.iter().zip(sources) {
+        let last = own(of).next_back().unwrap_or(0) as f64;
+        let is_dense = own(of).count() as f64 >= (1.0 - SHARE_FILLED) * last;
+        if is_dense && last > 0.0 && last < (1.0 - SHARE_FILLED) * (count - 1) as f64 {
+            return Err(format!(
+                "has values of `{}` (source `{source}`) in its first {} of {count} rows alone: if that sensor is \
+                 slower, and its samples stand closer than they came, put it into a table of its own; if it ended \
+                 early, cut the table there; or name the columns to use by --source",
+                columns[0],
+                last + 1.0
+            ));
+        }
+    }
     if !ranges.iter().any(is_apart) {
         return mend(rows, &names, rate_hz, gaps);
     }

@@ -264,6 +264,11 @@ fn zone_ns(text: &str) -> Option<i64> {
 /// begins anew, in ns.
 fn time_of_day(cell: &[u8]) -> Option<(i64, i64)> {
     let text = std::str::from_utf8(cell).ok()?.trim();
+    // A length of time, as pandas writes it.
+    if let Some((days, time)) = text.split_once(" days ") {
+        let (time, _) = time_of_day(time.trim_start_matches('+').as_bytes())?;
+        return Some((days.parse::<i64>().ok()?.checked_mul(DAY)?.checked_add(time)?, DAY));
+    }
     let half = text.get(text.len().saturating_sub(2)..).map(str::to_ascii_uppercase);
     let (text, afternoon) = match half.as_deref() {
         Some("AM") => (text[..text.len() - 2].trim_end(), Some(0)),

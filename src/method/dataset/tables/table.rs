@@ -20,12 +20,15 @@ pub(super) struct Table<'a> {
     pub said: Option<String>,
     /// The columns of all sources, in their order.
     values: Vec<usize>,
-    /// A column of times that are not used, since the rate is given.
+    /// A column of times or counts that are not used, since the rate is given.
     unused_clock: Option<usize>,
 }
 
 /// Rows after which an empty line or a comment may divide trials. Some programs write one after each few rows.
 const FEWEST_DIVIDED: usize = 16;
+
+/// A counter of 16 bits begins anew after it, though the trial goes on.
+const LAST_OF_16_BITS: f64 = 65_535.0;
 
 /// A row may come after so many rows of later times, as by a network or in batches of several threads.
 const MOST_OVERTAKEN: f64 = 100.0;
@@ -70,13 +73,17 @@ impl<'a> Table<'a> {
                 ));
             }
         }
-        let unused = match form.clock {
+        let is_other = |at: &usize| !values.contains(at) && !labels.contains(&Some(*at));
+        let unused_clock = match form.clock {
             // Times that cannot be read are not needed.
-            Clock::Rate(_) => columns::clock(head, None, form.from_1904).ok().flatten(),
+            Clock::Rate(_) => {
+                let unused = columns::clock(head, None, form.from_1904).ok().flatten();
+                let unused = unused.map(|name| layout.column(&name)).transpose()?;
+                let unused = unused.filter(is_other).or_else(|| columns::counter(head, is_other));
+                unused.filter(|at| !columns::is_part_of_second(head, *at))
+            }
             Clock::Times { .. } => None,
         };
-        let unused = unused.map(|name| layout.column(&name)).transpose()?;
-        let unused_clock = unused.filter(|at| !values.contains(at));
         Ok(Self { head, labels, stamps, said, values, unused_clock })
     }
 
@@ -214,7 +221,8 @@ impl<'a> Table<'a> {
             if let Some(time) = unused.filter(|time| !time.is_nan()) {
                 let (first, last) = times.unwrap_or((time, time));
                 // Not where two rows are swapped.
-                let begins_anew = time < last && time - first < 0.5 * (last - first);
+                let begins_anew =
+                    time < last && time - first < 0.5 * (last - first) && last != LAST_OF_16_BITS;
                 is_broken |= begins_anew && are_unnumbered;
                 times = Some((if begins_anew { time } else { first }, time));
             }
