@@ -37,9 +37,11 @@ pub(crate) fn of_known_sources<T: Send>(
 }
 
 fn check_signal(spec: &SourceSpec, signal: &Signal, key: &TrialKey) -> Result<(), SourceError> {
+    // A live scan has no name.
+    let trial = if key.surface.is_empty() { "the scan".into() } else { key.to_string() };
     let kind = |found, expected| SourceError::Kind {
         source_name: spec.id.clone(),
-        trial: key.to_string(),
+        trial: trial.clone(),
         found,
         expected,
     };
@@ -51,7 +53,7 @@ fn check_signal(spec: &SourceSpec, signal: &Signal, key: &TrialKey) -> Result<()
                 source_name: spec.id.clone(),
                 found: series.channels(),
                 expected: spec.channels,
-                trial: key.to_string(),
+                trial,
             })
         }
         _ => Ok(()),

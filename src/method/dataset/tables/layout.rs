@@ -363,8 +363,9 @@ fn numeric_columns(lines: &[HeadLine], width: usize, delimiter: u8) -> Vec<bool>
             all += 1;
             numbers += usize::from(is_number(cell, delimiter));
         }
-        // Settings may stand beside the first rows.
-        all > 0 && 2 * numbers >= all && numbers * 5 >= fitting.len().min(200)
+        // Settings, some of which are numbers, may stand beside the first rows.
+        let are_many = numbers * 5 >= fitting.len().min(200);
+        all > 0 && (numbers == all || 2 * numbers >= all && are_many)
     };
     (0..width).map(is_numeric).collect()
 }

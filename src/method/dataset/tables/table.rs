@@ -258,7 +258,7 @@ impl<'a> Table<'a> {
             trial_number(&text)
                 .ok_or_else(|| format!(
                     "the trial is `{text}`; expected a whole number (--trial, or {{trial}} in --names, such \
-                     as '{{surface}}_{{trial}}/*')"
+                     as '{{surface}}/{{trial}}/{text}')"
                 ))
         });
         let (surface, user) = (cell(0).unwrap_or_default(), cell(1).unwrap_or(EXPERT.into()));

@@ -115,11 +115,12 @@ fn is_missing(word: &[u8]) -> bool {
 /// Units that may stand after a number and a blank, where they would read as the next name; also
 /// with a letter for thousands, millions and the like.
 pub(super) fn is_unit(word: &[u8]) -> bool {
-    const UNITS: [&str; 47] = [
+    const UNITS: [&str; 56] = [
         "g", "mg", "m/s", "m/s2", "m/s^2", "m/s²", "m/s/s", "dps", "deg", "deg/s", "°", "°/s",
         "rad", "rad/s", "uT", "µT", "μT", "nT", "T", "gauss", "V", "mV", "A", "mA", "C", "°C",
         "degC", "K", "F", "°F", "Pa", "hPa", "kPa", "bar", "mbar", "%", "N", "mN", "kg", "cm",
-        "mm", "m", "Hz", "LSB", "Ohm", "Ω", "W",
+        "mm", "m", "Hz", "LSB", "Ohm", "ohm", "Ω", "W", "ms", "us", "µs", "gf", "kgf", "lbf", "lb",
+        "oz",
     ];
     let is = |word: &[u8]| UNITS.iter().any(|unit| word == unit.as_bytes());
     is(word) || matches!(word, [b'k' | b'M' | b'G' | b'm' | b'u' | b'n', rest @ ..] if is(rest))
@@ -423,8 +424,13 @@ fn is_sign(line: &[u8], at: usize, between: &Between) -> bool {
     let parts = |four: &[u8]| four.starts_with(b" - ") && four[3].is_ascii_alphabetic();
     let word = between.words.map_or(0, |(_, end)| end - between.last_word);
     let alone = blanks == 1 && word > 2 && !between.hard && line[..at].ends_with(b" ");
+    // As in `500 - 511 - 920`; where signs stand apart, some are `+`.
+    let apart = blanks == 1 && between.filled && between.words.is_none() && !line.contains(&b'+');
+    let apart = apart && line[..at].ends_with(b" ") && begins_number(line);
     let log = line[at] == b'-'
-        && (between.timed || alone && !line[..at].ends_with(b"  ") || line.windows(4).any(parts));
+        && (between.timed
+            || (alone || apart) && !line[..at].ends_with(b"  ")
+            || line.windows(4).any(parts));
     number && blanks > 0 && !log
 }
 

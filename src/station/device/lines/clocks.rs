@@ -1,5 +1,7 @@
 //! Finds out which columns only count or tell the time, from the steps between their numbers.
 
+use super::intake::count::{CLOCK_WRAPS, wraps};
+
 /// Fewest numbers that show what a column counts.
 pub(super) const FEWEST: u64 = 20;
 /// Most differences between successive numbers of a column that are kept.
@@ -24,6 +26,11 @@ pub(super) struct Steps {
     ones: u64,
     pub zeros: u64,
     pub down: u64,
+    /// The least and the greatest number, and the shortest step down.
+    ends: [f64; 2],
+    fall: f64,
+    /// Numbers of the first steps that are neither 1 nor down.
+    others: Vec<u64>,
     /// Sum of the steps that go up.
     sum: f64,
     /// Whether some number is no integer.
@@ -36,9 +43,15 @@ impl Steps {
     pub(super) fn add(&mut self, x: f64) {
         self.fractions |= x.fract() != 0.0;
         if self.numbers == 0 {
-            self.first = x;
+            (self.first, self.ends, self.fall) = (x, [x; 2], f64::INFINITY);
         } else {
             let step = x - self.last;
+            self.ends = [self.ends[0].min(x), self.ends[1].max(x)];
+            if step < 0.0 {
+                self.fall = self.fall.min(-step);
+            } else if step != 1.0 && self.others.len() < MOST_STEPS {
+                self.others.push(self.numbers);
+            }
             self.ones += u64::from(step == 1.0);
             self.zeros += u64::from(step == 0.0);
             self.down += u64::from(step < 0.0);
@@ -65,22 +78,52 @@ impl Steps {
         near.iter().sum::<f64>() / near.len() as f64
     }
 
+    /// Whether the column only falls by most of its range, and rises else, like the part of a second.
+    fn begins_anew(&self) -> bool {
+        let steps = self.numbers.saturating_sub(1);
+        let is_deep = self.fall >= 0.5 * (self.ends[1] - self.ends[0]);
+        self.down > 1 && is_deep && !self.fractions && (self.down + self.zeros) * 4 <= steps
+    }
+
+    /// Whether the column is a clock of milliseconds or hundredths, at nearly the rate of the rows, rather than a
+    /// counter: steps other than 1 come at even distances, unlike rows that are lost.
+    fn beats(&self, seconds: f64) -> bool {
+        const FEWEST: usize = 5;
+        let is_near = |unit: &f64| (self.sum / seconds / unit - 1.0).abs() < 0.02;
+        if ![100.0, 1000.0].iter().any(is_near) {
+            return false;
+        }
+        let apart: Vec<f64> = self.others.windows(2).map(|two| (two[1] - two[0]) as f64).collect();
+        let mean = apart.iter().sum::<f64>() / apart.len().max(1) as f64;
+        let square = apart.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
+        apart.len() >= FEWEST && square / (apart.len() as f64) < (0.5 * mean).powi(2)
+    }
+
     /// The unit in which the column counts, for rows at this rate; `None` if it does not count.
     pub(super) fn kind(&self, rate_hz: f64) -> Option<&'static str> {
         let steps = self.numbers.saturating_sub(1).max(1);
         // Allows a few negative steps, since a counter of 8 bits starts again every 256 rows.
-        if self.numbers < FEWEST || self.down * 100 > steps || self.up.is_empty() {
+        let often = self.down * 100 > steps;
+        if self.numbers < FEWEST || often && !self.begins_anew() || self.up.is_empty() {
             return None;
+        }
+        let is_usual = |wrap: f64| [wrap, wrap - 1.0].contains(&self.ends[1]);
+        let seconds = steps as f64 / rate_hz;
+        let counts = (self.ones + self.down) * 10 >= steps * 9 && !self.beats(seconds);
+        if self.begins_anew() && !(counts && (!often || wraps().any(is_usual))) {
+            // No row can be counted by what begins anew at an unusual number.
+            let is_clock = (0.9..=1.0).contains(&(self.ends[1] / CLOCK_WRAPS[0]))
+                && (self.usual() * rate_hz / 1e6 - 1.0).abs() < 0.2;
+            return Some(if is_clock { MICROS } else { TIME });
         }
         let rising = self.down == 0;
         let since_1970 = |(_, unit): &&(&str, f64)| {
             rising && [self.first, self.last].iter().all(|x| EPOCH_S.contains(&(x / unit)))
         };
-        let seconds = steps as f64 / rate_hz;
         let passes = |(_, unit): &&(&str, f64)| (self.sum / seconds / unit - 1.0).abs() < 0.1;
         let whole_seconds = rising && !self.fractions && self.sum >= 2.0;
         match () {
-            () if self.ones * 10 >= steps * 9 => Some(ROWS),
+            () if counts => Some(ROWS),
             () if (self.usual() * rate_hz / 1e6 - 1.0).abs() < 0.2 => Some(MICROS),
             () if UNITS.iter().any(|unit| since_1970(&unit) || passes(&unit)) => {
                 let unit = UNITS.iter().find(since_1970).or_else(|| UNITS.iter().find(passes));

@@ -6,7 +6,7 @@
 //! late, so they are held back until this shows. An unusable row also counts as missing, so that
 //! indexes keep time.
 
-mod count;
+pub(super) mod count;
 
 use super::lateness::{Lateness, RowClock};
 use super::layout::{Column, Count, Layout, LinesStream};

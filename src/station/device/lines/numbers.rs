@@ -111,15 +111,17 @@ pub(super) fn time_of(text: &[u8]) -> Option<(f64, usize)> {
             return days.map(|s| (s, at));
         }
         at += 1;
-    } else if !is(2, b':') || !is(5, b':') {
+    } else if !(is(2, b':') && is(5, b':') || is(1, b':') && is(4, b':') && is(7, b'.')) {
         return None;
     }
-    let clock = (digits(at, at + 2), is(at + 2, b':'), digits(at + 3, at + 5));
+    // Hours of one digit, as in `9:30:00.125`, end one place before.
+    let colon = at + if days.is_none() && is(1, b':') { 1 } else { 2 };
+    let clock = (digits(at, colon), is(colon, b':'), digits(colon + 1, colon + 3));
     let (Some(hours @ 0.0..24.0), true, Some(minutes @ 0.0..60.0)) = clock else {
         return days.map(|s| (s, at - 1));
     };
     let mut seconds = days.unwrap_or(0.0) + hours * 3600.0 + minutes * 60.0;
-    at += 5;
+    at = colon + 3;
     if let Some(whole) = digits(at + 1, at + 3).filter(|_| is(at, b':')) {
         // A leap second is the 61st.
         if whole > 60.0 {

@@ -155,10 +155,11 @@ impl LineParser {
             self.half = false;
             return on(&[], Line::TooLong);
         }
-        let line = line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line).trim_ascii();
-        if line.is_empty() {
-            return;
-        }
+        let line = line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line);
+        // Some balances frame lines by STX and ETX, and some programs send the end of a string in C.
+        let is_text = |byte: &u8| !byte.is_ascii_whitespace() && !matches!(byte, 0 | 2 | 3);
+        let Some(first) = line.iter().position(is_text) else { return };
+        let line = &line[first..=line.iter().rposition(is_text).unwrap_or(first)];
         let half = std::mem::take(&mut self.half);
         if !line.contains(&0x1b) {
             return self.reader.line(line, half, on);

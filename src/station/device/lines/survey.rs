@@ -323,8 +323,8 @@ impl Survey {
                     "{rate_hz:.0} lines come a second, faster than any sensor, so that their rate \
                      cannot be measured; give rate_hz in [[lines]] of the configuration"
                 ),
-                false => "too few lines come to measure their rate; give rate_hz in [[lines]] of \
-                          the configuration"
+                false => "too few lines come to measure their rate; if a program holds them back, let it send \
+                          each at once (`python3 -u`), or give rate_hz in [[lines]] of the configuration"
                     .into(),
             });
         }
@@ -448,6 +448,21 @@ mod tests {
         assert_eq!(survey.measuring(), [Column::Place(4)]);
         assert_eq!(survey.count(), Some(Count::Rows(Column::Place(1))));
         assert_eq!(survey.rate_hz(), Ok(400.0));
+    }
+
+    #[test]
+    fn what_begins_anew_often_or_beats_with_the_rows_counts_none() {
+        let is_time = |rate_hz: f64, first: fn(u64) -> u64| {
+            let survey = survey(rate_hz, |i| format!("{},{:.2}\n", first(i), wave(i)));
+            assert_eq!((survey.count(), survey.measuring()), (None, vec![Column::Place(2)]));
+        };
+        is_time(50.0, |i| i % 50 * 20_000_000);
+        is_time(50.0, |i| i % 50 * 20_000);
+        is_time(100.0, |i| i % 60);
+        is_time(960.0, |i| i * 1000 / 960);
+        is_time(1040.0, |i| i * 1000 / 1040);
+        let short = survey(100.0, |i| format!("{},{:.2}\n", i % 16, wave(i)));
+        assert_eq!(short.count(), Some(Count::Rows(Column::Place(1))));
     }
 
     #[test]

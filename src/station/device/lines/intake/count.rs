@@ -5,8 +5,9 @@ use crate::device::lines::lateness::RowClock;
 use crate::device::lines::layout::Count;
 use crate::device::serial::gap;
 
-/// Values at which clocks of 16 and 32 bits start again from 0.
-const CLOCK_WRAPS: [f64; 2] = [65_536.0, 4_294_967_296.0];
+/// Values at which clocks of 16, 30 (MicroPython) and 32 bits start again from 0.
+pub(in crate::device::lines) const CLOCK_WRAPS: [f64; 3] =
+    [65_536.0, 1_073_741_824.0, 4_294_967_296.0];
 /// Numbers of values, other than powers of two, after which counters begin again.
 const DECIMAL_WRAPS: [f64; 5] = [100.0, 1000.0, 10_000.0, 99_999.0, 100_000.0];
 /// Highest power of two at which a counter may begin again; an f64 holds all numbers up to it.
@@ -16,7 +17,7 @@ const OUT_OF_ORDER_S: f64 = 0.05;
 const OUT_OF_ORDER_ROWS: f64 = 8.0;
 
 /// The numbers of values after which a counter may begin again, in no order.
-fn wraps() -> impl Iterator<Item = f64> {
+pub(in crate::device::lines) fn wraps() -> impl Iterator<Item = f64> {
     let binary = (1..=MOST_BITS).map(|bits| f64::from(bits).exp2());
     DECIMAL_WRAPS.into_iter().chain(binary)
 }

@@ -23,6 +23,14 @@ fn every_usual_separator_is_understood() {
     for text in ["1;-2.5;3E-2\r\n", "1\t-2.5\t.03\r", " 1  -2.5 +0.03 \n", "1 ; -2.5 ;\t3e-2\n"] {
         assert_eq!(rows(text), [[1.0, -2.5, 0.03]], "{text:?}");
     }
+    assert_eq!(rows("9:30:00.250,1\n\0\n\09:30:00.500,2\n"), [[34_200.25, 1.0], [34_200.5, 2.0]]);
+    assert_eq!(rows(&"\u{2}-12.5 g\u{3}\r\n".repeat(4)), [[-12.5]; 4]);
+    let apart = rows("500 - 511 - 920\n").concat();
+    assert_eq!(
+        apart.into_iter().filter(|x| !x.is_nan()).collect::<Vec<_>>(),
+        [500.0, 511.0, 920.0]
+    );
+    assert_eq!(rows("+ 1 - 2 + 3\n"), [[1.0, -2.0, 3.0]]);
     // Lines with words must come often enough to be no log.
     assert!(rows(&"ax:1 ay:2\n".repeat(3)).is_empty());
     assert_eq!(rows(&"ax:1 ay:2\n\n\r\n".repeat(4)), [[1.0, 2.0]; 4]);
