@@ -59,7 +59,7 @@ pub(super) struct CsvArgs {
     #[arg(long, value_name = "COLUMN", conflicts_with = "rate")]
     time: Option<String>,
     /// Length of the unit of time in seconds, such as 0.001 (default: by the column's header, or its values)
-    #[arg(long, value_name = "SECONDS", value_parser = super::seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = unit)]
     time_unit: Option<f64>,
     /// Column with the surface, in a long table (for arrays, as --labels)
     #[arg(long, value_name = "COLUMN")]
@@ -110,6 +110,11 @@ fn rate(text: &str) -> Result<f64, String> {
         |hz: &f64| (0.01..1e9).contains(hz),
         "a number of rows a second, such as 100 or 12.5",
     )
+}
+
+fn unit(text: &str) -> Result<f64, String> {
+    let expected = "a number of seconds up to that of a day, such as 0.001 or 86400";
+    parsed(text, |s: &f64| (1e-9..=86_400.0).contains(s), expected)
 }
 
 fn pattern(text: &str) -> Result<NamePattern, String> {
@@ -313,7 +318,8 @@ fn understood(args: &CsvArgs, tables: &[PathBuf], bad: &mut Vec<LibraryError>) -
         sources = found;
     }
     let units = head.units(&sources).map_err(fail)?;
-    Ok(Form { sources, units, clock, ..form })
+    let known = head.layout.columns.into_iter().map(|column| column.name).collect();
+    Ok(Form { sources, known, units, clock, ..form })
 }
 
 /// How to read an array, whose channels are called 1, 2, …
@@ -341,6 +347,7 @@ fn form(args: &CsvArgs, most_unpacked: u64) -> Form {
     let surface = args.labels.clone().or_else(|| args.surface.clone());
     Form {
         sources: Vec::new(),
+        known: BTreeSet::new(),
         units: Vec::new(),
         clock: Clock::Rate(1.0),
         labels: [surface, args.user.clone(), args.trial.clone(), session],

@@ -233,6 +233,21 @@ fn what_would_give_wrong_numbers_without_a_word_is_refused_or_said() {
             "turn the table",
         ),
         (
+            timed("time", |i| format!("{:.2}", 9.0 - i as f64 / 100.0)),
+            rate,
+            "newest row stands first",
+        ),
+        (
+            table("channel,value\n", |i, [x, ..]| format!("{},{x}", i % 3)),
+            rate,
+            "column `channel` says of what a row holds the values (`0`, `1`, …)",
+        ),
+        (
+            table("value,unit\n", |i, [x, ..]| format!("{x},{}", ["V", "mV"][i % 40 / 20])),
+            rate,
+            "column `unit` holds several units (V, mV)",
+        ),
+        (
             table("time,ax\n", |i, [x, ..]| format!("{},{x}", 10 * (i + i / 9 + i % 7 / 6))),
             &[],
             "misses",
@@ -308,6 +323,12 @@ fn rows_of_several_trials_are_told_apart() {
     assert_eq!(counted("i", |i| (i % 100).to_string()), (3, ax()), "a counter that begins anew");
     assert_eq!(counted("Unnamed: 0", |i| (i % 75).to_string()), (4, ax()));
     assert_eq!(counted("nSeq", |i| (i % 16).to_string()), (1, ax()), "four bits");
+    assert_eq!(counted("seq", |i| (i % 128).to_string()), (1, ax()), "seven bits");
+    let stick_slip =
+        |i: usize| format!("{:.3}", (i % 20) as f64 / 10.0 + (i * 7 % 3) as f64 / 90.0);
+    let sawtooth = table("force,ax\n", |i, [x, ..]| format!("{},{x}", stick_slip(i)));
+    let sawtooth = import("oak/1.csv", sawtooth.as_bytes(), &["--rate", "100"]);
+    assert_eq!(sawtooth.series("force").frames(), ROWS, "a sensor may rise and fall so");
     let second = |i: usize| format!("{},{}", i / 100, i % 100 * 10);
     let parts = table("second,ms,ax\n", |i, [x, ..]| format!("{},{x}", second(i)));
     let parts = import("oak/1.csv", parts.as_bytes(), &["--rate", "100"]);
@@ -334,7 +355,7 @@ fn a_sensor_that_ends_before_the_others_is_refused_with_what_it_may_mean() {
             format!("{:.2},{x},{y}", i as f64 / 100.0)
         })
     };
-    for (after, of_time) in [(75, true), (75, false), (200, true), (270, false)] {
+    for (after, of_time) in [(75, true), (75, false), (200, true), (230, false)] {
         let args: &[&str] = if of_time { &[] } else { &["--rate", "100"] };
         let imported = import("oak/1.csv", ends(after).as_bytes(), args);
         let part = format!("`ax` (source `ax`) in its first {after} of 300 rows alone");

@@ -439,6 +439,26 @@ fn tables_of_phones_loggers_and_programs_hold_their_numbers() {
             a3,
         ),
         (
+            "pandas_by_date_1.csv",
+            table("time,0,1,2\n", |i, [x, y, z]| {
+                format!("2024-03-05 14:03:{:09.6},{x},{y},{z}", i as f64 / 100.0)
+            })
+            .into(),
+            &[],
+            100.0,
+            s3,
+        ),
+        (
+            "dashes_1.csv",
+            table("time fx fy fz gap\n", |i, [x, y, z]| {
+                format!("14:03:{:06.3} {x} {y} {z} -", i as f64 / 100.0)
+            })
+            .into(),
+            &["--source", "f=fx,fy,fz"],
+            100.0,
+            &[("f", &[0, 1, 2])],
+        ),
+        (
             "minus_1.csv",
             table("ax,ay,az\n", |_, [x, y, z]| format!("{},{y}D0,{z}", x.replace('-', "\u{2212}")))
                 .into(),

@@ -65,6 +65,8 @@ impl Summary {
         self.said.unlabelled += said.unlabelled;
         self.said.coarse.extend(said.coarse);
         self.said.running.extend(said.running);
+        self.said.further.extend(said.further);
+        self.said.parted_by = self.said.parted_by.take().or(said.parted_by);
     }
 
     pub(super) fn print(&self, form: &Form) {
@@ -119,6 +121,15 @@ impl Summary {
             if count > 0 {
                 say!("{what}: {}{then}", counted(count, thing));
             }
+        }
+        if let Some(name) = &said.parted_by {
+            say!(
+                "trials are parted where column `{name}` begins anew; number them by --trial if that is wrong"
+            );
+        }
+        if !said.further.is_empty() {
+            let names = show::listed(&said.further);
+            say!("columns that the first table does not have are not used: {names}");
         }
         for name in &said.coarse {
             say!(

@@ -161,19 +161,23 @@ fn by_thousands(text: &str) -> bool {
 pub(super) fn timed(line: &[u8]) -> Option<(&[u8], &[u8])> {
     let line = line.trim_ascii_start();
     let start = &line[..line.len().min(60)];
-    let (time, rest) = if let Some(at) = memchr::memmem::find(start, b"->") {
-        (&line[..at], &line[at + 2..])
-    } else if start.starts_with(b"[") {
+    let dash = |text: &[u8]| memchr::memmem::find(&text[..text.len().min(60)], b" - ");
+    if start.starts_with(b"[") {
         let end = memchr::memchr(b']', start)?;
-        (&line[1..end], &line[end + 1..])
-    } else {
-        let at = [memchr::memmem::find(start, b" - ")?, memchr::memmem::rfind(start, b" - ")?];
-        (&line[..at[0]], &line[at[1] + 3..])
+        let (time, rest) = (line[1..end].trim_ascii(), &line[end + 1..]);
+        // Tera Term writes the day before it and the year behind it.
+        let of_day = || time.split(|byte| *byte == b' ').find(|word| stamp::is_clock(word));
+        return Some((if stamp::is_moment(time) { time } else { of_day()? }, rest));
+    }
+    let (time, mut rest) = match memchr::memmem::find(start, b"->") {
+        Some(at) => (&line[..at], &line[at + 2..]),
+        None => dash(start).map(|at| (&line[..at], &line[at + 3..]))?,
     };
-    let time = time.trim_ascii();
-    // Tera Term writes the day before it and the year behind it.
-    let of_day = || time.split(|byte| *byte == b' ').find(|word| stamp::is_clock(word));
-    Some((if stamp::is_moment(time) { time } else { of_day()? }, rest))
+    // Levels and names of a log.
+    while let Some(at) = dash(rest).filter(|at| !rest[..*at].iter().any(u8::is_ascii_digit)) {
+        rest = &rest[at + 3..];
+    }
+    stamp::is_moment(time.trim_ascii()).then_some((time.trim_ascii(), rest))
 }
 
 /// Appends the cells of a line, without outer spaces and quotes.

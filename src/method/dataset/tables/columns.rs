@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::cell::{Numbers, counts, is_missing, shown, whole};
-use super::heading::{Column, is_among, is_time_name, plain};
+use super::heading::{Column, is_among, is_time_name, is_unit, plain};
 use super::stamp::{Stamps, length, unit_ns};
 use super::{Clock, Head};
 use crate::scene::SourceId;
@@ -35,7 +35,7 @@ const LABELS: &str = "user userid subject subjectid person participant participa
 
 /// Names of columns that say what was measured, in tables with one value a row.
 const QUANTITIES: &str = "variable parameter series channel sensor sensorid kind type name key metric entityid \
-    measurement field quantity axis signal tag";
+    measurement field quantity axis signal tag id station node device address";
 
 /// Whether a column of a table is one of times by its name. A `T` beside another first column is a
 /// temperature or a torque, and an `x-axis` beside a `y-axis` a channel.
@@ -104,6 +104,7 @@ pub(super) fn stamps(
 /// The column of times of a table, if one has the name and the values of times. An error if two are
 /// times of different lengths, or have several readings.
 pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option<String>, String> {
+    oldest_first(head)?;
     let columns = &head.layout.columns;
     let rises = |column: usize| -> Option<Result<(Stamps, f64, usize), String>> {
         let cells = head.cells(column);
@@ -161,6 +162,30 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
     }
 }
 
+/// Refuses times that fall from row to row, as where a program writes the newest row first.
+pub(super) fn oldest_first(head: &Head) -> Result<(), String> {
+    let columns = &head.layout.columns;
+    let mut named = (0..columns.len()).filter(|at| is_time(columns, *at));
+    let falls = named.find(|at| {
+        let cells = head.cells(*at);
+        let times: Vec<f64> = match stamps(head, *at, None, false) {
+            Ok((stamps, _)) => {
+                cells.iter().filter_map(|cell| stamps.read(cell)).map(|x| x as f64).collect()
+            }
+            Err(_) => cells.iter().filter_map(|cell| number(cell, head.layout.delimiter)).collect(),
+        };
+        let falls = times.windows(2).filter(|two| two[1] < two[0]).count();
+        times.len() >= 10 && falls * 20 >= 19 * (times.len() - 1)
+    });
+    falls.map_or(Ok(()), |at| {
+        Err(format!(
+            "column `{}` falls from row to row: the newest row stands first; turn the rows round, such as by `tac` \
+             below the names",
+            columns[at].name
+        ))
+    })
+}
+
 /// Whether a column may hold parts of the seconds that another column counts.
 pub(super) fn is_part_of_second(head: &Head, at: usize) -> bool {
     const SECONDS: &str = "s ss sec secs second seconds tvsec";
@@ -177,9 +202,10 @@ pub(super) fn counter(head: &Head, others: impl Fn(&usize) -> bool) -> Option<us
         let numbers: Option<Vec<i64>> = head.cells(*at).iter().map(|cell| whole(cell)).collect();
         numbers.is_some_and(|numbers| {
             let anew = numbers.windows(2).filter(|two| two[1] != two[0] + 1).count();
-            // Counters of 4 and 8 bits begin anew within a trial.
-            let is_small = matches!(numbers.iter().max(), Some(15 | 255));
-            numbers.len() >= SURELY_COUNTED && anew * 10 <= numbers.len() && !is_small
+            // Counters of a few bits begin anew within a trial.
+            let is_full = numbers.iter().max().is_some_and(|most| (most + 1).count_ones() == 1);
+            let may_wrap = is_full && anew > 0;
+            numbers.len() >= SURELY_COUNTED && anew * 10 <= numbers.len() && !may_wrap
         })
     })
 }
@@ -233,7 +259,9 @@ pub fn sources(
         if (is_counter || cells.len() >= SURELY_COUNTED) && counts(cells.iter())
             || is_counter && runs_on() == Some(true)
         {
-            notes.push(format!("column `{name}` only counts the rows, and is left out"));
+            notes.push(format!(
+                "column `{name}` only counts the rows, and is left out; use it by --source if it measures"
+            ));
         } else if runs_on() == Some(true) {
             notes.push(format!(
                 "column `{name}` rises like a clock or a counter, and is left out; use it by --source"
@@ -274,7 +302,9 @@ pub fn sources(
     }
     if sources.is_empty() {
         let names: Vec<&str> = layout.columns.iter().map(|column| &*column.name).collect();
-        return Err(format!("no column of samples is left; the columns: {}", names.join(", ")));
+        let left_out = notes.iter().map(|note| format!("; {note}")).collect::<String>();
+        let names = names.join(", ");
+        return Err(format!("no column of samples is left; the columns: {names}{left_out}"));
     }
     let named = |(id, columns): (String, Vec<String>)| {
         Ok((SourceId::new(&id).map_err(|error| error.to_string())?, columns))
@@ -295,6 +325,14 @@ fn of_texts(
     may_name: bool,
 ) -> Result<Option<String>, String> {
     let is_text = |cell: &&Vec<u8>| number(cell, delimiter).is_none() && !is_missing(cell);
+    let units: BTreeSet<String> = cells.iter().map(|cell| shown(cell).into_owned()).collect();
+    if units.len() > 1 && units.iter().all(|unit| is_unit(unit)) {
+        let units = units.into_iter().collect::<Vec<_>>().join(", ");
+        return Err(format!(
+            "column `{name}` holds several units ({units}), so that values beside it are not in one; bring them to \
+             one unit first, or name the columns to use by --source"
+        ));
+    }
     let Some(text) = cells.iter().find(is_text) else {
         let is_empty = cells.iter().all(|cell| is_missing(cell));
         let empty = || format!("column `{name}` is left out, since most of its cells are empty");
@@ -329,15 +367,24 @@ fn quantities(
     is_single: bool,
 ) -> Option<(String, [String; 2])> {
     let columns = head.layout.columns.iter().enumerate();
-    let mut texts = columns.filter(|(at, column)| !column.is_numeric && !taken.contains(at));
-    texts.find_map(|(at, column)| {
+    let mut free = columns.filter(|(at, _)| !taken.contains(at));
+    free.find_map(|(at, column)| {
         let cells = head.cells(at);
+        let is_called = is_among(QUANTITIES, &plain(&column.base));
+        // Numbers may number sensors; of other texts, a number with a sign beside it is none.
+        let begins = |cell: &Vec<u8>| cell.iter().find(|byte| !b"+-. ".contains(byte)).copied();
+        let is_text = !column.is_numeric
+            && !cells.iter().filter_map(begins).any(|first| first.is_ascii_digit());
+        let numbers_sensors = || is_called && cells.iter().all(|cell| whole(cell).is_some());
+        if !(is_text || numbers_sensors()) {
+            return None;
+        }
         let different: BTreeSet<&Vec<u8>> = cells.iter().filter(|cell| !is_missing(cell)).collect();
         let changes = cells.windows(2).filter(|two| two[0] != two[1]).count();
         let come_again = 2 * changes > cells.len() && 4 * different.len() <= cells.len();
         let mut first = different.into_iter();
         let two = [first.next()?, first.next()?].map(|text| shown(text).into_owned());
-        let is_one = is_single && is_among(QUANTITIES, &plain(&column.base)) || come_again;
+        let is_one = is_single && is_called && is_text || come_again;
         (is_one && !is_time(&head.layout.columns, at)).then(|| (column.name.clone(), two))
     })
 }
@@ -379,27 +426,43 @@ fn bare(cell: &[u8]) -> &[u8] {
     &cell[from..to]
 }
 
-/// Whether numbers of a column that is called so rise like a clock or a counter: they hardly ever fall.
+/// Whether numbers of a column that is called so rise like a clock or a counter: they hardly ever fall, or mostly
+/// rise by one step, where a counter begins anew after some.
 fn runs_on(values: &[f64]) -> bool {
     let falls = values.windows(2).filter(|two| two[1] < two[0]).count();
-    falls * 20 < values.len() && values.last() > values.first()
+    falls * 20 < values.len() && values.last() > values.first() || rises_evenly(values, 0.1)
 }
 
-/// Whether numbers rise like a clock or a counter, whatever they are called: mostly by one step; or they only fall
-/// where they begin anew, as the part of a second does.
+/// Whether numbers rise like a clock or a counter, whatever they are called: by one step, or as the part of a
+/// second does.
 pub(super) fn runs_surely(values: &[f64]) -> bool {
-    if values.len() < SURELY_COUNTED {
-        return false;
-    }
+    rises_evenly(values, 0.01) || is_part(values)
+}
+
+/// Whether nearly all numbers rise by one step, to this share of it.
+fn rises_evenly(values: &[f64], tolerance: f64) -> bool {
     let mut steps: Vec<f64> = values.windows(2).map(|two| two[1] - two[0]).collect();
     steps.sort_by(f64::total_cmp);
-    let middle = steps[steps.len() / 2];
-    let alike = steps.iter().filter(|step| **step > 0.0 && (*step - middle).abs() <= 0.1 * middle);
-    let [least, most] = [f64::min, f64::max].map(|of| values.iter().copied().fold(values[0], of));
-    let falls: Vec<&f64> = steps.iter().take_while(|step| **step < 0.0).collect();
-    let rises = steps.iter().filter(|step| **step > 0.0).count();
-    let begins_anew = falls.len() > 1 && falls.iter().all(|fall| **fall <= 0.5 * (least - most));
-    alike.count() * 10 >= steps.len() * 9 || begins_anew && rises * 5 >= steps.len() * 4
+    let Some(middle) = steps.get(steps.len() / 2).filter(|_| values.len() >= SURELY_COUNTED) else {
+        return false;
+    };
+    let is_alike = |step: &&f64| **step > 0.0 && (*step - middle).abs() <= tolerance * middle;
+    steps.iter().filter(is_alike).count() * 10 >= steps.len() * 9
+}
+
+/// Whether numbers are thousandths, millionths or billionths of seconds that pass.
+fn is_part(values: &[f64]) -> bool {
+    let most = values.iter().copied().fold(0.0, f64::max);
+    let Some(unit) = [1e3, 1e6, 1e9].into_iter().find(|unit| (0.9..1.0).contains(&(most / unit)))
+    else {
+        return false;
+    };
+    let count =
+        |is: &dyn Fn(f64) -> bool| values.windows(2).filter(|two| is(two[1] - two[0])).count();
+    let is_whole = values.iter().all(|x| *x >= 0.0 && x.fract() == 0.0);
+    let (rises, shallow) =
+        (count(&|step| step > 0.0), count(&|step| step <= 0.0 && step > -0.5 * unit));
+    is_whole && values.len() >= SURELY_COUNTED && shallow == 0 && rises * 5 >= values.len() * 4
 }
 
 /// Whether cells are a few whole numbers that seldom change, like the number of a class.

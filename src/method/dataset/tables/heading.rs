@@ -260,6 +260,6 @@ fn bare(cell: &str) -> &str {
     cell.trim_matches(['[', ']', '(', ')', ' '])
 }
 
-fn is_unit(text: &str) -> bool {
+pub(super) fn is_unit(text: &str) -> bool {
     stamp::unit_ns(text).is_some() || UNITS.contains(&&*text.to_lowercase())
 }

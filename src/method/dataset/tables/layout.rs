@@ -1,8 +1,10 @@
 //! How a table is laid out, found out from its first lines: what separates the cells, which lines name
 //! the columns and their units, and where the rows begin.
 
-use super::cell::{BOTH_COMMAS, DELIMITERS, Numbers, is_missing, owned, shortened, split, timed};
-use super::heading::{Column, HeadLine, Names, distinct, names_in};
+use super::cell::{
+    BOTH_COMMAS, DELIMITERS, Numbers, is_missing, owned, shortened, shown, split, timed,
+};
+use super::heading::{Column, HeadLine, Names, distinct, is_time_name, names_in};
 use super::stamp;
 use crate::printable::counted;
 
@@ -308,7 +310,7 @@ fn no_rows(head: &[(u64, Vec<u8>)]) -> String {
 
 fn is_comment(line: &[u8]) -> bool {
     let line = line.trim_ascii_start();
-    let line = line.strip_prefix(b"\"").unwrap_or(line);
+    let line = line.strip_prefix(b"\"").filter(|rest| !rest.starts_with(b"#\"")).unwrap_or(line);
     // A name such as `#` or `# of sample` alone before a separator is told by `Layout::cells`.
     line.starts_with(b"#") || line.starts_with(b"%") || line.starts_with(b"//")
 }
@@ -381,6 +383,8 @@ fn numbers_as_names(lines: &[HeadLine]) -> bool {
     };
     match first.cells.split_first() {
         Some((index, names)) if index.is_empty() => counts(names),
+        // The name of a column of dates.
+        Some((time, _)) if is_time_name(&shown(time)) => true,
         Some(_) if first.cells.len() > 2 && counts(&first.cells) => {
             let most = 4 * first.cells.len() as u32;
             let other = |cell: &Vec<u8>| !is_missing(cell) && whole(cell).is_none_or(|x| x > most);

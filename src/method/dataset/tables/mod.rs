@@ -79,6 +79,8 @@ pub enum SessionOf {
 pub struct Form {
     /// Each source, with the names of the columns that are its channels.
     pub sources: Vec<(SourceId, Vec<String>)>,
+    /// The names of all columns of the first table; empty for arrays.
+    pub known: BTreeSet<String>,
     /// The units of these columns in the first table; empty if they need not be the same.
     pub units: Vec<Option<String>>,
     pub clock: Clock,
@@ -204,6 +206,10 @@ pub struct Said {
     pub coarse: BTreeSet<String>,
     /// Channels of an array that rise like a clock or a counter.
     pub running: BTreeSet<String>,
+    /// Columns of numbers that the first table does not have.
+    pub further: BTreeSet<String>,
+    /// The column that told where trials begin anew.
+    pub parted_by: Option<String>,
 }
 
 /// Reads all trials of a table. Calls `on` with the names of all trials first, and then with each trial;
@@ -390,6 +396,7 @@ pub fn try_table(path: &Path) -> Result<usize, LibraryError> {
     let fail = LibraryError::at(path);
     let mut form = Form {
         sources: Vec::new(),
+        known: BTreeSet::new(),
         units: Vec::new(),
         clock: Clock::Rate(100.0),
         labels: [None, None, None, None],

@@ -7,6 +7,9 @@ use super::gather::Rows;
 use super::mend::{Gaps, LONGEST_STEP, MOST_FILLED, Mended, Piece, S, SHARE_FILLED, mend};
 use crate::scene::SourceId;
 
+/// A sensor that ends before this share of the rows has passed may rather be slower than the others.
+const FEWEST_TOGETHER: f64 = 0.8;
+
 /// Sorts rows by their times. Returns how many came after a row of a later time.
 pub(super) fn in_order(rows: &mut Rows) -> usize {
     let mut latest = i64::MIN;
@@ -65,7 +68,7 @@ pub(super) fn mend_sources(
     for (of, (source, columns)) in ranges.iter().zip(sources) {
         let last = own(of).next_back().unwrap_or(0) as f64;
         let is_dense = own(of).count() as f64 >= (1.0 - SHARE_FILLED) * last;
-        if is_dense && last > 0.0 && last < (1.0 - SHARE_FILLED) * (count - 1) as f64 {
+        if is_dense && last > 0.0 && last < FEWEST_TOGETHER * (count - 1) as f64 {
             return Err(format!(
                 "has values of `{}` (source `{source}`) in its first {} of {count} rows alone: if that sensor is \
                  slower, and its samples stand closer than they came, put it into a table of its own; if it ended \

@@ -27,8 +27,8 @@ pub(super) struct Table<'a> {
 /// Rows after which an empty line or a comment may divide trials. Some programs write one after each few rows.
 const FEWEST_DIVIDED: usize = 16;
 
-/// A counter of 16 bits begins anew after it, though the trial goes on.
-const LAST_OF_16_BITS: f64 = 65_535.0;
+/// Counters of 16 and 32 bits begin anew here, though the trial goes on.
+const WRAPS: [f64; 2] = [65_536.0, 4_294_967_296.0];
 
 /// A row may come after so many rows of later times, as by a network or in batches of several threads.
 const MOST_OVERTAKEN: f64 = 100.0;
@@ -49,6 +49,7 @@ impl<'a> Table<'a> {
                  rate on their own"
             ));
         }
+        columns::oldest_first(head)?;
         let (mut stamps, mut said) = (None, None);
         if let Clock::Times { column, unit_s } = &form.clock {
             let at = layout.column(column)?;
@@ -96,6 +97,11 @@ impl<'a> Table<'a> {
         scratch: &'s Path,
     ) -> Result<Gathered<'s>, String> {
         let mut gathered = Gathered::new(self.values.len(), self.stamps.is_some(), scratch);
+        if !form.known.is_empty() {
+            let columns = self.head.layout.columns.iter().filter(|column| column.is_numeric);
+            let names = columns.map(|column| column.name.clone());
+            gathered.said.further = names.filter(|name| !form.known.contains(name)).collect();
+        }
         let mut of_name = form.of_name(path)?;
         of_name[3] = form.session_of(path)?;
         let widest = form.widest();
@@ -221,9 +227,14 @@ impl<'a> Table<'a> {
             if let Some(time) = unused.filter(|time| !time.is_nan()) {
                 let (first, last) = times.unwrap_or((time, time));
                 // Not where two rows are swapped.
-                let begins_anew =
-                    time < last && time - first < 0.5 * (last - first) && last != LAST_OF_16_BITS;
+                let begins_anew = time < last
+                    && time - first < 0.5 * (last - first)
+                    && !WRAPS.iter().any(|wrap| (0.8..=1.0).contains(&(last / wrap)));
                 is_broken |= begins_anew && are_unnumbered;
+                if begins_anew && are_unnumbered {
+                    let column = self.unused_clock.map(|at| layout.columns[at].name.clone());
+                    gathered.said.parted_by = column;
+                }
                 times = Some((if begins_anew { time } else { first }, time));
             }
             let full = |error| {
