@@ -459,6 +459,23 @@ fn tables_of_phones_loggers_and_programs_hold_their_numbers() {
             &[("f", &[0, 1, 2])],
         ),
         (
+            "plotter_1.txt",
+            table("", |_, [x, y, z]| format!("ax:{x}, ay: {y}, az:{z}")).into(),
+            &["--rate", "100"],
+            100.0,
+            a3,
+        ),
+        (
+            "plotter_arrows_1.txt",
+            table("", |i, [x, y, z]| {
+                format!("14:03:{:06.3} -> ax:{x}\tay:{y}\taz:{z}", i as f64 / 100.0)
+            })
+            .into(),
+            &[],
+            100.0,
+            a3,
+        ),
+        (
             "minus_1.csv",
             table("ax,ay,az\n", |_, [x, y, z]| format!("{},{y}D0,{z}", x.replace('-', "\u{2212}")))
                 .into(),

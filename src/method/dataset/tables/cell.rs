@@ -180,8 +180,33 @@ pub(super) fn timed(line: &[u8]) -> Option<(&[u8], &[u8])> {
     stamp::is_moment(time.trim_ascii()).then_some((time.trim_ascii(), rest))
 }
 
-/// Appends the cells of a line, without outer spaces and quotes.
-pub(super) fn split<'a>(line: &'a [u8], delimiter: u8, is_timed: bool, cells: &mut Vec<&'a [u8]>) {
+/// What a program has written beside the numbers of each line.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Beside {
+    /// A time before the line ([`timed`]).
+    pub time: bool,
+    /// A name before each number ([`named`]).
+    pub names: bool,
+}
+
+/// The name and the number of a cell as for a serial plotter: `x:0.5`.
+pub(super) fn named(cell: &[u8]) -> Option<(&[u8], &[u8])> {
+    let at = memchr::memchr(b':', cell).filter(|_| cell[0].is_ascii_alphabetic())?;
+    let number = cell[at + 1..].trim_ascii();
+    let is_number = std::str::from_utf8(number).is_ok_and(|text| text.parse::<f64>().is_ok());
+    is_number.then_some((cell[..at].trim_ascii(), number))
+}
+
+/// Appends the cells of a line, without outer spaces and quotes, and without what stands beside numbers.
+pub(super) fn split<'a>(line: &'a [u8], delimiter: u8, beside: Beside, cells: &mut Vec<&'a [u8]>) {
+    let from = cells.len();
+    split_raw(line, delimiter, beside.time, cells);
+    if beside.names {
+        cells[from..].iter_mut().for_each(|cell| *cell = named(cell).map_or(*cell, |(_, x)| x));
+    }
+}
+
+fn split_raw<'a>(line: &'a [u8], delimiter: u8, is_timed: bool, cells: &mut Vec<&'a [u8]>) {
     let mut rest = line;
     if is_timed && let Some((time, after)) = timed(line) {
         cells.push(time);
@@ -223,9 +248,9 @@ fn split_quoted<'a>(line: &'a [u8], delimiter: u8, cells: &mut Vec<&'a [u8]>) {
     }
 }
 
-pub(super) fn owned(line: &[u8], delimiter: u8, is_timed: bool) -> Vec<Vec<u8>> {
+pub(super) fn owned(line: &[u8], delimiter: u8, beside: Beside) -> Vec<Vec<u8>> {
     let mut cells = Vec::new();
-    split(line, delimiter, is_timed, &mut cells);
+    split(line, delimiter, beside, &mut cells);
     cells.into_iter().map(<[u8]>::to_vec).collect()
 }
 

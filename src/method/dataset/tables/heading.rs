@@ -1,6 +1,6 @@
 //! The names and units of a table's columns, in the lines above its rows.
 
-use super::cell::{BOTH_COMMAS, DELIMITERS, counts, owned, shown};
+use super::cell::{BOTH_COMMAS, Beside, DELIMITERS, counts, owned, shown};
 use super::stamp;
 use crate::printable::counted;
 
@@ -202,8 +202,9 @@ pub(super) fn names_in(
     let text = line.trim_ascii();
     let start = text.iter().position(|byte| !b"#%/ \t\"".contains(byte))?;
     let other = [delimiter].into_iter().chain(DELIMITERS);
-    let mut cells = other
-        .flat_map(|delimiter| [&text[start..], text].map(|text| owned(text, delimiter, false)));
+    let mut cells = other.flat_map(|delimiter| {
+        [&text[start..], text].map(|text| owned(text, delimiter, Beside::default()))
+    });
     let cells = cells.find(|cells| cells.len() == width)?;
     let names: Vec<String> = cells.iter().map(|cell| shown(cell).into_owned()).collect();
     let are_names = names.iter().all(|name| !name.is_empty() && name.parse::<f64>().is_err());

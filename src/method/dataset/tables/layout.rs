@@ -2,7 +2,8 @@
 //! the columns and their units, and where the rows begin.
 
 use super::cell::{
-    BOTH_COMMAS, DELIMITERS, Numbers, is_missing, owned, shortened, shown, split, timed,
+    BOTH_COMMAS, Beside, DELIMITERS, Numbers, is_missing, named, owned, shortened, shown, split,
+    timed,
 };
 use super::heading::{Column, HeadLine, Names, distinct, is_time_name, names_in};
 use super::stamp;
@@ -22,8 +23,7 @@ pub(crate) enum Line {
 pub struct Layout {
     /// The separator of cells; a space stands for any number of spaces and tabs.
     pub delimiter: u8,
-    /// Whether a monitor or a log has written a time before each line, such as `12:34:56.789 -> `.
-    pub is_timed: bool,
+    beside: Beside,
     pub columns: Vec<Column>,
     /// The line number of the first row, and of the last line of the names (0 without names).
     pub first: u64,
@@ -47,34 +47,38 @@ impl Layout {
         let mut notes = Vec::new();
         distinct(&mut columns, &mut notes);
         let (delimiter, first) = (Self::BETWEEN, 1);
-        let (is_timed, names_at, rate_hz) = (false, 0, None);
-        Self { delimiter, is_timed, columns, first, names_at, notes, rate_hz, is_typed: true }
+        let (beside, names_at, rate_hz) = (Beside::default(), 0, None);
+        Self { delimiter, beside, columns, first, names_at, notes, rate_hz, is_typed: true }
     }
 
     /// Finds out the layout from the `head` of a file: its first lines with their numbers.
     pub(crate) fn of(head: &[(u64, Vec<u8>)]) -> Result<Self, String> {
-        let is_timed = are_timed(head);
-        let split_by = |delimiter: u8| {
+        let time = are_timed(head);
+        let split_by = |delimiter: u8, names: bool| {
             let lines = head.iter().filter(|(_, line)| !line.trim_ascii().is_empty());
             let lines = lines.filter(|(_, line)| !is_comment(line));
             let cells = |(number, line): &(u64, Vec<u8>)| HeadLine {
                 number: *number,
-                cells: owned(line, delimiter, is_timed),
+                cells: owned(line, delimiter, Beside { time, names }),
             };
             lines.map(cells).collect::<Vec<_>>()
         };
-        let mut best = (0.0, b',', Vec::new());
+        let (mut best, mut labels) = ((0.0, b',', Vec::new()), None);
         for delimiter in DELIMITERS {
-            let lines = split_by(delimiter);
+            let mut lines = split_by(delimiter, false);
+            let named = names_beside(&lines, time);
+            if named.is_some() {
+                lines = split_by(delimiter, true);
+            }
             let fit = fit(&lines, delimiter);
             // Other separators say where a cell is empty.
             if fit > best.0 * if delimiter == b' ' { 1.1 } else { 1.0 } {
-                best = (fit, delimiter, lines);
+                (best, labels) = ((fit, delimiter, lines), named);
             }
         }
         let (fit, delimiter, mut lines) = best;
         if fit == 0.0 {
-            lines = split_by(b',');
+            lines = split_by(b',', false);
         }
         // LabVIEW's own settings: of the file, then of its first segment.
         let is_end =
@@ -145,20 +149,24 @@ impl Layout {
             return Err(no_rows(head));
         };
         let mut names = Names::of(above, width, &is_numeric, lines, delimiter)?;
-        if names.rows.is_empty() {
+        let beside = Beside { time, names: labels.is_some() };
+        if let Some(labels) = labels.filter(|labels| names.rows.is_empty() && labels.len() == width)
+        {
+            names.rows.push(labels);
+        } else if names.rows.is_empty() {
             let comments = head.iter().filter(|(number, line)| *number < first && is_comment(line));
             names = comments
                 .rev()
                 .find_map(|comment| names_in(comment, delimiter, width))
                 .unwrap_or(names);
         }
-        let mut columns = names.columns(width, is_timed);
+        let mut columns = names.columns(width, time);
         for (column, is_numeric) in columns.iter_mut().zip(is_numeric) {
             column.is_numeric = is_numeric;
         }
         distinct(&mut columns, &mut notes);
         let names_at = names.at;
-        Ok(Self { delimiter, is_timed, columns, first, names_at, notes, rate_hz, is_typed: false })
+        Ok(Self { delimiter, beside, columns, first, names_at, notes, rate_hz, is_typed: false })
     }
 
     /// Splits a line into the cells of a row, and says what the line is.
@@ -176,7 +184,7 @@ impl Layout {
             cells.extend(line.split(|byte| *byte == self.delimiter).map(<[u8]>::trim_ascii));
             return Ok(of(cells));
         }
-        split(line, self.delimiter, self.is_timed, cells);
+        split(line, self.delimiter, self.beside, cells);
         let width = self.columns.len();
         if cells.len() != width {
             if is_comment(line) || of(cells) == Line::Nothing {
@@ -320,6 +328,20 @@ fn are_timed(head: &[(u64, Vec<u8>)]) -> bool {
     let lines = || head.iter().filter(|(_, line)| !line.trim_ascii().is_empty());
     let with = lines().filter(|(_, line)| timed(line).is_some()).count();
     with > 0 && with * 5 >= lines().count() * 4
+}
+
+/// The names that stand before the numbers of nearly all lines ([`named`]), the same in each.
+fn names_beside(lines: &[HeadLine], time: bool) -> Option<Vec<String>> {
+    let names_of = |line: &HeadLine| -> Option<Vec<String>> {
+        let names = line.cells.iter().skip(usize::from(time)).map(|cell| named(cell));
+        let names =
+            names.map(|named| Some(shown(named?.0).into_owned())).collect::<Option<Vec<_>>>()?;
+        let time = time.then(|| "time".to_string());
+        (!names.is_empty()).then(|| time.into_iter().chain(names).collect())
+    };
+    let first = lines.iter().find_map(names_of)?;
+    let alike = lines.iter().filter(|line| names_of(line).as_ref() == Some(&first)).count();
+    (alike * 5 >= lines.len() * 4).then_some(first)
 }
 
 /// Drops empty cells beyond `width`.
