@@ -227,6 +227,9 @@ impl Cells {
         }
         if !between.filled {
             self.push(f64::NAN, Kind::Word, 0, between);
+            if let Some(word) = self.cells.last_mut() {
+                word.label = [(0, 0), (begin, end)];
+            }
         }
     }
 
@@ -406,6 +409,16 @@ impl Cells {
     fn keep_named(&mut self) {
         let lead = |cell: &Cell| cell.name & LEAD != 0;
         let first = self.cells.iter().position(|cell| !lead(cell)).unwrap_or(self.cells.len());
+        // A list of names before one of numbers: `yaw, pitch, roll: 1, 2, 3`.
+        let (words, numbers) = self.cells.split_at_mut(first);
+        let is_list = !words.is_empty()
+            && words.iter().all(|cell| cell.kind == Kind::Word)
+            && numbers.len() == words.len() + 1
+            && numbers.iter().all(|cell| cell.label == numbers[0].label);
+        if is_list {
+            numbers.iter_mut().zip(words).for_each(|(cell, word)| cell.label = word.label);
+            numbers.iter_mut().for_each(|cell| cell.place = 0);
+        }
         let mut at = 0;
         self.cells.retain(|cell| {
             at += 1;

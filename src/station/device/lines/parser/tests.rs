@@ -55,6 +55,15 @@ fn a_header_is_words_alone() {
 }
 
 #[test]
+fn a_list_of_names_names_a_list_of_numbers() {
+    let mut parser = LineParser::default();
+    let text = "Yaw, Pitch, Roll: 181.5, -4.5, 20\n".repeat(5);
+    let found = lines(&mut parser, text.as_bytes());
+    assert_eq!(found[found.len() - 6..][0], "Header([\"Yaw\", \"Pitch\", \"Roll\"])", "{found:?}");
+    assert_eq!(found[found.len() - 1], "Row([181.5, -4.5, 20.0])");
+}
+
+#[test]
 fn a_half_line_at_the_begin_is_dropped_unless_it_is_a_header() {
     let mut parser = LineParser::default();
     parser.reopened(true);
