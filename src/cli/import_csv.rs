@@ -237,21 +237,18 @@ fn one_folder_a_surface(given: &[PathBuf], tables: &[PathBuf]) -> Done {
         let first = *upper.entry(name).or_insert(other);
         if first != other {
             let [name, first, other] = [name, first, other].map(|name| name.to_string_lossy());
-            let mut patterns =
-                vec!["{user}/{surface}/{trial}".to_string(), "{surface}/{user}/{trial}".into()];
             // A program may write tables of the same names into a folder for each recording.
             let size = |path: &&PathBuf| std::fs::metadata(path).map_or(0, |about| about.len());
             let stem = tables.iter().max_by_key(size).and_then(|path| path.file_stem());
-            if let Some(stem) = stem
-                && tables.iter().filter(|other| other.file_stem() == Some(stem)).count() > 2
-            {
-                patterns.insert(0, format!("{{surface}}/{{trial}}/{}", stem.to_string_lossy()));
-            }
-            let patterns = patterns.iter().map(|one| format!("'{one}'")).collect::<Vec<_>>();
+            let alike = tables.iter().filter(|other| other.file_stem() == stem).count();
+            let own = stem
+                .filter(|_| alike > 2)
+                .map(|stem| format!("'{{surface}}/{{trial}}/{}' or ", stem.to_string_lossy()));
             return Err(Failure::usage(format!(
-                "both `{first}` and `{other}` hold a folder `{name}`: say what names the surface, by --names {}, or by \
+                "both `{first}` and `{other}` hold a folder `{name}`: say what names the surface, by --names \
+                 {}'{{user}}/{{surface}}/{{trial}}' or '{{surface}}/{{user}}/{{trial}}', or by \
                  '{{surface}}/{{trial}}' if the upper folder names nothing",
-                patterns.join(" or ")
+                own.unwrap_or_default()
             )));
         }
     }
@@ -300,6 +297,7 @@ fn understood(args: &CsvArgs, tables: &[PathBuf], bad: &mut Vec<LibraryError>) -
         (Some(rate_hz), _) => Clock::Rate(rate_hz),
         (None, Some(column)) => Clock::Times { column: column.clone(), unit_s: args.time_unit },
         (None, None) => {
+            columns::oldest_first(&head).map_err(fail)?;
             let found = columns::clock(&head, args.time_unit, args.from_1904).map_err(fail)?;
             let unknown = "the rate is not known: give --rate HZ, or --time COLUMN for a column of \
                            times";

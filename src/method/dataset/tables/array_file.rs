@@ -94,11 +94,13 @@ pub fn read(path: &Path, form: &Form, on: OnRead<'_>) -> Result<Said, LibraryErr
             let key = TrialKey::new(surface, user, of_file.unwrap_or(*next)).with_session(session);
             // As in tables, an infinity is a missing value.
             let value = |at: usize| if values[at].is_finite() { values[at] } else { f32::NAN };
-            for place in places.iter().filter(|_| at == 1) {
-                let own = &values[place * samples..(place + 1) * samples];
-                if runs_surely(&own.iter().map(|x| f64::from(*x)).collect::<Vec<_>>()) {
-                    said.running.insert((place + 1).to_string());
-                }
+            if at == 1 {
+                let runs = |place: &&usize| {
+                    let own = &values[**place * samples..(**place + 1) * samples];
+                    runs_surely(&own.iter().map(|x| f64::from(*x)).collect::<Vec<_>>())
+                };
+                let running = places.iter().filter(runs).map(|place| (place + 1).to_string());
+                said.running = running.collect();
             }
             let row = |row: usize| places.iter().map(move |place| place * samples + row);
             let values = (0..samples).flat_map(row).map(value).collect();

@@ -79,7 +79,8 @@ impl Numbers {
         let no_number = || "is not a finite number".to_string();
         let mut text = shown(cell).replace('\u{2212}', "-");
         // Fortran's exponents.
-        if let Some((number, exponent)) = text.split_once(['d', 'D']).filter(|(of, _)| of.len() > 1)
+        if let Some((number, exponent)) =
+            text.split_once(['d', 'D']).filter(|(of, _)| of.contains('.'))
         {
             text = format!("{number}e{exponent}");
         }

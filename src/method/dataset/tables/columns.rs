@@ -104,7 +104,6 @@ pub(super) fn stamps(
 /// The column of times of a table, if one has the name and the values of times. An error if two are
 /// times of different lengths, or have several readings.
 pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option<String>, String> {
-    oldest_first(head)?;
     let columns = &head.layout.columns;
     let rises = |column: usize| -> Option<Result<(Stamps, f64, usize), String>> {
         let cells = head.cells(column);
@@ -163,7 +162,7 @@ pub fn clock(head: &Head, unit_s: Option<f64>, from_1904: bool) -> Result<Option
 }
 
 /// Refuses times that fall from row to row, as where a program writes the newest row first.
-pub(super) fn oldest_first(head: &Head) -> Result<(), String> {
+pub fn oldest_first(head: &Head) -> Result<(), String> {
     let columns = &head.layout.columns;
     let mut named = (0..columns.len()).filter(|at| is_time(columns, *at));
     let falls = named.find(|at| {
@@ -187,7 +186,7 @@ pub(super) fn oldest_first(head: &Head) -> Result<(), String> {
 }
 
 /// Whether a column may hold parts of the seconds that another column counts.
-pub(super) fn is_part_of_second(head: &Head, at: usize) -> bool {
+pub(super) fn is_beside_seconds(head: &Head, at: usize) -> bool {
     const SECONDS: &str = "s ss sec secs second seconds tvsec";
     let are_whole = |column: usize| head.cells(column).iter().all(|cell| whole(cell).is_some());
     let mut columns = head.layout.columns.iter().enumerate();
@@ -252,17 +251,16 @@ pub fn sources(
         let is_clock = is_time(&layout.columns, at)
             || at == 0 && layout.columns.len() > 1 && is_nameless(&column.base)
             || RUNNING.iter().any(|part| base.contains(part));
-        let runs_on = || {
-            let numbers = cells.iter().map(number).collect::<Option<Vec<_>>>()?;
-            Some(runs_surely(&numbers) || (is_clock || is_counter) && runs_on(&numbers))
-        };
+        let runs_on = cells.iter().map(number).collect::<Option<Vec<_>>>().is_some_and(|numbers| {
+            runs_surely(&numbers) || (is_clock || is_counter) && runs_on(&numbers)
+        });
         if (is_counter || cells.len() >= SURELY_COUNTED) && counts(cells.iter())
-            || is_counter && runs_on() == Some(true)
+            || is_counter && runs_on
         {
             notes.push(format!(
                 "column `{name}` only counts the rows, and is left out; use it by --source if it measures"
             ));
-        } else if runs_on() == Some(true) {
+        } else if runs_on {
             notes.push(format!(
                 "column `{name}` rises like a clock or a counter, and is left out; use it by --source"
             ));
@@ -436,7 +434,7 @@ fn runs_on(values: &[f64]) -> bool {
 /// Whether numbers rise like a clock or a counter, whatever they are called: by one step, or as the part of a
 /// second does.
 pub(super) fn runs_surely(values: &[f64]) -> bool {
-    rises_evenly(values, 0.01) || is_part(values)
+    rises_evenly(values, 0.01) || are_parts_of_seconds(values)
 }
 
 /// Whether nearly all numbers rise by one step, to this share of it.
@@ -451,7 +449,7 @@ fn rises_evenly(values: &[f64], tolerance: f64) -> bool {
 }
 
 /// Whether numbers are thousandths, millionths or billionths of seconds that pass.
-fn is_part(values: &[f64]) -> bool {
+fn are_parts_of_seconds(values: &[f64]) -> bool {
     let most = values.iter().copied().fold(0.0, f64::max);
     let Some(unit) = [1e3, 1e6, 1e9].into_iter().find(|unit| (0.9..1.0).contains(&(most / unit)))
     else {

@@ -43,20 +43,21 @@ fn of(mut file: File, length: u64, name: Option<&str>, most: u64) -> Result<Arra
             member.ok_or_else(|| format!("it has no array `{name}`; it has {}", names()))?,
         );
     }
-    let (mut found, mut is_list) = (None, false);
-    for member in members.iter().filter(|member| member.name.ends_with(".npy")) {
-        // All members share one file, so only one may be read from at a time.
-        let array = open(member).ok().filter(|array| array.shape.len() > 1 && array.is_number());
-        let Some(array) = array else { continue };
+    // All members share one file, so only one may be read from at a time.
+    let of_trials = |member| {
+        let array = open(member).ok().filter(|array| array.shape.len() > 1 && array.is_number())?;
         // A list, such as of labels, may be written as a matrix of one column.
-        let is_other_list = array.shape.iter().filter(|n| **n > 1).count() < 2;
-        if found.is_none() || is_list && !is_other_list {
-            (found, is_list) = (Some(member), is_other_list);
-        } else if is_list || !is_other_list {
-            return Err(format!("it has several arrays ({}); say which by --variable", names()));
-        }
+        Some((member, array.shape.iter().filter(|n| **n > 1).count() < 2))
+    };
+    let arrays = members.iter().filter(|member| member.name.ends_with(".npy"));
+    let arrays: Vec<(&Member, bool)> = arrays.filter_map(of_trials).collect();
+    let are_lists = arrays.iter().all(|(_, is_list)| *is_list);
+    let mut wanted = arrays.iter().filter(|(_, is_list)| *is_list == are_lists);
+    match (wanted.next(), wanted.next()) {
+        (None, _) => Err(format!("it has no array of trials; it has {}", names())),
+        (Some((only, _)), None) => open(only),
+        _ => Err(format!("it has several arrays ({}); say which by --variable", names())),
     }
-    open(found.ok_or_else(|| format!("it has no array of trials; it has {}", names()))?)
 }
 
 /// Reads a header. `length` is that of the whole file, if it is known.

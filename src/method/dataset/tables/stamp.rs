@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::cell::{is_missing, shown};
 
-/// Seconds since 1970 that say when: from 1998 to 2103.
+/// Seconds since 1970 that say when: from 1998 to 2065.
 pub(super) const SINCE_1970_S: Range<f64> = 9e8..3e9;
 
 const S: f64 = 1e9;

@@ -81,7 +81,7 @@ impl<'a> Table<'a> {
                 let unused = columns::clock(head, None, form.from_1904).ok().flatten();
                 let unused = unused.map(|name| layout.column(&name)).transpose()?;
                 let unused = unused.filter(is_other).or_else(|| columns::counter(head, is_other));
-                unused.filter(|at| !columns::is_part_of_second(head, *at))
+                unused.filter(|at| !columns::is_beside_seconds(head, *at))
             }
             Clock::Times { .. } => None,
         };

@@ -110,11 +110,11 @@ impl Steps {
         let is_usual = |wrap: f64| [wrap, wrap - 1.0].contains(&self.ends[1]);
         let seconds = steps as f64 / rate_hz;
         let counts = (self.ones + self.down) * 10 >= steps * 9 && !self.beats(seconds);
+        let are_micros = || (self.usual() * rate_hz / 1e6 - 1.0).abs() < 0.2;
         if self.begins_anew() && !(counts && (!often || wraps().any(is_usual))) {
             // No row can be counted by what begins anew at an unusual number.
-            let is_clock = (0.9..=1.0).contains(&(self.ends[1] / CLOCK_WRAPS[0]))
-                && (self.usual() * rate_hz / 1e6 - 1.0).abs() < 0.2;
-            return Some(if is_clock { MICROS } else { TIME });
+            let is_full = (0.9..=1.0).contains(&(self.ends[1] / CLOCK_WRAPS[0]));
+            return Some(if is_full && are_micros() { MICROS } else { TIME });
         }
         let rising = self.down == 0;
         let since_1970 = |(_, unit): &&(&str, f64)| {
@@ -124,7 +124,7 @@ impl Steps {
         let whole_seconds = rising && !self.fractions && self.sum >= 2.0;
         match () {
             () if counts => Some(ROWS),
-            () if (self.usual() * rate_hz / 1e6 - 1.0).abs() < 0.2 => Some(MICROS),
+            () if are_micros() => Some(MICROS),
             () if UNITS.iter().any(|unit| since_1970(&unit) || passes(&unit)) => {
                 let unit = UNITS.iter().find(since_1970).or_else(|| UNITS.iter().find(passes));
                 unit.map(|(name, _)| *name)
