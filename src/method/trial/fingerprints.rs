@@ -104,18 +104,31 @@ fn of_all(hashes: &[u64]) -> u64 {
 /// frames where they begin. The hash of a window is the exclusive or of its frames' hashes, each rotated
 /// by its place.
 fn windows(frames: &[u64], first: usize, below: u64) -> Vec<(u64, usize)> {
-    let add = |hash: u64, frame: &u64| hash.rotate_left(1) ^ frame;
-    let (mut hash, mut gone) = (frames.iter().skip(first).take(WINDOW - 1).fold(0, add), 0);
-    let mut found = Vec::new();
-    for (at, window) in frames[first..].windows(WINDOW).enumerate() {
-        hash = add(hash, &window[WINDOW - 1]) ^ gone;
-        gone = window[0].rotate_left(WINDOW as u32);
-        let begin = first + at;
-        if hash <= below && is_lively(&frames[begin.saturating_sub(1)..begin + WINDOW]) {
-            found.push((hash, begin));
+    let mut hashes = frames[first..].to_vec();
+    hash_windows(&mut hashes);
+    let windows = (first + WINDOW <= frames.len()).then(|| frames.len() + 1 - WINDOW - first);
+    let small =
+        hashes[..windows.unwrap_or(0)].iter().enumerate().filter(|(_, hash)| **hash <= below);
+    let small = small.map(|(at, hash)| (*hash, first + at));
+    let lively =
+        |&(_, begin): &(u64, usize)| is_lively(&frames[begin.saturating_sub(1)..begin + WINDOW]);
+    small.filter(lively).collect()
+}
+
+/// Turns hashes of frames into hashes of the windows that begin there: of 2 frames, then of 4, 8 and 16.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+fn hash_windows(hashes: &mut [u64]) {
+    let mut length = 1;
+    while length < WINDOW {
+        for i in 0..hashes.len().saturating_sub(length) {
+            hashes[i] = hashes[i].rotate_left(length as u32) ^ hashes[i + length];
         }
+        length *= 2;
     }
-    found
 }
 
 /// The smallest hashes, at most this many, sorted.
@@ -174,4 +187,20 @@ pub(crate) fn tells(series: &Series, begin: usize, frames: usize) -> bool {
         sum += bits(channel);
         sum >= LEAST_BITS_OF_ALL
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_have_the_hash_of_their_frames_and_only_small_ones_are_taken() {
+        let frames: Vec<u64> = (0..100).map(|i| mixed(1, i)).collect();
+        let hash = |window: &[u64]| window.iter().fold(0u64, |hash, x| hash.rotate_left(1) ^ x);
+        let all = frames.windows(WINDOW).map(hash).zip(0..);
+        for (first, below) in [(0, u64::MAX), (1, u64::MAX), (0, u64::MAX / 4), (90, u64::MAX)] {
+            let expected = all.clone().filter(|(hash, at)| *at >= first && *hash <= below);
+            assert_eq!(windows(&frames, first, below), expected.collect::<Vec<_>>());
+        }
+    }
 }
