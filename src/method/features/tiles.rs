@@ -1,9 +1,9 @@
 //! Treats a picture as a series in two dimensions, with tiles as frames (README §4).
 //!
 //! The channels are brightness (R+G+B)/3, R − G and (R+G)/2 − B, for values from 0 to 1. Tiles are 64
-//! × 64 pixels, half a tile apart. The mean of each tile is subtracted; the tile is windowed
-//! (two-dimensional Hann) and transformed, and its power is averaged over eight rings by four
-//! directions. Sums over pixels, and over products with pixels to the right and below, give moments
+//! × 64 pixels, half a tile apart. Each tile is windowed (two-dimensional Hann) and transformed, and its
+//! power is averaged over eight rings by four directions. The mean of a tile is within 1.5 bins of
+//! frequency 0, where no ring is. Sums over pixels, and over products with pixels to the right and below, give moments
 //! and covariance. Each quarter has its own sums, which add up to those of the whole.
 
 use std::ops::Range;
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::counts::{Counts, LANES};
 use super::packed::PackedFrames;
-use crate::lanes::{chunks, dot, powers, sum, total};
+use crate::lanes::{chunks, total};
 use crate::trial::Image;
 
 pub(crate) const CHANNELS: usize = 3;
@@ -78,10 +78,8 @@ impl PictureTiles {
         let reference = means(pixels);
         let mut planes = reference.map(|_| vec![0.0; pixels.len()]);
         fill_planes(pixels, reference, &mut planes);
-        let rows: Vec<Vec<f32>> =
-            (0..TILES[0]).into_par_iter().map(|row| tile_row(&planes, row)).collect();
         let quarters = (0..4).into_par_iter().map(|q| PixelSums::new(&planes, q)).collect();
-        Self { tiles: PackedFrames::new(&rows.concat()), reference, quarters }
+        Self { tiles: PackedFrames::new(&tiles(&planes)), reference, quarters }
     }
 
     /// Number of values of one tile: the bands of all channels.
@@ -184,13 +182,12 @@ impl PixelSums {
         let row = |row: usize, column: usize, channel: usize, length: usize| {
             &planes[channel][row * Image::COLS + column..][..length]
         };
-        for r in rows.clone() {
-            for (channel, sums) in sums.powers.iter_mut().enumerate() {
-                let x = row(r, columns.start, channel, columns.len());
-                let [first, third, fourth] = powers(x);
-                let of_row = [first, dot(x, x), third, fourth];
-                sums.iter_mut().zip(of_row).for_each(|(sum, x)| *sum += x);
+        for (channel, sums) in sums.powers.iter_mut().enumerate() {
+            let mut lanes = [[0.0; LANES]; 4];
+            for r in rows.clone() {
+                add_powers(row(r, columns.start, channel, columns.len()), &mut lanes);
             }
+            *sums = lanes.each_ref().map(total);
         }
         sums.pixels = (rows.len() * columns.len()) as f64;
         let length = columns.len() - REACH;
@@ -258,6 +255,28 @@ impl Default for Lanes {
         let lanes = |count| vec![[0.0; LANES]; count];
         Self { sums: lanes(STACKED), products: lanes(STACKED * (STACKED + 1) / 2) }
     }
+}
+
+/// Adds x, x², x³ and x⁴ to the lanes.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
+    "x86_64+avx2+fma",
+    "aarch64+neon"
+))]
+fn add_powers(row: &[f32], lanes: &mut [[f32; LANES]; 4]) {
+    let (whole, last) = chunks::<LANES>(row, 0.0);
+    let mut sums = *lanes;
+    for i in 0..=whole.len() {
+        let x = if i < whole.len() { &whole[i] } else { &last };
+        for lane in 0..LANES {
+            let square = x[lane] * x[lane];
+            sums[0][lane] += x[lane];
+            sums[1][lane] += square;
+            sums[2][lane] += square * x[lane];
+            sums[3][lane] += square * square;
+        }
+    }
+    *lanes = sums;
 }
 
 /// Adds equally long rows to the lanes.
@@ -339,22 +358,26 @@ impl Rings {
         }
     }
 
-    /// The ln power of the bands of two tiles, given as the real and imaginary parts of `pair`.
-    fn transform(&self, pair: &mut [Complex<f32>], scratch: &mut [Complex<f32>]) -> [Vec<f32>; 2] {
-        self.plan.process_with_scratch(pair, scratch);
-        for row in 0..SIDE {
-            for column in 0..row {
-                pair.swap(row * SIDE + column, column * SIDE + row);
-            }
-        }
-        self.plan.process_with_scratch(pair, scratch);
-        let powers = pair_powers(pair);
-        powers.map(|of_tile| {
-            let ln_power = |bins: &Vec<usize>| {
-                (sum_of(&of_tile, bins) * self.scale / bins.len() as f32 + POWER_FLOOR).ln()
-            };
-            self.bands.iter().map(ln_power).collect()
-        })
+    /// The ln power of the bands of two columns of tiles, one pair of tiles after the other. A column
+    /// begins at the first of the pixels that are given, and the rows of the picture follow each other.
+    fn ln_powers(&self, columns: [&[f32]; 2]) -> Vec<[Vec<f32>; 2]> {
+        let mut scratch = vec![Complex::default(); self.plan.get_inplace_scratch_len()];
+        let mut rows = vec![Complex::default(); Image::ROWS * SIDE];
+        fill(columns, &self.window, &mut rows);
+        // A row lies in two tiles, but is transformed once.
+        self.plan.process_with_scratch(&mut rows, &mut scratch);
+        let mut pair = vec![Complex::default(); SIDE * SIDE];
+        let mut of_pair = |tile: usize| {
+            turn(&rows[tile * HOP * SIDE..], &self.window, &mut pair);
+            self.plan.process_with_scratch(&mut pair, &mut scratch);
+            pair_powers(&pair).map(|powers| {
+                let ln_power = |bins: &Vec<usize>| {
+                    (sum_of(&powers, bins) * self.scale / bins.len() as f32 + POWER_FLOOR).ln()
+                };
+                self.bands.iter().map(ln_power).collect()
+            })
+        };
+        (0..TILES[0]).map(&mut of_pair).collect()
     }
 }
 
@@ -394,47 +417,46 @@ fn pair_powers(pair: &[Complex<f32>]) -> [Vec<f32>; 2] {
     [first, second]
 }
 
-/// Writes two tiles, without their means and windowed, as the real and imaginary parts of `pair`. A tile
-/// begins at the first of the pixels that are given, and the rows of the picture follow each other.
+/// Writes the rows of two columns of tiles, windowed, as real and imaginary parts.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-fn fill(tiles: [&[f32]; 2], window: &[f32], pair: &mut [Complex<f32>]) {
-    let mut means = [0f32; 2];
-    for (mean, tile) in means.iter_mut().zip(tiles) {
-        let mut total = 0.0;
-        for row in 0..SIDE {
-            total += sum(&tile[row * Image::COLS..][..SIDE]);
-        }
-        *mean = (total / (SIDE * SIDE) as f64) as f32;
-    }
+fn fill(columns: [&[f32]; 2], window: &[f32], rows: &mut [Complex<f32>]) {
     let window = &window[..SIDE];
-    for row in 0..SIDE {
+    for row in 0..Image::ROWS {
         let (a, b) =
-            (&tiles[0][row * Image::COLS..][..SIDE], &tiles[1][row * Image::COLS..][..SIDE]);
-        let out = &mut pair[row * SIDE..][..SIDE];
+            (&columns[0][row * Image::COLS..][..SIDE], &columns[1][row * Image::COLS..][..SIDE]);
+        let out = &mut rows[row * SIDE..][..SIDE];
         for i in 0..SIDE {
-            out[i].re = (a[i] - means[0]) * window[i] * window[row];
-            out[i].im = (b[i] - means[1]) * window[i] * window[row];
+            out[i].re = a[i] * window[i];
+            out[i].im = b[i] * window[i];
         }
     }
 }
 
-/// ln power of one row of tiles; each tile has all its channels.
-fn tile_row(planes: &[Vec<f32>; CHANNELS], row: usize) -> Vec<f32> {
-    let rings = rings();
-    let mut pair = vec![Complex::default(); SIDE * SIDE];
-    let mut scratch = vec![Complex::default(); rings.plan.get_inplace_scratch_len()];
-    let tiles: Vec<(usize, usize)> =
-        (0..TILES[1]).flat_map(|column| (0..CHANNELS).map(move |c| (column, c))).collect();
-    let mut all = Vec::with_capacity(TILES[1] * PictureTiles::width());
-    for two in tiles.chunks(2) {
-        // The second tile may be missing; the first stands for it, and its powers are left out.
-        let tile = |&(column, channel): &(usize, usize)| {
-            let first = row * HOP * Image::COLS + column * HOP;
-            &planes[channel][first..first + (SIDE - 1) * Image::COLS + SIDE]
-        };
-        fill([tile(&two[0]), tile(&two[two.len() - 1])], &rings.window, &mut pair);
-        let powers = rings.transform(&mut pair, &mut scratch);
-        powers.into_iter().take(two.len()).for_each(|of_tile| all.extend(of_tile));
+/// Windows the rows of a pair of tiles, and makes columns of them.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn turn(rows: &[Complex<f32>], window: &[f32], pair: &mut [Complex<f32>]) {
+    let (rows, _) = rows.as_chunks::<SIDE>();
+    let (columns, _) = pair.as_chunks_mut::<SIDE>();
+    for row in 0..SIDE {
+        for column in 0..SIDE {
+            columns[column][row].re = rows[row][column].re * window[row];
+            columns[column][row].im = rows[row][column].im * window[row];
+        }
+    }
+}
+
+/// ln power of all tiles, row by row; each tile has all its channels.
+fn tiles(planes: &[Vec<f32>; CHANNELS]) -> Vec<f32> {
+    let columns: Vec<&[f32]> = (0..TILES[1])
+        .flat_map(|column| planes.iter().map(move |plane| &plane[column * HOP..]))
+        .collect();
+    // The second column may be missing; the first stands for it, and its powers are left out.
+    let of_two = |two: &[&[f32]]| rings().ln_powers([two[0], two[two.len() - 1]]);
+    let powers: Vec<_> = columns.par_chunks(2).map(of_two).collect();
+    let bands = rings().bands.len();
+    let mut all = Vec::with_capacity(TILES[0] * columns.len() * bands);
+    for row in 0..TILES[0] {
+        all.extend(powers.iter().flat_map(|of_two| &of_two[row]).take(columns.len()).flatten());
     }
     all
 }
@@ -471,19 +493,16 @@ mod tests {
 
     #[test]
     fn a_pair_of_tiles_has_the_powers_of_each_alone() {
-        let rings = rings();
-        let tile =
+        let pixel =
             |k: usize| move |i: usize| ((i * 7919 + k * 104_729) % 1000) as f32 / 500.0 - 1.0;
-        let (a, b) = (tile(1), tile(2));
-        let mut scratch = vec![Complex::default(); rings.plan.get_inplace_scratch_len()];
-        let mut of = |re: &dyn Fn(usize) -> f32, im: &dyn Fn(usize) -> f32| {
-            let mut pair: Vec<_> = (0..SIDE * SIDE).map(|i| Complex::new(re(i), im(i))).collect();
-            rings.transform(&mut pair, &mut scratch)
-        };
-        let both = of(&a, &b);
-        let alone = [of(&a, &|_| 0.0), of(&b, &|_| 0.0)];
-        for (together, [alone, _]) in both.iter().zip(&alone) {
-            assert!(together.iter().zip(alone).all(|(x, y)| (x - y).abs() < 1e-3));
+        let plane = |k| (0..Image::ROWS * Image::COLS).map(pixel(k)).collect::<Vec<_>>();
+        let (a, b) = (plane(1), plane(2));
+        let of = |a: &[f32], b: &[f32]| rings().ln_powers([&a[HOP..], b]);
+        let (both, zero) = (of(&a, &b), vec![0.0; a.len()]);
+        for (alone, at) in [(of(&a, &zero), 0), (of(&zero, &b), 1)] {
+            for (alone, both) in alone.iter().zip(&both) {
+                assert!(alone[at].iter().zip(&both[at]).all(|(x, y)| (x - y).abs() < 1e-3));
+            }
         }
     }
 
