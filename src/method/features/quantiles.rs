@@ -1,6 +1,8 @@
 //! Quantiles of the values and the steps of a growing series, from histograms, so that a look costs the
 //! same at any time of a scan. A bin is an eighth of an octave of |x|, and x lies evenly within it.
 
+use multiversion::multiversion;
+
 /// The shares at which quantiles are taken.
 const SHARES: [f32; QUANTILES] = [0.02, 0.1, 0.25, 0.5, 0.75, 0.9, 0.98];
 
@@ -40,15 +42,11 @@ impl Histograms {
         if !counts {
             return;
         }
+        let mut places = Vec::new();
         for (bins, plane) in self.counts.chunks_exact_mut(3 * BINS).zip(planes) {
-            let (values, steps) = bins.split_at_mut(2 * BINS);
-            for x in &plane[past..] {
-                let bin = bin_of(x.abs());
-                values[if *x < 0.0 { BINS - 1 - bin } else { BINS + bin }] += 1;
-            }
-            for two in plane[past.saturating_sub(1)..].windows(2) {
-                steps[bin_of((two[1] - two[0]).abs())] += 1;
-            }
+            let (bins, _) = bins.as_chunks_mut::<{ 3 * BINS }>();
+            places_of(plane, past, &mut places);
+            places.iter().for_each(|place| bins[0][usize::from(*place)] += 1);
         }
     }
 
@@ -66,8 +64,26 @@ impl Histograms {
     }
 }
 
-fn bin_of(magnitude: f32) -> usize {
-    ((magnitude.to_bits() >> SHIFT).saturating_sub(FIRST) as usize).min(BINS - 1)
+/// The places of the values from the `past` on, and of the steps to them, among the bins of a channel.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+fn places_of(plane: &[f32], past: usize, places: &mut Vec<u16>) {
+    let (values, steps) = (&plane[past..], &plane[past.saturating_sub(1)..]);
+    places.clear();
+    places.resize(values.len() + steps.len().saturating_sub(1), 0);
+    let (of_values, of_steps) = places.split_at_mut(values.len());
+    for i in 0..values.len() {
+        let bin = bin_of(values[i].abs());
+        let place = if values[i] < 0.0 { BINS as u32 - 1 - bin } else { BINS as u32 + bin };
+        of_values[i] = place as u16;
+    }
+    for i in 0..of_steps.len().min(steps.len().saturating_sub(1)) {
+        of_steps[i] = (2 * BINS as u32 + bin_of((steps[i + 1] - steps[i]).abs())) as u16;
+    }
+}
+
+#[inline(always)]
+fn bin_of(magnitude: f32) -> u32 {
+    (magnitude.to_bits() >> SHIFT).saturating_sub(FIRST).min(BINS as u32 - 1)
 }
 
 /// Lower edge of a bin of magnitudes.
