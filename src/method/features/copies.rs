@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::moments::means;
 use crate::lanes::{dot, less};
+use crate::library::shape::LibraryShape;
 use crate::seed;
 
 const EXCERPTS: usize = 3;
@@ -24,6 +25,9 @@ const COPIES: usize = EXCERPTS + 1;
 /// About as many copies are enough for a member's scatter. In a library with more trials than a quarter
 /// of it, each trial has fewer copies than [`COPIES`].
 const MOST_COPIES: usize = 1600;
+
+/// In a library with more trials, only about as many are copied.
+const MOST_COPIED: usize = MOST_COPIES / 2;
 
 /// Length of an excerpt, as a share of its trial.
 pub(crate) const SHARE: f64 = 0.4;
@@ -63,15 +67,15 @@ pub struct Copy {
     pub quarter: usize,
 }
 
-/// Number of copies of each trial of a library with this many trials.
-pub(super) fn count(trials: usize) -> usize {
-    (MOST_COPIES / trials.max(1)).clamp(1, COPIES)
+/// Number of copies of each copied trial, and the share of the trials that are copied.
+pub(super) fn count(shape: &LibraryShape) -> (usize, f64) {
+    ((MOST_COPIES / shape.trials.max(1)).clamp(1, COPIES), shape.share(MOST_COPIED))
 }
 
-/// The copies of the trial with the given digest of its samples, in a library with this many trials. If
+/// The copies of the trial with the given digest of its samples, in a library of this shape. If
 /// they are fewer than [`COPIES`], the excerpts are drawn. Twins teach most, so one is among two copies or
-/// more, and is every second single copy.
-pub(super) fn copies(digest: u64, seed: u64, trials: usize) -> Vec<Copy> {
+/// more, and is every second single copy. Some trials of a large library have none.
+pub(super) fn copies(digest: u64, seed: u64, shape: &LibraryShape) -> Vec<Copy> {
     let mut rng = rng(digest, seed, "copies");
     let mut all = std::array::from_fn::<_, COPIES, _>(|i| Copy {
         place: (i < EXCERPTS).then(|| seed::uniform(&mut rng)),
@@ -79,13 +83,14 @@ pub(super) fn copies(digest: u64, seed: u64, trials: usize) -> Vec<Copy> {
         picture_ln_gain: PICTURE_LN_GAIN * seed::normal(&mut rng),
         quarter: i,
     });
-    let count = count(trials);
+    let (count, share) = count(shape);
     if count < COPIES {
         all[..EXCERPTS].rotate_left((seed::uniform(&mut rng) * EXCERPTS as f64) as usize);
         if count > 1 || seed::uniform(&mut rng) < 0.5 {
             all.swap(count - 1, EXCERPTS);
         }
     }
+    let count = if seed::uniform(&mut rng) < share { count } else { 0 };
     all[..count].to_vec()
 }
 
@@ -235,35 +240,42 @@ pub(super) fn deviations(channels: usize, samples: &[f32]) -> Vec<f64> {
 mod tests {
     use super::*;
 
+    fn of(trials: usize) -> LibraryShape {
+        LibraryShape { trials, ..LibraryShape::default() }
+    }
+
     fn wave() -> Vec<f32> {
         (0..2000).map(|i| (i as f32 * 0.05).sin()).collect()
     }
 
     #[test]
     fn copies_depend_on_samples_and_seed_alone() {
-        assert_eq!(copies(1, 1, 9), copies(1, 1, 9));
-        assert_ne!(copies(1, 1, 9), copies(2, 1, 9));
-        assert_ne!(copies(1, 1, 9), copies(1, 2, 9));
+        assert_eq!(copies(1, 1, &of(9)), copies(1, 1, &of(9)));
+        assert_ne!(copies(1, 1, &of(9)), copies(2, 1, &of(9)));
+        assert_ne!(copies(1, 1, &of(9)), copies(1, 2, &of(9)));
         let is_twin = |copy: &Copy| copy.place.is_none();
         assert_eq!(
-            copies(1, 1, 9).iter().map(is_twin).collect::<Vec<_>>(),
+            copies(1, 1, &of(9)).iter().map(is_twin).collect::<Vec<_>>(),
             [false, false, false, true]
         );
-        let of = |source| {
+        let twin = |source| {
             let wave = wave();
-            samples(&copies(1, 1, 9)[EXCERPTS], (1, 1, source), &deviations(1, &wave), &wave)
+            samples(&copies(1, 1, &of(9))[EXCERPTS], (1, 1, source), &deviations(1, &wave), &wave)
         };
-        assert_eq!(of("ac"), of("ac"));
-        assert_ne!(of("ac"), of("fr"));
+        assert_eq!(twin("ac"), twin("ac"));
+        assert_ne!(twin("ac"), twin("fr"));
     }
 
     #[test]
     fn trials_of_a_large_library_have_fewer_copies_and_twins_stay() {
-        let counts = [0, 1, 400, 401, 534, 801, 100_000].map(count);
-        assert_eq!(counts, [4, 4, 4, 3, 2, 1, 1]);
-        for (trials, expected) in [(450, [533, 533, 533, 800]), (2000, [133, 133, 133, 400])] {
+        let counts =
+            [0, 1, 400, 401, 534, 800, 801, 1200, 100_000].map(|trials| count(&of(trials)));
+        let copied = counts.map(|(_, share)| share);
+        assert_eq!(counts.map(|(count, _)| count), [4, 4, 4, 3, 2, 2, 1, 1, 1]);
+        assert_eq!(copied, [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 8.0 / 9.0, 2.0 / 3.0, 0.008]);
+        for (trials, expected) in [(450, [533, 533, 533, 800]), (2000, [53, 53, 53, 160])] {
             let mut of_kind = [0usize; COPIES];
-            for copy in (0..800).flat_map(|digest| copies(digest, 1, trials)) {
+            for copy in (0..800).flat_map(|digest| copies(digest, 1, &of(trials))) {
                 of_kind[copy.quarter] += 1;
             }
             let near = |(found, expected): (&usize, usize)| found.abs_diff(expected) < 50;
@@ -275,14 +287,14 @@ mod tests {
     fn an_excerpt_is_cut_to_the_sample_and_only_the_first_stays_clean() {
         let given: Vec<f32> = (0..2 * 1001).map(|i| i as f32).collect();
         for digest in 1..50 {
-            for copy in &copies(digest, 3, 9)[..EXCERPTS] {
+            for copy in &copies(digest, 3, &of(9))[..EXCERPTS] {
                 let cut = samples(copy, (digest, 3, "ac"), &deviations(2, &given), &given);
                 assert_eq!(cut.len(), 800);
                 let clean = cut[0] % 2.0 == 0.0 && cut.windows(2).all(|w| w[1] == w[0] + 1.0);
                 assert_eq!(clean, copy.quarter == 0);
             }
         }
-        let copy = copies(1, 3, 9)[0];
+        let copy = copies(1, 3, &of(9))[0];
         assert_eq!(samples(&copy, (1, 3, "ac"), &[0.0; 2], &given[..2]).len(), 2, "a single frame");
     }
 
@@ -305,7 +317,7 @@ mod tests {
             .collect();
         let mut lifted = [0; COPIES];
         for digest in 0..200 {
-            for copy in copies(digest, 1, 9) {
+            for copy in copies(digest, 1, &of(9)) {
                 let made = samples(&copy, (digest, 1, "ac"), &deviations(2, &loud), &loud);
                 let weak = |c: usize| made.iter().skip(c).step_by(2).filter(|x| **x < 2.0).count();
                 assert_eq!(weak(0), weak(1), "in all channels at once");
@@ -321,7 +333,7 @@ mod tests {
     #[test]
     fn a_twin_is_as_long_as_clock_and_losses_leave_it() {
         for digest in 1..30 {
-            let copy = copies(digest, 1, 9)[EXCERPTS];
+            let copy = copies(digest, 1, &of(9))[EXCERPTS];
             let twin = samples(&copy, (digest, 1, "ac"), &deviations(1, &wave()), &wave());
             let share = twin.len() as f64 / 2000.0;
             assert!((0.83..1.07).contains(&share), "{share}");

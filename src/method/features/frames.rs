@@ -28,7 +28,7 @@ pub struct SeriesFrames {
     pub whole: Piece,
     /// Augmented copies of the series; a query has none.
     pub copies: Vec<Piece>,
-    /// Beginnings of the series, one for each [`LOOK_S`]; only for drags, and only in a library. A
+    /// Beginnings of the series, one for each [`LOOK_S`]; only for drags of a library's followed trials. A
     /// beginning lacks its complete frames, since they are the first frames of the whole series.
     pub looks: Vec<Piece>,
 }
@@ -47,10 +47,14 @@ impl SeriesFrames {
         series: &Series,
         spec: &SourceSpec,
         (copies, digest, seed): (&[Copy], u64, u64),
+        is_followed: bool,
     ) -> Self {
         let (channels, samples) = (series.channels(), series.samples());
         let source = (digest, seed, spec.id.as_str());
-        let deviations = copies::deviations(channels, samples);
+        let deviations = match copies {
+            [] => Vec::new(),
+            _ => copies::deviations(channels, samples),
+        };
         let copy =
             |copy: &Copy| Piece::new(&views, &copies::samples(copy, source, &deviations, samples));
         let copies = copies.iter().map(copy).collect();
@@ -61,7 +65,7 @@ impl SeriesFrames {
             frames.iter_mut().zip(&fresh).for_each(|(frames, fresh)| frames.extend(fresh));
             taken = end;
         };
-        if spec.phase == Phase::Drag {
+        if spec.phase == Phase::Drag && is_followed {
             let end = |look: usize| samples_by(look as f64 * LOOK_S, series.rate_hz());
             for end in (1..).map(end).take_while(|end| *end <= series.frames()) {
                 grow(&mut growing, end);
@@ -100,6 +104,9 @@ impl SourceFrames {
     }
 }
 
+/// About as many trials of a library are followed from look to look; more would not change any stated digit.
+pub(crate) const FOLLOWED: usize = 400;
+
 /// Windows that tell of a series whether it shares samples with another.
 const MOST_WINDOWS: usize = 64;
 
@@ -120,6 +127,8 @@ pub struct TrialFrames {
     pub key: TrialKey,
     /// Hash of the samples, whatever the trial is called. It orders a library's trials; 0 for a query.
     pub digest: u64,
+    /// Whether the trial is followed, so that its series have looks; a query is not.
+    pub is_followed: bool,
     /// The copies of the trial, in the order of `SeriesFrames::copies`; a query has none.
     pub copies: Vec<Copy>,
     /// For each source, what tells whether it shares samples with another trial of the library; a query has
@@ -152,7 +161,10 @@ impl TrialFrames {
     ) -> Result<Self, SourceError> {
         // Only copies and the order of a library need it.
         let digest = seed.map_or(0, |_| digest(trial));
-        let copies = seed.map_or_else(Vec::new, |seed| copies(digest, seed, shape.trials));
+        let copies = seed.map_or_else(Vec::new, |seed| copies(digest, seed, shape));
+        // Those of the smallest digests are, so that names do not matter.
+        let followed_up_to = shape.share(FOLLOWED) * u64::MAX as f64;
+        let is_followed = seed.is_some() && digest as f64 <= followed_up_to;
         let prints = match seed {
             Some(_) => of_known_sources(key, trial, scene, |_, signal| Prints::of(signal))?,
             None => BTreeMap::new(),
@@ -163,13 +175,14 @@ impl TrialFrames {
                 let views = SourceViews::new(spec, (series.rate_hz(), series.frames()), shape);
                 SourceFrames::Series(Box::new(match seed {
                     Some(seed) => {
-                        SeriesFrames::of_library(views, series, spec, (&copies, digest, seed))
+                        let copies = (&copies[..], digest, seed);
+                        SeriesFrames::of_library(views, series, spec, copies, is_followed)
                     }
                     None => SeriesFrames::new(views, series),
                 }))
             }
         })?;
-        Ok(Self { key: key.clone(), digest, copies, prints, sources })
+        Ok(Self { key: key.clone(), digest, is_followed, copies, prints, sources })
     }
 
     /// Hash of how the sources of a scene are cut into frames and copied in a library of this shape.
@@ -181,7 +194,7 @@ impl TrialFrames {
             Some((spec.id.clone(), spec.phase, views))
         };
         let views: Vec<_> = scene.sources().map(view).collect();
-        let text = format!("{views:?} {}", copies::count(shape.trials));
+        let text = format!("{views:?} {:?} {}", copies::count(shape), shape.share(FOLLOWED));
         crate::seed::stable_hash(&[text.as_bytes(), &seed.to_le_bytes()])
     }
 }

@@ -54,6 +54,12 @@ impl LibraryShape {
         self.sources.get(id).copied()
     }
 
+    /// Share of the trials that some work is done for, if about `most` of them are enough. It changes in
+    /// steps, since trials that were prepared by another share are of no use.
+    pub(crate) fn share(&self, most: usize) -> f64 {
+        (most as f64 / self.trials.next_multiple_of(100).max(1) as f64).min(1.0)
+    }
+
     pub fn key(&self) -> u64 {
         seed::stable_hash(&[format!("{self:?}").as_bytes()])
     }

@@ -63,8 +63,9 @@ impl Prepared {
         let (kind, bytes) = match self {
             Self::Samples(trial) => (SAMPLES, trial.encode()),
             Self::Frames(trial) => {
-                let TrialFrames { digest, copies, prints, sources, .. } = &**trial;
-                (FRAMES, postcard::to_allocvec(&(digest, copies, prints, sources)).ok())
+                let TrialFrames { digest, is_followed, copies, prints, sources, .. } = &**trial;
+                let all = (digest, is_followed, copies, prints, sources);
+                (FRAMES, postcard::to_allocvec(&all).ok())
             }
             Self::Features(trial) => (FEATURES, postcard::to_allocvec(&trial.sources).ok()),
         };
@@ -79,8 +80,10 @@ impl Prepared {
         Some(match bytes.split_last()? {
             (&SAMPLES, bytes) => Self::Samples(Arc::new(PreparedTrial::decode(entry, bytes)?)),
             (&FRAMES, bytes) => {
-                let (digest, copies, prints, sources) = postcard::from_bytes(bytes).ok()?;
-                Self::Frames(Arc::new(TrialFrames { key, digest, copies, prints, sources }))
+                let (digest, is_followed, copies, prints, sources) =
+                    postcard::from_bytes(bytes).ok()?;
+                let trial = TrialFrames { key, digest, is_followed, copies, prints, sources };
+                Self::Frames(Arc::new(trial))
             }
             (&FEATURES, bytes) => {
                 let sources = postcard::from_bytes(bytes).ok()?;

@@ -292,9 +292,9 @@ impl JointEmbedder {
         };
         let mut vectors: Vec<Vec<Vec<Option<Vec<f32>>>>> =
             library.par_iter_mut().map(embed).collect();
-        let trials = vectors.len();
+        let places = places(library);
         let dims = self.stretches.iter().map(|stretch| stretch.embedder.dims()).sum();
-        let rows = vectors.iter().map(Vec::len).sum();
+        let rows = places.len();
         let mut all = Array2::zeros((rows, dims));
         let mut first = 0;
         for (source, stretch) in self.stretches.iter_mut().enumerate() {
@@ -302,7 +302,8 @@ impl JointEmbedder {
             first = stretch.columns.end;
             let mut there = Vec::new();
             for row in 0..all.nrows() {
-                let (trial, vector) = place(row, (trials, rows));
+                let (trial, copy) = places[row];
+                let vector = copy.map_or(0, |copy| copy + 1);
                 if let Some(features) = vectors[trial][vector][source].take() {
                     let columns = s![row, stretch.columns.clone()];
                     all.slice_mut(columns).assign(&ArrayView1::from(&features));
@@ -380,12 +381,11 @@ fn beginnings(embedder: &SeriesEmbedder, series: &SeriesFrames, looks: &[usize])
     looks.iter().map_while(of_look).collect()
 }
 
-/// The trial of one of the training rows, and the index of its vector in the trial: 0 for the whole, then
-/// the copies.
-pub(super) fn place(row: usize, (trials, rows): (usize, usize)) -> (usize, usize) {
-    let copies = rows / trials - 1;
-    match row.checked_sub(trials) {
-        None => (row, 0),
-        Some(copy) => (copy / copies, 1 + copy % copies),
-    }
+/// The trial of each training row, and the number of its copy; none for the whole.
+pub(super) fn places(library: &[Arc<TrialFrames>]) -> Vec<(usize, Option<usize>)> {
+    let copies = library
+        .iter()
+        .enumerate()
+        .flat_map(|(number, trial)| (0..trial.copies.len()).map(move |copy| (number, Some(copy))));
+    (0..library.len()).map(|trial| (trial, None)).chain(copies).collect()
 }

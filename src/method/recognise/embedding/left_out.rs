@@ -14,7 +14,7 @@ use super::labels::Labels;
 use super::temperature::Temperature;
 use super::training::Training;
 use crate::features::copies::SHARE;
-use crate::features::frames::{LOOK_S, TrialFrames};
+use crate::features::frames::{FOLLOWED, LOOK_S, TrialFrames};
 use crate::recognise::decide::conformal::{Calibration, Conformity};
 
 /// Each left-out trial is also examined after these shares of the median length of a drag.
@@ -22,9 +22,6 @@ const BEGINNINGS: [f64; 6] = [0.04, 0.08, 0.15, 0.25, 0.4, 0.65];
 
 /// A scan counts as whole if it is longer than this share of the library's trials.
 const SHORTER: f64 = 0.05;
-
-/// Most trials with beginnings to examine; more would not change any stated digit.
-const MOST_BEGUN: usize = 400;
 
 /// Ensembles for one set of sources: trained on all trials, and without each group.
 #[derive(Serialize, Deserialize)]
@@ -69,8 +66,8 @@ impl Trained {
             by_length.push(calibration(labels, SHARE * drag_s, of_each, &answers));
         }
         // Conformity needs all whole trials or none, the temperature no more than these.
-        let sample = evenly(has_all.len());
-        let is_sampled = |trial: &usize| sample.binary_search(trial).is_ok();
+        // Ordered by digest, the first are any.
+        let is_sampled = |trial: &usize| *trial < FOLLOWED;
         let wholes = trials().filter(|i| across_people || is_sampled(i));
         let wholes: Vec<_> = wholes.map(|i| (i, training.whole(i))).collect();
         let mut wholes = trained.to_trials(labels, &wholes);
@@ -244,10 +241,10 @@ impl LeftOut {
         let last_s = looks.last().map_or(f64::INFINITY, |last| *last as f64 * LOOK_S);
         let is_known = |i: &usize| self.trained[&training.present[*i]].can_name(labels, *i);
         let begin = |i: usize| {
-            let long_enough = joint.drag_s(&library[i])? >= last_s;
-            long_enough.then(|| (i, joint.beginnings(&library[i], training.whole(i), &looks)))
+            let is_judged = library[i].is_followed && joint.drag_s(&library[i])? >= last_s;
+            is_judged.then(|| (i, joint.beginnings(&library[i], training.whole(i), &looks)))
         };
-        let trials = evenly(library.len()).into_par_iter().filter(is_known);
+        let trials = (0..library.len()).into_par_iter().filter(is_known);
         let begun: Vec<_> = trials.filter_map(begin).collect();
         let measured = |(present, trained): (&Present, &Arc<Trained>)| {
             let measured = trained.measured(training, labels, present, self.drag_s, &looks, &begun);
@@ -271,10 +268,4 @@ fn looks(drag_s: f64) -> Vec<usize> {
     looks.retain(|look| (*look as f64) * LOOK_S < drag_s);
     looks.dedup();
     looks
-}
-
-/// Indices of at most [`MOST_BEGUN`] trials, evenly spread.
-pub(super) fn evenly(trials: usize) -> Vec<usize> {
-    let used = trials.min(MOST_BEGUN);
-    (0..used).map(|i| i * trials / used).collect()
 }

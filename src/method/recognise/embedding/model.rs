@@ -12,7 +12,7 @@ use super::NAME;
 use super::ensemble::Answer;
 use super::joint::{JointEmbedder, Present, SourceEmbedder, Stretch};
 use super::labels::{Labels, together};
-use super::left_out::{LeftOut, Measured, Trained, evenly};
+use super::left_out::{LeftOut, Measured, Trained};
 use super::training::Training;
 use crate::features::frames::{LOOK_S, TrialFrames};
 use crate::library::Entry;
@@ -245,8 +245,8 @@ impl EmbeddingModel {
         self.followed.get_or_init(|| {
             let library = self.unfollowed.lock().unwrap_or_else(PoisonError::into_inner).take();
             let follow = |library: Vec<Arc<TrialFrames>>| {
-                let trials = evenly(self.keys.len()).into_par_iter();
-                trials.filter_map(|trial| self.follow_one(&library[trial], trial)).collect()
+                let trials = library.par_iter().enumerate().filter(|(_, trial)| trial.is_followed);
+                trials.filter_map(|(i, trial)| self.follow_one(trial, i)).collect()
             };
             library.map_or_else(Vec::new, follow)
         })

@@ -9,9 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use super::discriminant::Rows;
 use super::ensemble::Ensemble;
-use super::joint::{JointEmbedder, Present, place};
+use super::joint::{JointEmbedder, Present, places};
 use super::labels::Labels;
-use crate::features::copies::Copy;
 use crate::features::frames::TrialFrames;
 use crate::features::packed;
 use crate::system::give_back_memory;
@@ -24,8 +23,8 @@ pub(super) struct Training {
     /// Shape (rows, D): one row for each whole trial, then the rows of each trial's copies.
     #[serde(with = "packed::matrix")]
     vectors: Array2<f32>,
-    /// Whether each row is of an excerpt.
-    excerpts: Vec<bool>,
+    /// The trial of each row, and whether the row is of an excerpt.
+    origins: Vec<(usize, bool)>,
     #[serde(skip)]
     rows: Rows,
     pub present: Vec<Present>,
@@ -44,26 +43,28 @@ impl Training {
         let forget = |trial: &mut Arc<TrialFrames>| {
             Arc::get_mut(trial).into_iter().for_each(TrialFrames::forget_copies);
         };
-        let is_excerpt = |copy: &Copy| copy.place.is_some();
-        let of_copies = library.iter().flat_map(|trial| trial.copies.iter().map(is_excerpt));
-        let excerpts: Vec<bool> = library.iter().map(|_| false).chain(of_copies).collect();
+        let origins = places(library).into_iter().map(|(trial, copy)| {
+            let copy = copy.and_then(|copy| library[trial].copies[copy].place);
+            (trial, copy.is_some())
+        });
+        let origins: Vec<_> = origins.collect();
         let vectors = joint.training_rows(library, forget);
         let present: Vec<Present> = library.iter().map(|trial| joint.present(trial)).collect();
         give_back_memory();
-        let rows = rows(labels, &excerpts);
-        let mut training = Self { vectors, excerpts, rows, present, seed };
+        let rows = rows(labels, &origins);
+        let mut training = Self { vectors, origins, rows, present, seed };
         training.fill_absent(joint);
         training
     }
 
     /// Checks stored training vectors; `None` if they do not fit these labels or `dims` features.
     pub(super) fn restored(mut self, labels: &Labels, dims: usize) -> Option<Self> {
-        let (trials, count) = (labels.class.len(), self.excerpts.len());
+        let trials = labels.class.len();
         let fits = self.present.len() == trials
-            && self.vectors.dim() == (count, dims)
-            && count >= 2 * trials
-            && count.is_multiple_of(trials.max(1));
-        self.rows = fits.then(|| rows(labels, &self.excerpts))?;
+            && self.vectors.dim() == (self.origins.len(), dims)
+            && self.origins.len() > trials
+            && self.origins.iter().all(|(trial, _)| *trial < trials);
+        self.rows = fits.then(|| rows(labels, &self.origins))?;
         Some(self)
     }
 
@@ -99,11 +100,8 @@ impl Training {
     }
 
     pub(super) fn excerpts(&self, trial: usize) -> impl Iterator<Item = ArrayView1<'_, f32>> {
-        let trials = self.present.len();
-        let copies = self.excerpts.len() / trials - 1;
-        let first = trials + trial * copies;
-        let excerpts = (first..first + copies).filter(|&row| self.excerpts[row]);
-        excerpts.map(|row| self.vectors.row(row))
+        let rows = self.origins.iter().zip(self.vectors.rows());
+        rows.filter(move |(origin, _)| **origin == (trial, true)).map(|(_, row)| row)
     }
 
     pub(super) fn class_mean(&self, labels: &Labels, class: usize) -> Array1<f32> {
@@ -138,16 +136,14 @@ impl Training {
 }
 
 /// Classes, groups and trials of the training vectors of a library.
-fn rows(labels: &Labels, excerpts: &[bool]) -> Rows {
-    let size = (labels.class.len(), excerpts.len());
-    let trials: Vec<usize> = (0..excerpts.len()).map(|row| place(row, size).0).collect();
-    let part = |(&trial, &is_excerpt): (&usize, &bool)| {
+fn rows(labels: &Labels, origins: &[(usize, bool)]) -> Rows {
+    let part = |&(trial, is_excerpt): &(usize, bool)| {
         labels.class[trial] + labels.classes * usize::from(is_excerpt)
     };
     Rows {
-        part: trials.iter().zip(excerpts).map(part).collect(),
-        groups: trials.iter().map(|&trial| labels.group[trial]).collect(),
-        trials,
+        part: origins.iter().map(part).collect(),
+        groups: origins.iter().map(|(trial, _)| labels.group[*trial]).collect(),
+        trials: origins.iter().map(|(trial, _)| *trial).collect(),
         classes: labels.classes,
         group_count: labels.groups,
     }
