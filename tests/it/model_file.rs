@@ -43,25 +43,46 @@ fn drag(surface: usize, user: &str, number: u32) -> Trial {
     Trial { key, signals: [(id("ir"), Signal::Series(series))].into() }
 }
 
-#[test]
-#[ignore = "writes the fixture"]
-fn the_fixture_is_written_anew() {
+/// Writes the model of two surfaces, of which two people have made `trials` drags each.
+fn train(trials: u32, out: &Path) {
     let dir = tempfile::tempdir().unwrap();
     let lib = dir.path().join("two");
     let scene = Scene::of_series(id("ir"), 1, 1000.0, Some((20.0, 400.0))).unwrap();
     write_library_toml(&lib, &scene, "two", false).unwrap();
     let options = TrialOptions { durable: false, ..TrialOptions::default() };
     for (surface, user) in [(0, "anna"), (0, "expert"), (1, "anna"), (1, "expert")] {
-        for number in 1..=3 {
+        for number in 1..=trials {
             write_trial(&lib, &drag(surface, user, number), &scene, &options).unwrap();
         }
     }
-    let output = surfaced(&["train", text(&lib), "--out", text(&path(CURRENT))]);
+    let output = surfaced(&["train", text(&lib), "--out", text(out)]);
     assert!(output.status.success(), "{}", said(&output));
+}
+
+#[test]
+#[ignore = "writes the fixture"]
+fn the_fixture_is_written_anew() {
+    train(3, &path(CURRENT));
     let file = ModelFile::decode(&current()).unwrap();
     let recorded =
         json!({ "digest": file.digest, "scan_s": file.scan_s, "answers": answers(&file) });
     fs::write(path(ANSWERS), serde_json::to_string_pretty(&recorded).unwrap() + "\n").unwrap();
+}
+
+/// Only some of so many trials are copied, or followed as they grow.
+#[test]
+fn a_model_of_many_trials_opens_and_names_scans() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("many.surfaced");
+    train(230, &out);
+    let file = ModelFile::read(&out).unwrap();
+    assert_eq!(file.surfaces, [("cork".to_string(), 460), ("felt".to_string(), 460)]);
+    let answers = answers(&file);
+    assert_eq!((&answers[0]["surface"], &answers[1]["surface"]), (&json!("cork"), &json!("felt")));
+    let numbers = |of: &str| [0, 1, 2].map(|at| answers[at][of].as_f64().unwrap());
+    let [cork, felt, unknown] = numbers("p_value");
+    assert!(cork.min(felt) > 0.05 && unknown < 0.01, "{answers:?}");
+    assert!(numbers("confidence")[..2].iter().all(|p| *p > 0.95), "{answers:?}");
 }
 
 /// The answers to somebody else's drags over the two surfaces and an unknown one.

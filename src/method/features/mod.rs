@@ -11,7 +11,7 @@
 //! | `windowed_frames` | log-band frames, which hand-made features have too |
 //! | `passed` | the part of a series within its band |
 //! | `moments`, `quantiles`, `places` | sums of a series, and what they say |
-//! | `tiles` | a picture as frames, and its sums |
+//! | `tiles`, `pixels` | a picture as frames, and its sums |
 //! | `counts` | histograms of frames and tiles |
 //! | `copies` | augmented copies of a library's trials |
 //! | `packed` | numbers in few bytes |
@@ -35,6 +35,7 @@ pub(crate) mod moments;
 pub(crate) mod packed;
 mod passed;
 mod picture_statistics;
+pub(crate) mod pixels;
 pub(crate) mod places;
 pub(crate) mod quantiles;
 mod series_statistics;

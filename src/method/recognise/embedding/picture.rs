@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::eigen::{EigenPairs, push_upper};
 use super::view::ViewEmbedder;
 use crate::features::counts::Counts;
-use crate::features::tiles::{CHANNELS, PictureTiles, STACKED};
+use crate::features::pixels::STACKED;
+use crate::features::tiles::{CHANNELS, PictureTiles};
 
 /// Added to the eigenvalues of a covariance after they are divided by their unit.
 const RIDGE: f64 = 1e-4;
