@@ -95,28 +95,16 @@ pub(crate) fn products(rows: &[f32], vector: &[f32]) -> Vec<f64> {
     let mut all = Vec::with_capacity(rows.len() / vector.len());
     for row in rows.chunks_exact(vector.len()) {
         let (a, last_a) = chunks::<WIDE>(row, 0.0);
-        let (mut even, mut odd) = ([0f32; WIDE], [0f32; WIDE]);
+        let mut sums = [0f32; WIDE];
         for lane in 0..WIDE {
-            even[lane] = last_a[lane] * last_b[lane];
+            sums[lane] = last_a[lane] * last_b[lane];
         }
-        let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<2>(), b.as_chunks::<2>());
         for i in 0..a.len().min(b.len()) {
             for lane in 0..WIDE {
-                even[lane] += a[i][0][lane] * b[i][0][lane];
-            }
-            for lane in 0..WIDE {
-                odd[lane] += a[i][1][lane] * b[i][1][lane];
+                sums[lane] += a[i][lane] * b[i][lane];
             }
         }
-        if let ([a], [b]) = (a_rest, b_rest) {
-            for lane in 0..WIDE {
-                odd[lane] += a[lane] * b[lane];
-            }
-        }
-        for lane in 0..WIDE {
-            even[lane] += odd[lane];
-        }
-        all.push(total(&even));
+        all.push(total(&sums));
     }
     all
 }

@@ -301,8 +301,7 @@ impl JointEmbedder {
             stretch.columns = first..first + stretch.embedder.dims();
             first = stretch.columns.end;
             let mut there = Vec::new();
-            for row in 0..all.nrows() {
-                let (trial, copy) = places[row];
+            for (row, (trial, copy)) in places.iter().copied().enumerate() {
                 let vector = copy.map_or(0, |copy| copy + 1);
                 if let Some(features) = vectors[trial][vector][source].take() {
                     let columns = s![row, stretch.columns.clone()];
