@@ -18,7 +18,7 @@ pub(super) struct EvalReport {
     #[serde(flatten)]
     pub(super) outcome: Outcome,
     pub(super) protocol: String,
-    /// Which trials are left out, and what the accuracy therefore does not tell.
+    /// The trials that are left out, and what the accuracy therefore does not say.
     pub(super) left_out: String,
     /// The groups that folds leave out, if these are more than trials.
     #[serde(skip)]

@@ -152,7 +152,7 @@ fn is_agreed(library: &Path) -> bool {
     is_read && matches!(answer.trim(), "y" | "Y" | "yes" | "Yes")
 }
 
-/// What a station does with its scans.
+/// The purpose of a station's scans.
 pub(super) enum Work<'a> {
     /// Keeps them. The order applies while the page has given no other one.
     Keep(Keep, &'a mut Kept),

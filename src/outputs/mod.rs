@@ -134,7 +134,7 @@ pub struct Output {
 /// The events that an output gets.
 #[derive(Debug, Default)]
 struct Wants {
-    /// The state of the station, which the broker is told of.
+    /// The state of the station, of which the broker hears.
     card: Option<Card>,
     /// All answers, and not only alerts.
     answers: bool,
@@ -390,7 +390,7 @@ impl OutputTest {
     }
 }
 
-/// What came of sending something, or the reason why it failed.
+/// The result of sending something, or the reason why it failed.
 pub(crate) type Sent<T> = Result<T, Box<dyn Error + Send + Sync>>;
 
 /// The result of `work`, which fails if it takes too long.

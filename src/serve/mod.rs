@@ -9,7 +9,7 @@
 //! station ◄─ orders ◄── api ◄── guard (rate, host, token, origin) ◄── server (connections, timeouts)
 //! ```
 //!
-//! A subscriber that is slow misses events and is told how many. It never delays other subscribers.
+//! A subscriber that is slow misses events and learns how many. It never delays other subscribers.
 
 pub(crate) mod api;
 mod guard;

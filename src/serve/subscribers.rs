@@ -2,7 +2,7 @@
 //!
 //! An event is encoded once, and all subscribers share it. If a queue is full, events that the next
 //! event of the same type replaces (such as traces) are skipped. If other events were missed, the
-//! subscriber is told how many, and receives the whole state again.
+//! subscriber learns how many, and receives the whole state again.
 
 use std::io;
 use std::pin::Pin;

@@ -1,4 +1,4 @@
-//! What an import has read, in words.
+//! The result of an import, in words.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,7 +7,7 @@ use crate::dataset::tables::{Clock, Form, MOST_TURNED, Said};
 use crate::scene::SourceId;
 use crate::trial::{Series, Signal, Trial};
 
-/// What was read, for people.
+/// The result for people.
 #[derive(Default)]
 pub(super) struct Summary {
     /// The lowest and the highest rate of each source.

@@ -163,7 +163,7 @@ pub struct UnknownOutcome {
     /// Number of folds in which the share of false rejections lies in the interval stated for the fold;
     /// `None` if none is stated.
     pub folds_as_stated: Option<usize>,
-    /// What the intervals of the shares are over.
+    /// The units that the intervals of the shares are over.
     pub interval_over: Over,
 }
 

@@ -38,7 +38,7 @@ impl Protocol {
         found.filter(|(_, asked)| *asked > 0).map(|(protocol, _)| *protocol)
     }
 
-    /// Which trials are left out, and what that leaves untold.
+    /// The trials that are left out, and what that leaves unsaid.
     pub fn left_out(self) -> &'static str {
         match self {
             Self::AllVsOneUser => "each person left out in turn",

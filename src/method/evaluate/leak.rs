@@ -31,7 +31,7 @@ pub struct Shared {
     pub is_copy: bool,
 }
 
-/// Which trials share samples with which.
+/// Pairs of trials that share samples.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Leaks {
     /// The trials that share samples with a trial, by its index.

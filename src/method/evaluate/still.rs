@@ -38,7 +38,7 @@ impl fmt::Display for Still {
     }
 }
 
-/// What the channels of a source do in the trials of one surface.
+/// The behaviour of a source's channels in the trials of one surface.
 struct OfSurface<'a> {
     source: &'a SourceId,
     surface: &'a str,

@@ -12,7 +12,7 @@ pub(crate) const QUANTILES: usize = 7;
 /// A bin holds the values whose bits are alike above this place: exponent and three bits.
 const SHIFT: u32 = 20;
 
-/// Bits of the least magnitude that is told from 0, 2⁻³⁶. The greatest is 2²⁸ and counts for all above.
+/// Bits of the least magnitude that does not count as 0, 2⁻³⁶. The greatest is 2²⁸ and counts for all above.
 const FIRST: u32 = (127 - 36) << 3;
 const BINS: usize = 64 << 3;
 

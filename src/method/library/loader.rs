@@ -339,7 +339,7 @@ impl Headers {
                 header.rate_hz
             ));
         }
-        // Which side to take is told by the samples alone, so a stereo file is read here, too.
+        // The samples alone say which side to take, so a stereo file is read here, too.
         let mixed = mixed.then(|| series_file::read(path).map(|series| Mix::of(&series)));
         let mixed = mixed.transpose()?;
         if let Some(mix) = mixed {

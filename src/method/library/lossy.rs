@@ -237,7 +237,7 @@ const AAC: usize = 1024;
 fn m4a(bytes: Vec<u8>) -> Result<Sound, Why> {
     let moov = boxes(&bytes, b"moov").first().map(|moov| moov.to_vec()).unwrap_or_default();
     if !boxes(&moov, b"mvex").is_empty() {
-        // Where it ends, nothing tells.
+        // Nothing says where it ends.
         return Err(Why::Unknown("MP4 in fragments"));
     }
     let mut reader = IsoMp4Reader::try_new(stream(bytes), Default::default())?;
@@ -305,7 +305,7 @@ fn fills_up(frame: &[u8], mut at: usize) -> bool {
     bits(frame, at, 3) == Some(END) && 8 * frame.len() < at + 11
 }
 
-/// Where the content of the fill element at a bit begins and ends; `None` if there is no such element.
+/// Begin and end of the content of the fill element at a bit; `None` if there is no such element.
 fn fill(frame: &[u8], at: usize) -> Option<(usize, usize)> {
     const FILL: usize = 6;
     bits(frame, at, 3).filter(|&id| id == FILL)?;

@@ -285,7 +285,7 @@ fn parse_format(body: &[u8]) -> io::Result<WavData> {
     Ok(WavData { format, channels, rate_hz, container, length: 0 })
 }
 
-/// The name of a format of samples that is not read.
+/// Name of a format of samples which is not read.
 fn coding(format: u16) -> String {
     match format {
         0x02 => "Microsoft ADPCM".into(),

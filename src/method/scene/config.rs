@@ -99,7 +99,7 @@ pub struct LibraryToml {
     pub synthetic: bool,
     /// The reference surfaces, each with the moment from which its scans count.
     pub(crate) reference: BTreeMap<String, Timestamp>,
-    /// Where the text says `format` and the value of `reference`, in bytes.
+    /// Places in the text of `format` and of the value of `reference`, in bytes.
     pub(crate) places: (Range<usize>, Option<Range<usize>>),
 }
 

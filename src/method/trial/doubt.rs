@@ -56,7 +56,7 @@ pub enum Doubt {
     SourceMissing { source: SourceId },
     /// A source of scan and library that was not compared.
     NotCompared { source: SourceId },
-    /// It cannot be told whether the surface is unknown: the scan is too short or lacks sources.
+    /// Nothing says whether the surface is unknown: the scan is too short or lacks sources.
     Untested { without: Vec<SourceId> },
     /// The first surface is less probable than all others together.
     Improbable { surface: String, probability: f64 },

@@ -122,7 +122,7 @@ pub enum DeviceReportKind {
     Ended(Result<(), DeviceError>),
 }
 
-/// What a warning is about: something was lost, damaged or not understood, and work continues. A kind stays
+/// The subject of a warning: something was lost, damaged or not understood, and work continues. A kind stays
 /// the same between versions; `src/serve/remedies.md` has a row for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]

@@ -72,7 +72,7 @@ pub struct History {
     audit: Mutex<AuditLog>,
 }
 
-/// Which answers are asked for. A field that is absent or empty lets all through.
+/// The answers that are asked for. A field that is absent or empty lets all through.
 #[derive(Clone, Debug, Default)]
 pub struct Wanted {
     pub states: Vec<AnswerState>,

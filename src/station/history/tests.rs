@@ -166,7 +166,7 @@ fn the_oldest_signals_make_room_and_their_answers_stay() {
     assert_eq!(kept(), [&ids[9]]);
     lock(&history.inner).let_go(1 << 20).unwrap();
     assert_eq!((kept().len(), scans(&history).len()), (0, 10));
-    // Signals that find no room at all are a problem, which is told.
+    // Signals that find no room at all are a problem, which is said.
     let answer = answer(11, Some("oak"));
     history.answered(&answer).unwrap();
     let folder = dir.path().join(SCANS).join(&answer.id);

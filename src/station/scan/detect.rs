@@ -63,9 +63,9 @@ pub(crate) struct Detector {
     state: DetectorState,
     hop_s: f64,
     hop: u64,
-    /// Where the gap began that the last hop was in; `None` if the last hop had data.
+    /// Begin of the gap that the last hop was in; `None` if the last hop had data.
     gap_at: Option<u64>,
-    /// Where the latest gap ended.
+    /// End of the latest gap.
     gap_end: Option<u64>,
     /// The mean levels of the blocks of the contact so far, each with its first hop and its number of
     /// hops; empty where force holds the contact, and without a longest drag.

@@ -10,7 +10,7 @@ use crate::trial::Doubt;
 pub(super) const EVEN: f64 = 0.5;
 
 /// The state of a scan in progress whose first surface has this probability; `None` as long as it
-/// cannot be told whether the surface is unknown.
+/// is open whether the surface is unknown.
 pub(super) fn so_far(
     p_value: Option<f64>,
     rejection: Option<&Rejection>,

@@ -241,7 +241,7 @@ impl MovingScan {
         let (mut change, mut ended) = (None, None);
         match &mut self.stretch {
             Some(stretch) if stretch.state == state || !is_found => {
-                // What is known against a part of the stretch holds for its answer.
+                // Doubts about a part of the stretch hold for its answer.
                 let mut spoiled = std::mem::take(&mut stretch.window.scan.spoiled);
                 for doubt in &window.scan.spoiled {
                     if !spoiled.iter().any(|other| other.source() == doubt.source()) {
@@ -341,7 +341,7 @@ fn most_probable(belief: &[f64]) -> usize {
     (0..belief.len()).rev().max_by(|&a, &b| belief[a].total_cmp(&belief[b])).unwrap_or(0)
 }
 
-/// Whether a ranking is of an unknown surface; `None` if that cannot be told.
+/// Whether a ranking is of an unknown surface; `None` if nothing says so or not.
 fn rejected(ranking: &Ranking, rejection: Option<&Rejection>) -> Option<bool> {
     ranking.p_value.zip(rejection).map(|(p_value, rejection)| rejection.rejects(p_value))
 }

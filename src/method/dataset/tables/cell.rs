@@ -15,7 +15,7 @@ const MISSING: &str = "nan na n/a #n/a #nv #div/0! #value! #num! #ref! null none
                        -nan(ind) 1.#qnan 1.#ind -1.#ind inf -inf +inf infinity -infinity +infinity \
                        1.#inf -1.#inf";
 
-/// What may separate thousands, but is no decimal mark.
+/// Marks that may separate thousands, but are no decimal marks.
 const SPACES: [char; 5] = [' ', '\u{a0}', '\u{202f}', '\'', '\u{2019}'];
 
 pub(crate) fn is_missing(cell: &[u8]) -> bool {
@@ -181,7 +181,7 @@ pub(super) fn timed(line: &[u8]) -> Option<(&[u8], &[u8])> {
     stamp::is_moment(time.trim_ascii()).then_some((time.trim_ascii(), rest))
 }
 
-/// What a program has written beside the numbers of each line.
+/// Text that a program has written beside the numbers of each line.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Beside {
     /// A time before the line ([`timed`]).

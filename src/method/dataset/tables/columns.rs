@@ -16,7 +16,7 @@ const COUNTERS: &str = "n index idx sample samples samplenumber sampleno count c
 /// Names of columns with the time since the row before.
 const INTERVALS: &str = "dt deltat deltatime timedelta interval";
 
-/// A column that rises by 1 for so many rows counts them, whatever it is called.
+/// A column that rises by 1 for this many rows counts them, whatever it is called.
 const SURELY_COUNTED: usize = 50;
 
 /// Parts of the names of clocks and counters.
@@ -314,7 +314,7 @@ fn number(cell: &[u8], delimiter: u8) -> Option<f64> {
     Numbers::new(delimiter).read(cell).ok().filter(|number| !number.is_nan())
 }
 
-/// What people should know about a column that mostly holds texts: that it is left out. An error if numbers
+/// The remark that a column that mostly holds texts is left out. An error if numbers
 /// with other signs are among them, or if it `may_name` surfaces and holds several texts.
 fn of_texts(
     name: &str,

@@ -27,7 +27,7 @@ pub(crate) struct Group {
     pub rows: usize,
     /// The first and the latest time, and that of the last row.
     pub times: Option<[i64; 3]>,
-    /// How much to add to a time, since the clock began anew.
+    /// Time to add to each time, since the clock began anew.
     pub offset: i64,
     held: Rows,
     /// Places in the file, each with a number of rows.

@@ -9,7 +9,7 @@ use super::heading::{Column, HeadLine, Names, distinct, is_time_name, names_in};
 use super::stamp;
 use crate::printable::counted;
 
-/// What a line below the names is.
+/// The kind of a line below the names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Line {
     Row,
@@ -319,7 +319,7 @@ fn no_rows(head: &[(u64, Vec<u8>)]) -> String {
 fn is_comment(line: &[u8]) -> bool {
     let line = line.trim_ascii_start();
     let line = line.strip_prefix(b"\"").filter(|rest| !rest.starts_with(b"#\"")).unwrap_or(line);
-    // A name such as `#` or `# of sample` alone before a separator is told by `Layout::cells`.
+    // `Layout::cells` recognises a name such as `#` or `# of sample` alone before a separator.
     line.starts_with(b"#") || line.starts_with(b"%") || line.starts_with(b"//")
 }
 
@@ -377,7 +377,7 @@ fn usual_width(lines: &[HeadLine], delimiter: u8) -> Option<usize> {
     counts.into_iter().max_by_key(|(width, count)| (*count, *width)).map(|(width, _)| width)
 }
 
-/// Which columns hold numbers in at least half of their cells, by the last 200 that are not missing.
+/// The columns that hold numbers in at least half of their cells, by the last 200 that are not missing.
 fn numeric_columns(lines: &[HeadLine], width: usize, delimiter: u8) -> Vec<bool> {
     let fitting: Vec<&HeadLine> = lines.iter().filter(|line| line.cells.len() == width).collect();
     let is_numeric = |column: usize| {

@@ -59,11 +59,11 @@ pub const MOST_TURNED: usize = 16;
 pub enum Clock {
     /// Rows a second.
     Rate(f64),
-    /// A column, and its unit of time in seconds; `None`: told by its header or its values.
+    /// A column, and its unit of time in seconds; `None`: its header or its values say it.
     Times { column: String, unit_s: Option<f64> },
 }
 
-/// Where the name of the session of a table's trials comes from, if no column holds it.
+/// Origin of the name of the session of a table's trials, if no column holds it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SessionOf {
     /// The pattern of the file's path that also names the surface, if it has the field.
@@ -208,7 +208,7 @@ pub struct Said {
     pub running: BTreeSet<String>,
     /// Columns of numbers that the first table does not have.
     pub further: BTreeSet<String>,
-    /// The column that told where trials begin anew.
+    /// The column by which trials begin anew.
     pub parted_by: Option<String>,
 }
 
@@ -313,7 +313,7 @@ impl Form {
         session.as_deref().map(session_name).transpose()
     }
 
-    /// What the pattern reads in a file's path; nothing without a pattern.
+    /// The values that the pattern reads in a file's path; none without a pattern.
     fn of_name(&self, path: &Path) -> Result<Parts, String> {
         let parts = self.names.as_ref().map(|pattern| pattern.parts(&name_of(path), "--names"));
         Ok(parts.transpose()?.unwrap_or_default())

@@ -30,7 +30,7 @@ const FEWEST_DIVIDED: usize = 16;
 /// Counters of 16 and 32 bits begin anew here, though the trial goes on.
 const WRAPS: [f64; 2] = [65_536.0, 4_294_967_296.0];
 
-/// A row may come after so many rows of later times, as by a network or in batches of several threads.
+/// A row may come after this many rows of later times, as by a network or in batches of several threads.
 const MOST_OVERTAKEN: f64 = 100.0;
 const FEWEST_OF_TRIAL: usize = 8;
 
@@ -146,7 +146,7 @@ impl<'a> Table<'a> {
                 is_broken |= undivided >= FEWEST_DIVIDED && are_unnumbered;
                 undivided = 0;
             }
-            // Where nothing else tells that a sample is missing, a row of empty cells does.
+            // If nothing else says that a sample is missing, a row of empty cells does.
             let is_empty = || {
                 is_bare
                     && cells.len() == layout.columns.len()

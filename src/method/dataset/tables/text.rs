@@ -39,7 +39,7 @@ pub(super) const OF_HDF5: &str =
 pub(crate) struct Lines {
     from: Box<dyn Read>,
     buffer: Vec<u8>,
-    /// Where the next line begins in the buffer.
+    /// Place of the next line in the buffer.
     start: usize,
     is_over: bool,
     /// Whether the end of the line that was given last is missing.

@@ -140,7 +140,7 @@ pub(super) fn of_signals(
     let sources: BTreeSet<&SourceId> = inspected.iter().flat_map(|i| i.series.keys()).collect();
     let is_flawed =
         |one: &Inspected, id: &SourceId| one.doubts.iter().any(|doubt| doubt.source() == Some(id));
-    // Where a constant series is usual, a level says nothing.
+    // If a constant series is usual, a level says nothing.
     let has_level = |id: &SourceId| {
         let rests = |one: &Inspected| one.series.get(id).is_some_and(|of| of.is_constant);
         !inspected.iter().any(|one| rests(one) && !is_flawed(one, id))
@@ -365,7 +365,7 @@ mod tests {
         work(&Audited { root: Path::new("lib"), editable: true, scene, method, cache: None })
     }
 
-    /// What is said of the levels of trials `a/1`, `a/2` and so on.
+    /// The findings about the levels of trials `a/1`, `a/2` and so on.
     fn said(levels: &[f64], is_constant: impl Fn(usize) -> bool) -> Vec<String> {
         let one = |(at, &level): (usize, &f64)| {
             let key = TrialKey::new("a", "anna", at as u32 + 1);

@@ -46,7 +46,7 @@ pub enum PooledAnswer {
     Never,
     /// Dependence falls below the threshold too late for the trials to show that it stays below.
     NotWithinRange,
-    /// About so many more trials like these would suffice.
+    /// Number of further trials like these that would suffice, about.
     TooLittleData { more_trials: usize },
 }
 

@@ -29,7 +29,7 @@ const WHOLE: f64 = 0.95;
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct Calibration {
     pub scan_s: f64,
-    /// Most scans that are cut from one trial; so many count as one trial.
+    /// Most scans that are cut from one trial; together they count as one trial.
     pub of_each: usize,
     /// Nonconformity of each group's scans, ascending.
     by_group: Vec<Vec<f64>>,

@@ -11,7 +11,7 @@ pub(super) mod sticky;
 
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
-/// Which trials were left out together when left-out trials were named, so for whom a figure holds.
+/// The trials that were left out together when left-out trials were named, so for whom a figure holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum LeftOutBy {
     /// All trials of a person; the figure holds for other people too.

@@ -38,7 +38,7 @@ pub(super) struct Trained {
 pub(super) struct Measured {
     /// How far they lie from all surfaces.
     pub conformity: Conformity,
-    /// How much less certain than its members an ensemble is.
+    /// The factor by which an ensemble is less certain than its members.
     pub temperature: Temperature,
 }
 

@@ -1,4 +1,4 @@
-//! Where in a short series something happens: a spectrum over wavelengths, or an echo over time, is not
+//! The course of a short series: a spectrum over wavelengths, or an echo over time, is not
 //! stationary, and its frames and moments, which forget the place, leave out most of it.
 //!
 //! A series is cut into equal parts of the library's median trial, the *places*. Their means are features

@@ -46,7 +46,7 @@ pub(super) struct SeriesEmbedder {
     deviations: Vec<f64>,
     /// Whether the library's median trial is long enough for quantiles.
     ranked: bool,
-    /// Where in a series something happens, if that says something about the surface.
+    /// The course of a series, if it says something about the surface.
     places: Option<PlaceEmbedder>,
     /// Share of time that each channel rests in the library ([`usual_rests`]).
     pub rests: Vec<f32>,

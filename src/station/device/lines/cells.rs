@@ -31,7 +31,7 @@ pub(super) struct Cell {
     pub label: [Piece; 2],
     /// Place after the name, counted from 0.
     pub place: u32,
-    /// What the digits show of thousands ([`digits_of`]).
+    /// The groups of thousands that the digits show ([`digits_of`]).
     pub digits: u8,
 }
 

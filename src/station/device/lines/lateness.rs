@@ -122,7 +122,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Rows of 1000 µs with jitter of up to `jitter` periods; the clock is told `told_hz`.
+    /// Rows of 1000 µs with jitter of up to `jitter` periods; the clock expects `told_hz`.
     fn run(jitter: f64, told_hz: f64, lost: impl Fn(u64) -> bool) -> (RowClock, u64) {
         let (mut clock, mut last_us, mut missing) = (RowClock::new(told_hz), 0.0, 0);
         let mut seed = 1_u64;

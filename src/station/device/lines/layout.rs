@@ -1,4 +1,4 @@
-//! Which columns of a row are the channels of which stream, and which one counts.
+//! The columns of a row: those that are channels of a stream, and the one that counts.
 
 use crate::scene::SourceId;
 

@@ -1,17 +1,17 @@
 //! Measures the rate at which rows come, without I/O and without a clock. Neither the rows that were
 //! buffered before a connection or a silence, nor the frames that were missing there, count.
 
-/// Seconds over which the rate is measured, and the least relative error that is told.
+/// Seconds over which the rate is measured, and the least relative error that is said.
 const PACE_S: f64 = 10.0;
 const PACE: f64 = 0.01;
-/// A relative error of so much is told after so many seconds already. Blocks of rows count for less.
+/// Seconds after which a larger relative error is already said, and that error. Blocks of rows count for less.
 const GROSS_S: f64 = 3.0;
 const GROSS: f64 = 0.2;
 /// Fewest rows by which a rate that is counted within [`PACE_S`] must differ.
 const PACE_ROWS: f64 = 3.0;
 /// Seconds after a silence in which a backlog may still come.
 const SETTLE_S: f64 = 1.0;
-/// A silence of so many seconds, and of so many rows, may leave a backlog.
+/// Least seconds, and least rows, of a silence that may leave a backlog.
 const SILENCE_S: f64 = 0.25;
 const SILENCE_ROWS: f64 = 4.0;
 
@@ -24,7 +24,7 @@ pub(super) struct Pace {
     steady_s: f64,
     /// When the measurement was last begun or ended.
     looked_s: f64,
-    /// The wrong rate that was told last; `None` if the rate is right.
+    /// The wrong rate that was said last; `None` if the rate is right.
     pub off_hz: Option<f64>,
 }
 
@@ -88,7 +88,7 @@ impl Pace {
 mod tests {
     use super::*;
 
-    /// Takes rows of 400 Hz expected, from `from_s` on, in blocks of 10 ms; returns what was told.
+    /// Takes rows of 400 Hz expected, from `from_s` on, in blocks of 10 ms; returns what was said.
     fn told(
         pace: &mut Pace,
         frames: &mut f64,

@@ -210,7 +210,7 @@ impl Reader {
         let (text, right) = without_checksum(line);
         if let Some(right) = right {
             self.sums[usize::from(!right)] += 1;
-            // Where no checksum was ever right, it is of another kind.
+            // If no checksum was ever right, it is of another kind.
             if !right && self.sums[0] * 2 > self.sums[1] {
                 return on(line, Line::Damaged);
             }

@@ -4,7 +4,7 @@
 const WINDOW_S: f64 = 2.0;
 /// Fewest rows of a window.
 const FEWEST: u32 = 20;
-/// Least distance of two columns' means, in units of their spreads, by which they can be told.
+/// Least distance of two columns' means, in units of their spreads, by which they differ.
 const APART: f64 = 6.0;
 /// Most of this distance by which a column may differ from what the other was.
 const NEAR: f64 = 0.2;
@@ -96,7 +96,7 @@ mod tests {
         };
         assert_eq!(found(swap), Some((0, 1)));
         assert_eq!(found(|t| [noise(t), 9.81 + noise(t) * t, 0.02 * t]), None);
-        // Columns that are alike cannot be told.
+        // Columns that are alike cannot be told apart.
         assert_eq!(found(|t| [noise(t), noise(t), noise(t)]), None);
     }
 }

@@ -120,7 +120,7 @@ impl std::fmt::Display for Selector {
     }
 }
 
-/// What the system says of a file that cannot have a rate in baud.
+/// The system's error for a file that cannot have a rate in baud.
 const NO_TERMINAL: &str = "Not a typewriter";
 
 /// Explains an error of `serialport`, which reports a locked port as `NoDevice`.

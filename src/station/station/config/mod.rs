@@ -56,7 +56,7 @@ pub struct StationConfig {
     pub trials: u32,
     /// Age from which the page no longer shows an answer as the present one, in seconds.
     pub stale_after_s: f64,
-    /// Where a browser finds the page, if a proxy is in front of it.
+    /// Address of the page for a browser, if a proxy is in front of it.
     pub public_address: Option<Uri>,
     /// Disk space for past scans, in millions of bytes; with 0, no scans are kept.
     pub keep_mb: u32,

@@ -43,7 +43,7 @@ pub struct MqttAddress {
     pub tls: Option<TlsFiles>,
 }
 
-/// Where the password of a broker is.
+/// Origin of the password of a broker.
 #[derive(Clone, PartialEq, Eq)]
 pub enum Password {
     Given(String),
@@ -72,7 +72,7 @@ pub struct AlertConfig {
     pub of: usize,
     /// Time after an alert in which there is no other.
     pub cooldown: Duration,
-    /// Where the alert is posted, beside its topic.
+    /// Address to which the alert is posted, beside its topic.
     pub http: Option<HttpAddress>,
     /// The coil that is on for the time `hold` after an alert.
     pub coil: Option<CoilAddress>,

@@ -12,7 +12,7 @@ pub(in crate::device::lines) const CLOCK_WRAPS: [f64; 3] =
 const DECIMAL_WRAPS: [f64; 5] = [100.0, 1000.0, 10_000.0, 99_999.0, 100_000.0];
 /// Highest power of two at which a counter may begin again; an f64 holds all numbers up to it.
 const MOST_BITS: i32 = 53;
-/// A row may come as much too late: so many seconds, but at least so many rows.
+/// Most seconds that a row may come too late, but at least a number of rows.
 const OUT_OF_ORDER_S: f64 = 0.05;
 const OUT_OF_ORDER_ROWS: f64 = 8.0;
 
