@@ -63,6 +63,7 @@ impl Training {
         let fits = self.present.len() == trials
             && self.vectors.dim() == (self.origins.len(), dims)
             && self.origins.len() > trials
+            && (0..trials).all(|trial| self.origins[trial] == (trial, false))
             && self.origins.iter().all(|(trial, _)| *trial < trials);
         self.rows = fits.then(|| rows(labels, &self.origins))?;
         Some(self)
