@@ -24,7 +24,7 @@ fn with_length(model: &[u8], length: u64) -> Vec<u8> {
 fn a_hostile_model_file_is_refused_within_64_mb() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("model.surfaced");
-    let model = std::fs::read("tests/fixtures/models/7.surfaced").unwrap();
+    let model = std::fs::read("tests/fixtures/models/8.surfaced").unwrap();
     let altered: Vec<u8> = model.iter().enumerate().map(|(at, x)| x ^ u8::from(at == 99)).collect();
     for (what, bytes, size) in [
         ("cut short", model[..model.len() / 2].to_vec(), None),

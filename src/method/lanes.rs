@@ -82,26 +82,27 @@ pub(crate) fn dot(a: &[f32], b: &[f32]) -> f64 {
     total(&sums)
 }
 
-/// The inner product of each row of a matrix with a vector of at least one number, summed in f32.
+/// The inner product of each row of a matrix with a vector, summed in f32; none for an empty vector.
 #[multiversion(targets(
     "x86_64+avx512f+avx512vl+avx512bw+avx512dq+avx2+fma",
     "x86_64+avx2+fma",
     "aarch64+neon"
 ))]
-pub(crate) fn products(rows: &[f32], vector: &[f32]) -> Vec<f64> {
+pub(crate) fn products<T: Copy + Into<f32>>(rows: &[T], vector: &[f32]) -> Vec<f64> {
     /// Wider arrays are not kept in whole registers.
     const WIDE: usize = 16;
-    let (b, last_b) = chunks::<WIDE>(vector, 0.0);
-    let mut all = Vec::with_capacity(rows.len() / vector.len());
-    for row in rows.chunks_exact(vector.len()) {
-        let (a, last_a) = chunks::<WIDE>(row, 0.0);
+    let (b, rest_b) = vector.as_chunks::<WIDE>();
+    let columns = vector.len().max(1);
+    let mut all = Vec::with_capacity(rows.len() / columns);
+    for row in rows.chunks_exact(columns) {
+        let (a, rest_a) = row.as_chunks::<WIDE>();
         let mut sums = [0f32; WIDE];
-        for lane in 0..WIDE {
-            sums[lane] = last_a[lane] * last_b[lane];
+        for lane in 0..rest_a.len().min(rest_b.len()) {
+            sums[lane] = rest_a[lane].into() * rest_b[lane];
         }
         for i in 0..a.len().min(b.len()) {
             for lane in 0..WIDE {
-                sums[lane] += a[i][lane] * b[i][lane];
+                sums[lane] += a[i][lane].into() * b[i][lane];
             }
         }
         all.push(total(&sums));

@@ -16,8 +16,8 @@ use surfaced::trial::{Series, Signal, Trial, TrialKey};
 
 /// A file of this version, of the drags of [`drag`] by two people, and its answers to three more. `cargo
 /// test --test it model_file -- --ignored` writes both.
-const CURRENT: &str = "tests/fixtures/models/7.surfaced";
-const ANSWERS: &str = "tests/fixtures/model-7-answers.json";
+const CURRENT: &str = "tests/fixtures/models/8.surfaced";
+const ANSWERS: &str = "tests/fixtures/model-8-answers.json";
 /// A file of an earlier version, which this program refuses by its version.
 const EARLIER: &str = "tests/fixtures/models/2.surfaced";
 

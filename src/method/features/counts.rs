@@ -182,6 +182,16 @@ fn add_histograms(counts: &[f32], sums: &mut [f32]) {
     }
 }
 
+/// Whether any of some bins has frames; most bins of a short series have none.
+#[inline(always)]
+pub(crate) fn is_counted(counts: &[f32; LANES]) -> bool {
+    let mut counted = false;
+    for n in counts {
+        counted |= *n != 0.0;
+    }
+    counted
+}
+
 /// The sum of some values and that of their squares, each multiplied by its count. Their number is a
 /// multiple of [`LANES`].
 #[multiversion(targets(
@@ -193,10 +203,12 @@ fn sums(counts: &[f32], values: &[f32]) -> (f64, f64) {
     let (counts, values) = (counts.as_chunks::<LANES>().0, values.as_chunks::<LANES>().0);
     let mut of_lanes = [[0f64; LANES]; 2];
     for i in 0..counts.len().min(values.len()) {
-        for lane in 0..LANES {
-            let (n, x) = (f64::from(counts[i][lane]), f64::from(values[i][lane]));
-            of_lanes[0][lane] += n * x;
-            of_lanes[1][lane] += n * x * x;
+        if is_counted(&counts[i]) {
+            for lane in 0..LANES {
+                let (n, x) = (f64::from(counts[i][lane]), f64::from(values[i][lane]));
+                of_lanes[0][lane] += n * x;
+                of_lanes[1][lane] += n * x * x;
+            }
         }
     }
     (total(&of_lanes[0]), total(&of_lanes[1]))

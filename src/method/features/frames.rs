@@ -104,8 +104,9 @@ impl SourceFrames {
     }
 }
 
-/// About as many trials of a library are followed from look to look; more would not change any stated digit.
-pub(crate) const FOLLOWED: usize = 400;
+/// About as many trials of a library are followed from look to look. They are enough to show that early
+/// answers lose at most 1 %: if none of 200 is lost, the upper 90 % bound is 0.7 %.
+pub(crate) const FOLLOWED: usize = 200;
 
 /// Windows that tell of a series whether it shares samples with another.
 const MOST_WINDOWS: usize = 64;

@@ -2,8 +2,11 @@
 //! frames and, by `#[serde(with = "…")]`, matrices of stored trials and models.
 
 use multiversion::multiversion;
+use ndarray::{Array1, Array2, ArrayView1};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::lanes::products;
 
 /// Log-band frames in fixed point, with 2⁻⁹ of a unit of ln power as step. This is finer than any
 /// estimate of power, and takes half the memory of f32.
@@ -48,6 +51,58 @@ fn pack(values: &[f32], packed: &mut [i16]) {
     }
 }
 
+/// A matrix in fixed point: each row in steps of 1/32767 of its largest number. It takes half the memory
+/// of f32, and half the time where a product waits for memory.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct PackedMatrix {
+    columns: usize,
+    /// The step of each row.
+    steps: Vec<f32>,
+    #[serde(with = "list")]
+    values: Vec<i16>,
+}
+
+impl PackedMatrix {
+    /// Takes finite numbers.
+    pub(crate) fn new(matrix: &Array2<f64>) -> Self {
+        let largest = |row: ArrayView1<'_, f64>| row.fold(0.0, |most: f64, x| most.max(x.abs()));
+        let steps: Vec<f64> =
+            matrix.rows().into_iter().map(|row| largest(row) / f64::from(i16::MAX)).collect();
+        let in_steps = |(row, step): (ArrayView1<'_, f64>, &f64)| {
+            let step = step.max(f64::MIN_POSITIVE);
+            row.iter().map(|x| (x / step).round() as i16).collect::<Vec<_>>()
+        };
+        let values = matrix.rows().into_iter().zip(&steps).flat_map(in_steps).collect();
+        Self {
+            columns: matrix.ncols(),
+            steps: steps.iter().map(|step| *step as f32).collect(),
+            values,
+        }
+    }
+
+    /// Whether a stored matrix has this shape.
+    pub(crate) fn is_of(&self, (rows, columns): (usize, usize)) -> bool {
+        [self.steps.len(), self.columns] == [rows, columns]
+            && Some(self.values.len()) == rows.checked_mul(columns)
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.values.len()
+    }
+
+    pub(crate) fn matrix(&self) -> Array2<f32> {
+        Array2::from_shape_fn((self.steps.len(), self.columns), |(row, column)| {
+            self.steps[row] * f32::from(self.values[row * self.columns + column])
+        })
+    }
+
+    /// The inner product of each row with a vector.
+    pub(crate) fn products(&self, vector: &[f32]) -> Array1<f64> {
+        let in_steps = products(&self.values, vector);
+        in_steps.into_iter().zip(&self.steps).map(|(x, step)| x * f64::from(*step)).collect()
+    }
+}
+
 /// Bytes that are written as one run, not as a list.
 struct Bytes(Vec<u8>);
 
@@ -85,7 +140,6 @@ pub(super) mod list {
 /// A matrix, row by row.
 pub(crate) mod matrix {
     use super::*;
-    use ndarray::Array2;
 
     pub(crate) fn serialize<S: Serializer>(matrix: &Array2<f32>, to: S) -> Result<S::Ok, S::Error> {
         let bytes: Vec<_> = matrix.iter().map(|x| x.to_le_bytes()).collect();

@@ -44,7 +44,7 @@ use crate::system::persist;
 const MAGIC: &[u8; 14] = b"surfaced model";
 /// Version of the format. Raise it with each change of what the bytes mean, or of how a scan is turned
 /// into features, and replace the fixture in `tests/fixtures`.
-const VERSION: u16 = 7;
+const VERSION: u16 = 8;
 const HEADER: usize = MAGIC.len() + 2 + 8;
 const CHECKSUM: usize = 4;
 /// Most bytes of a file, so that a hostile one cannot claim all memory.

@@ -18,7 +18,7 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use serde::{Deserialize, Serialize};
 
 use super::linear::{cholesky, lower_gram, solve_lower, solve_lower_transposed};
-use crate::features::packed;
+use crate::features::packed::{self, PackedMatrix};
 use crate::lanes::products;
 
 /// Variance within classes counts as at least this share of all variance, since a detector that has
@@ -38,11 +38,11 @@ const MEASURED: usize = 100;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Discriminant {
     /// Matrix from the member's features to the whitened space of the class means; shape (r, d), r < C.
-    #[serde(with = "packed::matrix")]
-    projection: Array2<f32>,
+    projection: PackedMatrix,
     origin: Array1<f64>,
     /// Class means m_c in that space, shape (C, r).
-    means: Array2<f64>,
+    #[serde(with = "packed::matrix")]
+    means: Array2<f32>,
     /// ‖m_c‖² of each class, and by how much its distances are raised.
     lengths: Vec<f64>,
     /// Whether a class had training vectors.
@@ -182,16 +182,16 @@ impl Discriminant {
         let mut projection = back.reversed_axes().as_standard_layout().into_owned();
         solve_lower(&means.select(Axis(0), &independent).view(), projection.view_mut());
         let origin = projection.dot(centre);
-        let projection = projection.mapv(|x| x as f32);
-        let sound = projection.iter().all(|x| x.is_finite()) && means.iter().all(|x| x.is_finite());
         let lengths = means.rows().into_iter().map(|mean| mean.dot(&mean)).collect();
+        let sound = projection.iter().chain(&means).all(|x| x.is_finite());
+        let (projection, means) = (PackedMatrix::new(&projection), means.mapv(|x| x as f32));
         sound.then_some(Self { projection, origin, means, lengths, present })
     }
 
     /// A discriminant that tells nothing apart: all classes are at the same distance.
     pub(crate) fn indifferent(classes: usize, dims: usize) -> Self {
         Self {
-            projection: Array2::zeros((0, dims)),
+            projection: PackedMatrix::new(&Array2::zeros((0, dims))),
             origin: Array1::zeros(0),
             means: Array2::zeros((classes, 0)),
             lengths: vec![0.0; classes],
@@ -203,7 +203,7 @@ impl Discriminant {
         let space = self.origin.len();
         [self.present.len(), self.lengths.len()] == [classes; 2]
             && self.means.dim() == (classes, space)
-            && self.projection.dim() == (space, dims)
+            && self.projection.is_of((space, dims))
     }
 
     /// Number of products that a distance takes.
@@ -217,22 +217,22 @@ impl Discriminant {
 
     /// w_c, shape (C, d), and b_c such that u·m_c = w_c·x − b_c, where the vector x projects to u.
     pub(crate) fn weights(&self) -> (Array2<f32>, Array1<f64>) {
-        let of_class = self.means.mapv(|x| x as f32).dot(&self.projection);
-        (of_class, self.means.dot(&self.origin))
+        let of_class = self.means.dot(&self.projection.matrix());
+        (of_class, self.means.mapv(f64::from).dot(&self.origin))
     }
 
     /// Squared distance of each vector, shape (n, d), to each class mean; infinite for classes without
     /// training vectors.
     pub(crate) fn distances(&self, vectors: ArrayView2<'_, f32>) -> Vec<Vec<f64>> {
-        let one = vectors.to_slice().filter(|one| vectors.nrows() == 1 && !one.is_empty());
-        let (u, inner) = if let (Some(one), Some(rows)) = (one, self.projection.as_slice()) {
+        let one = vectors.to_slice().filter(|_| vectors.nrows() == 1 && !self.origin.is_empty());
+        let (u, inner) = if let (Some(one), Some(means)) = (one, self.means.as_slice()) {
             // One row is multiplied faster as a vector.
-            let u = Array1::from(products(rows, one)) - &self.origin;
-            let inner = self.means.dot(&u);
+            let u = self.projection.products(one) - &self.origin;
+            let inner = Array1::from(products(means, &u.map(|x| *x as f32).to_vec()));
             (u.insert_axis(Axis(0)), inner.insert_axis(Axis(0)))
         } else {
-            let u = vectors.dot(&self.projection.t()).mapv(f64::from) - &self.origin;
-            let inner = u.dot(&self.means.t());
+            let u = vectors.dot(&self.projection.matrix().t()).mapv(f64::from) - &self.origin;
+            let inner = u.dot(&self.means.mapv(f64::from).t());
             (u, inner)
         };
         let distances = |(u, inner): (ArrayView1<'_, f64>, ArrayView1<'_, f64>)| {

@@ -192,9 +192,7 @@ pub(super) struct LeftOut {
     pub held_out: usize,
     /// Median length of the drag, in seconds, of the trials that have all sources; 0 if there are none.
     pub drag_s: f64,
-    /// Scans of at least this many seconds count as whole. In a library of several people, all trials
-    /// except a share [`SHORTER`] reach it. In a library of one person, half of the trials do, since
-    /// whole scans are compared with excerpts there.
+    /// Scans of at least this many seconds count as whole. All trials except a share [`SHORTER`] reach it.
     whole_from_s: f64,
     /// Ensembles for each set of sources that occurs in the library.
     pub trained: BTreeMap<Present, Arc<Trained>>,
@@ -214,8 +212,7 @@ impl LeftOut {
         let quantile = |share: f64| {
             lengths.get((share * lengths.len() as f64) as usize).copied().unwrap_or(0.0)
         };
-        let drag_s = quantile(0.5);
-        let whole_from_s = if labels.left_out.across_people() { quantile(SHORTER) } else { drag_s };
+        let (drag_s, whole_from_s) = (quantile(0.5), quantile(SHORTER));
         let begins = !looks(drag_s).is_empty();
         let mut trained: BTreeMap<Present, Arc<Trained>> = BTreeMap::new();
         let all = vec![true; joint.stretches.len()];

@@ -10,7 +10,7 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::features::counts::{Counts, LANES};
+use crate::features::counts::{Counts, LANES, is_counted};
 use crate::lanes::total;
 use crate::recognise::rank::median;
 
@@ -110,11 +110,7 @@ fn add_bands(
         let counts = counts.as_chunks().0;
         let mut acc = [[0f32; LANES]; BAND_FEATURES];
         for i in 0..counts.len().min(values.len()) {
-            let mut counted = false;
-            for n in &counts[i] {
-                counted |= *n != 0.0;
-            }
-            if counted {
+            if is_counted(&counts[i]) {
                 add_up(scale, band, &counts[i], &values[i], &mut acc);
             }
         }
