@@ -150,11 +150,11 @@ fn a_file_that_cannot_be_opened_ends_a_command_with_code_1_and_what_to_do() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("model.surfaced");
     let model = current();
-    let newer = [&model[..14], &[8, 0], &model[16..]].concat();
+    let newer = [&model[..14], &[9, 0], &model[16..]].concat();
     let claims = [&model[..16], &(4u64 << 30).to_le_bytes()[..], &model[24..]].concat();
     let altered = [&model[..999], &[!model[999]], &model[1000..]].concat();
     for (bytes, parts) in [
-        (&newer[..], ["of version 8, but this program reads version 7", "make it anew"]),
+        (&newer[..], ["of version 9, but this program reads version 8", "make it anew"]),
         (&claims, ["it should have 4294967324 bytes, but has", "copy it again"]),
         (&altered, ["its checksum is wrong", "make it anew"]),
         (&model[..500], ["but has 500", "copy it again"]),
