@@ -10,6 +10,9 @@ use super::layout::Layout;
 /// Longest line that is read, in bytes.
 const MOST_LINE: usize = 1 << 20;
 const BLOCK: u64 = 1 << 17;
+/// Cells of the first lines, which hold the names, may have so many ends of lines, as spreadsheets write them.
+const HEADING: u64 = 100;
+const MOST_ENDS: usize = 8;
 /// As many first bytes as decide on the form of a file.
 const HEAD: u64 = 4096;
 
@@ -94,28 +97,60 @@ impl Lines {
         Ok(lines)
     }
 
-    /// The next line without its end, and its number; `None` after the last.
+    /// The next line without its end, and its number; `None` after the last. Ends of lines in quotes count
+    /// as spaces in the heading.
     pub(crate) fn next(&mut self) -> Result<Option<(u64, &[u8])>, String> {
-        let mut searched = self.start;
-        let to = loop {
-            if let Some(at) = memchr::memchr(self.line_end, &self.buffer[searched..]) {
-                break searched + at;
+        let end = self.line_end_after(0)?;
+        let mut length = end.unwrap_or(self.buffer.len() - self.start);
+        if end.is_none() && length == 0 {
+            return Ok(None);
+        }
+        self.is_cut = end.is_none();
+        self.number += 1;
+        let number = self.number;
+        let line = &self.buffer[self.start..][..length];
+        let may_go_on = number <= HEADING && end.is_some();
+        if may_go_on && has_open_quote(line) && last_quote_begins(line) {
+            length = self.closed_after(length)?;
+        }
+        let from = self.start;
+        self.start = (from + length + 1).min(self.buffer.len());
+        let line = &self.buffer[from..from + length];
+        Ok(Some((number, line.strip_suffix(b"\r").unwrap_or(line))))
+    }
+
+    /// Joins a line of a cell that is open in quotes with those after it, up to the one that closes it.
+    /// Gives the length of the whole; that of the line alone if the quotes stay open.
+    fn closed_after(&mut self, length: usize) -> Result<usize, String> {
+        let mut to = length;
+        for joined in 1..=MOST_ENDS {
+            let Some(end) = self.line_end_after(to + 1)? else { break };
+            to = end;
+            let whole = &mut self.buffer[self.start..][..to];
+            if !has_open_quote(whole) {
+                // The last byte may belong to the end of the whole.
+                let ends = whole[..to - 1].iter_mut().filter(|byte| b"\r\n".contains(byte));
+                ends.for_each(|byte| *byte = b' ');
+                self.number += joined as u64;
+                return Ok(to);
+            }
+        }
+        Ok(length)
+    }
+
+    /// The place of the first end of a line that is `after` or more bytes behind the start of this one.
+    fn line_end_after(&mut self, mut after: usize) -> Result<Option<usize>, String> {
+        loop {
+            let rest = self.buffer.get(self.start + after..).unwrap_or_default();
+            if let Some(at) = memchr::memchr(self.line_end, rest) {
+                return Ok(Some(after + at));
             }
             if self.is_over {
-                if self.start == self.buffer.len() {
-                    return Ok(None);
-                }
-                self.is_cut = true;
-                break self.buffer.len();
+                return Ok(None);
             }
-            // `fill` moves the rest, which holds no end of a line, to the start of the buffer.
-            searched = self.buffer.len() - self.start;
+            after = self.buffer.len() - self.start;
             self.fill()?;
-        };
-        self.number += 1;
-        let from = std::mem::replace(&mut self.start, (to + 1).min(self.buffer.len()));
-        let line = &self.buffer[from..to];
-        Ok(Some((self.number, line.strip_suffix(b"\r").unwrap_or(line))))
+        }
     }
 
     /// Whether the end of the line that was given last is missing, as where writing was cut off.
@@ -139,6 +174,16 @@ impl Lines {
         self.is_over = read == 0;
         Ok(())
     }
+}
+
+fn has_open_quote(line: &[u8]) -> bool {
+    memchr::memchr_iter(b'"', line).count() % 2 == 1
+}
+
+/// Whether the last quote of a text begins a cell; others are inches.
+fn last_quote_begins(line: &[u8]) -> bool {
+    memchr::memrchr(b'"', line)
+        .is_some_and(|at| at.checked_sub(1).is_none_or(|before| b",;\t".contains(&line[before])))
 }
 
 /// The first bytes, and a reader that still gives them.
@@ -234,6 +279,18 @@ mod tests {
             text.chars().map(|c| c as u8).collect(),
         ] {
             assert_eq!(lines(&bytes).unwrap(), ["Zeit µs", "1;2", "", "3;4"], "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn ends_of_lines_in_a_quoted_name_are_spaces_and_a_lone_quote_joins_nothing() {
+        let text = "\"Time\r\n[s]\",\"Force\n[N]\"\r\n1,2\r\n";
+        assert_eq!(lines(text.as_bytes()).unwrap(), ["\"Time  [s]\",\"Force [N]\"", "1,2"]);
+        for kept in
+            ["width,5\"\n1,6\"\n", "\"open\n1,2\n1,2\n1,2\n1,2\n1,2\n1,2\n1,2\n1,2\n1,2\n\"\n"]
+        {
+            let kept_lines: Vec<&str> = kept.lines().collect();
+            assert_eq!(lines(kept.as_bytes()).unwrap(), kept_lines);
         }
     }
 

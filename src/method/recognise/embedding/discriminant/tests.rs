@@ -136,12 +136,11 @@ fn inner_products_with_the_class_means_make_the_distance() {
     let trained = trained(&vectors, &class, 3).unwrap();
     let z = vectors.row(4);
     let (weights, offsets) = trained.weights();
-    let projected = trained.projection.dot(&z);
-    let u = projected.iter().zip(&trained.origin).map(|(&x, o)| f64::from(x) - o);
-    let u: f64 = u.map(|x| x * x).sum();
+    let u = trained.projection.matrix().dot(&z).mapv(f64::from) - &trained.origin;
+    let u = u.dot(&u);
     for (class, distance) in distances(&trained, z).iter().enumerate() {
         let inner = f64::from(weights.row(class).dot(&z)) - offsets[class];
-        let mean: f64 = trained.means.row(class).iter().map(|x| x * x).sum();
+        let mean = f64::from(trained.means.row(class).pow2().sum());
         assert!((distance - (u + mean - 2.0 * inner)).abs() < 1e-2);
     }
 }
