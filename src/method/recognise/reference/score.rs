@@ -35,16 +35,16 @@ pub struct SampleScore {
 /// Compares samples of a query `z` with samples `y` of a library trial, both of shape (n, channels),
 /// in f64 and without shortcuts. This is the oracle of [`QuerySet`].
 ///
-/// `align_mean` first shifts z's mean to y's (Eq. 8). σ is computed from the shifted z (Eq. 6) unless
-/// `sigma` fixes it. If z and y differ in length, n is the shorter length.
+/// `align_mean` first shifts z's mean to y's (Eq. 8). σ is computed from z (Eq. 6) unless `sigma` fixes
+/// it; the shift changes no distance, but rounds them. If z and y differ in length, n is the shorter length.
 pub fn score_samples(
     z: ArrayView2<'_, f64>,
     y: ArrayView2<'_, f64>,
     align_mean: bool,
     sigma: Option<f64>,
 ) -> SampleScore {
+    let sigma = sigma.unwrap_or_else(|| length_scale(z));
     let z = if align_mean { aligned(z, y) } else { z.to_owned() };
-    let sigma = sigma.unwrap_or_else(|| length_scale(z.view()));
     let mmd2 = mmd2_biased(y, z.view(), sigma);
     let n = y.nrows().min(z.nrows());
     SampleScore { n, dims: z.ncols(), sigma, mmd2, score: n as f64 * mmd2 }
