@@ -10,8 +10,9 @@ use super::layout::Layout;
 /// Longest line that is read, in bytes.
 const MOST_LINE: usize = 1 << 20;
 const BLOCK: u64 = 1 << 17;
-/// Cells of the first lines, which hold the names, may have so many ends of lines, as spreadsheets write them.
+/// Names of columns stand in these first lines.
 const HEADING: u64 = 100;
+/// Most ends of lines in the quoted names of one row; spreadsheets write them.
 const MOST_ENDS: usize = 8;
 /// As many first bytes as decide on the form of a file.
 const HEAD: u64 = 4096;
@@ -141,13 +142,13 @@ impl Lines {
     /// The place of the first end of a line that is `after` or more bytes behind the start of this one.
     fn line_end_after(&mut self, mut after: usize) -> Result<Option<usize>, String> {
         loop {
-            let rest = self.buffer.get(self.start + after..).unwrap_or_default();
-            if let Some(at) = memchr::memchr(self.line_end, rest) {
+            if let Some(at) = memchr::memchr(self.line_end, &self.buffer[self.start + after..]) {
                 return Ok(Some(after + at));
             }
             if self.is_over {
                 return Ok(None);
             }
+            // `fill` moves what is left, which has no further end of a line, to the start of the buffer.
             after = self.buffer.len() - self.start;
             self.fill()?;
         }

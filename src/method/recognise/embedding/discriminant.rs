@@ -183,9 +183,11 @@ impl Discriminant {
         solve_lower(&means.select(Axis(0), &independent).view(), projection.view_mut());
         let origin = projection.dot(centre);
         let lengths = means.rows().into_iter().map(|mean| mean.dot(&mean)).collect();
-        let sound = projection.iter().chain(&means).all(|x| x.is_finite());
+        if !projection.iter().chain(&means).all(|x| x.is_finite()) {
+            return None;
+        }
         let (projection, means) = (PackedMatrix::new(&projection), means.mapv(|x| x as f32));
-        sound.then_some(Self { projection, origin, means, lengths, present })
+        Some(Self { projection, origin, means, lengths, present })
     }
 
     /// A discriminant that tells nothing apart: all classes are at the same distance.
@@ -228,7 +230,8 @@ impl Discriminant {
         let (u, inner) = if let (Some(one), Some(means)) = (one, self.means.as_slice()) {
             // One row is multiplied faster as a vector.
             let u = self.projection.products(one) - &self.origin;
-            let inner = Array1::from(products(means, &u.map(|x| *x as f32).to_vec()));
+            let in_f32: Vec<f32> = u.iter().map(|x| *x as f32).collect();
+            let inner = Array1::from(products(means, &in_f32));
             (u.insert_axis(Axis(0)), inner.insert_axis(Axis(0)))
         } else {
             let u = vectors.dot(&self.projection.matrix().t()).mapv(f64::from) - &self.origin;
